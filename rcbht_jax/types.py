@@ -173,9 +173,10 @@ class LabelTracks:
         return xarray.Dataset(variables, coords, attrs)
 
     def __repr__(self) -> str:
-        shape = np.shape(self.llb.label)
-        if len(shape) < 2 or not isinstance(self.llb.label, np.ndarray | jax.Array) or _traced(self.llb.label):
-            return f"LabelTracks({shape or self.llb.label})"
+        label = self.llb.label
+        shape = np.shape(label)
+        if len(shape) < 2 or not isinstance(label, np.ndarray | jax.Array) or isinstance(label, jax.core.Tracer):
+            return f"LabelTracks({shape or label})"
         count = [int(np.count_nonzero(getattr(self, layer).label)) for layer in labels.LAYERS]
         size = f"{plural(len(self._recordings()), 'recording')}, {plural(shape[-2], 'axis', 'axes')}"
         rate = "" if self.info is None else f" at {self.info.rate:g} Hz"
@@ -232,10 +233,6 @@ def _batched(values: Array) -> NDArray[Any]:
     """Host array ``[recording, axis, slot]`` of ``[..., axis, slot]``."""
     array = np.asarray(values)
     return array.reshape(-1, *array.shape[-2:])
-
-
-def _traced(values: Array) -> bool:
-    return isinstance(values, jax.core.Tracer)
 
 
 # What is written where nothing was given; further columns may have any name.

@@ -109,22 +109,22 @@ def first_second(segments: Segments, items: LabelledIntervals) -> Estimator:
 
 def mini_rocket(segments: Segments, items: LabelledIntervals) -> Estimator:
     """MiniRocket with a ridge classifier."""
-    aeon = _aeon()
-    return estimator(resampled(segments), items.y, lambda seed: aeon.MiniRocketClassifier(random_state=seed))
+    return of_aeon("MiniRocketClassifier", resampled(segments), items.y)
 
 
 def multi_rocket_hydra(segments: Segments, items: LabelledIntervals) -> Estimator:
     """MultiRocket and Hydra together with a ridge classifier."""
-    aeon = _aeon()
-    return estimator(resampled(segments), items.y, lambda seed: aeon.MultiRocketHydraClassifier(random_state=seed))
+    return of_aeon("MultiRocketHydraClassifier", resampled(segments), items.y)
 
 
-def _aeon() -> Any:
+def of_aeon(name: str, x: Floats, y: NDArray[np.int64]) -> Estimator:
+    """A classifier of the library aeon, by its name."""
     try:
-        from aeon.classification import convolution_based
+        from aeon.classification import convolution_based, interval_based
     except ImportError as error:
         raise InputError('the peers need the library aeon; run them by "make peers".') from error
-    return convolution_based
+    make = getattr(convolution_based, name, None) or getattr(interval_based, name)
+    return estimator(x, y, lambda seed: make(random_state=seed))
 
 
 def one_d_sax(segments: Segments, items: LabelledIntervals) -> Estimator:

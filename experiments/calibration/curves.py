@@ -14,21 +14,21 @@ Finished rows are stored; the same command resumes an interrupted run.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
+import tyro
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import log_loss
 
 from experiments._lib.benchmarks import SIM1, of_sources
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Rows
 from experiments._lib.tasks import states
 from experiments.calibration.speed import numpy_rate
 from rcbht_jax.calibration import gradient
@@ -182,37 +182,36 @@ def tpe(side: Side, seed: int, count: int) -> dict[str, Any]:
     return out | {"seconds of the NumPy taxonomy per candidate": round(each, 3), "optuna": optuna.__version__}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("store", type=Path)
-    parser.add_argument("--methods", nargs="+", default=[], help="some of them; default all")
-    parser.add_argument("--seeds", type=int, default=3, help="of the searches; training has ten")
-    parser.add_argument("--candidates", type=int, default=2048)
-    parser.add_argument("--steps", type=int, default=80)
-    parser.add_argument("--asked", type=int, default=200, help="candidates that Optuna asks for")
-    given = parser.parse_args()
-    recordings = of_sources(read_recordings(given.store), (SIM1,))
+def main(
+    store: tyro.conf.Positional[Path],
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(help="Some of them; default all.")] = (),
+    seeds: Annotated[int, tyro.conf.arg(help="Of the searches; training has ten.")] = 3,
+    candidates: int = 2048,
+    steps: int = 80,
+    asked: Annotated[int, tyro.conf.arg(help="Candidates that Optuna asks for.")] = 200,
+) -> None:
+    recordings = of_sources(read_recordings(store), (SIM1,))
     config = EncoderConfig(5, recordings.dt)
     data = calibration_data(recordings, labelled_intervals(recordings, states()), config)
     ways: dict[str, tuple[int, Callable[[Side, int], dict[str, Any]]]] = {
-        "gradient": (10, partial(by_gradient, steps=given.steps, loss="logistic")),
-        "gradient of the fit": (10, partial(by_gradient, steps=given.steps, loss="fit")),
-        "random": (given.seeds, partial(random_search, count=given.candidates)),
-        "halving": (given.seeds, partial(halving, count=given.candidates // 2)),
-        "optuna": (given.seeds, partial(tpe, count=given.asked)),
+        "gradient": (10, partial(by_gradient, steps=steps, loss="logistic")),
+        "gradient of the fit": (10, partial(by_gradient, steps=steps, loss="fit")),
+        "random": (seeds, partial(random_search, count=candidates)),
+        "halving": (seeds, partial(halving, count=candidates // 2)),
+        "optuna": (seeds, partial(tpe, count=asked)),
     }
     wanted: dict[str, Callable[[], Any]] = {
         f"{name} | seed {seed}": partial(lambda way, seed: way(side_of(data, config, seed), seed), way, seed)
-        for name, (seeds, way) in ways.items()
-        for seed in range(seeds)
+        for name, (count, way) in ways.items()
+        for seed in range(count)
     }
     about = {
         "task": "SIM1 states, harmonised; a quarter of the trials held out per seed",
-        "candidates": given.candidates, "steps": given.steps, "asked": given.asked, "trials": len(data),
+        "candidates": candidates, "steps": steps, "asked": asked, "trials": len(data),
     }  # fmt: skip
     rows = Rows("calibration_curves", "python -m experiments.calibration.curves STORE.zarr", about, seed=0)
-    rows.fill(wanted, [f"{method} | seed" for method in given.methods] or [""])
+    rows.fill(wanted, [f"{method} | seed" for method in methods] or ALL_ROWS)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -11,8 +11,7 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -97,44 +96,36 @@ class Experiment:
         )
         return training.calibrate(self.data, self.config, self.limits("default"), options, rest=self.rest).thresholds
 
-    def calibrated(self, method: str) -> Callable[[], Any]:
+    def calibrated(self, method: str) -> dict[str, Any]:
         """Limits of a method, and what they do on the session that chose them."""
+        limits, data = self.limits(method), self.taught
+        stacked = checked_limits(self.config, limits)
+        tracks = encode_batch(self.config, limits, data.wrench, data.length)
+        rest = rest_thresholds(data, WINDOW).rest
+        moving = rest_not_constant(tracks.primitive, rest, WINDOW, Primitive.CONS)
+        one = FitLimits(stacked[None, :, :4], stacked[None, :, 4])
+        accuracy, fit = score_candidates(self.data, self.config, one)[0, :2].tolist()
+        words = [int((np.asarray(layer.label) > 0).sum()) for layer in (tracks.primitive, tracks.llb)]
+        return {
+            "limits": stacked[:, :4].tolist(),
+            "tolerance": stacked[:, 4].tolist(),
+            "share of rest that is constant, worst axis": round(1 - float(moving.max()), 4),
+            "primitives per trial": round(words[0] / len(data), 1),
+            "behaviours per trial": round(words[1] / len(data), 1),
+            "accuracy inside": round(accuracy, 4),
+            "fit inside": round(fit, 4),
+        }
 
-        def make() -> Any:
-            limits, data = self.limits(method), self.taught
-            stacked = checked_limits(self.config, limits)
-            tracks = encode_batch(self.config, limits, data.wrench, data.length)
-            rest = rest_thresholds(data, WINDOW).rest
-            moving = rest_not_constant(tracks.primitive, rest, WINDOW, Primitive.CONS)
-            one = FitLimits(stacked[None, :, :4], stacked[None, :, 4])
-            accuracy, fit = score_candidates(self.data, self.config, one)[0, :2].tolist()
-            words = [int((np.asarray(layer.label) > 0).sum()) for layer in (tracks.primitive, tracks.llb)]
-            return {
-                "limits": stacked[:, :4].tolist(),
-                "tolerance": stacked[:, 4].tolist(),
-                "share of rest that is constant, worst axis": round(1 - float(moving.max()), 4),
-                "primitives per trial": round(words[0] / len(data), 1),
-                "behaviours per trial": round(words[1] / len(data), 1),
-                "accuracy inside": round(accuracy, 4),
-                "fit inside": round(fit, 4),
-            }
-
-        return make
-
-    def scored(self, benchmark: str, method: str) -> Callable[[], Any]:
+    def scored(self, benchmark: str, method: str) -> dict[str, Any]:
         """Accuracy on the other session."""
-
-        def make() -> Any:
-            items = items_of(self.recordings, BENCHMARKS[benchmark])
-            limits, data = self.limits(method), self.recordings
-            tracks = encode_batch(self.config, limits, data.wrench, data.length)
-            features = extract_features({"W5": tracks}, items, WORDS)
-            learner = validation.nested_svm(
-                {"x": features.values}, items.y, items.trial, RANKS, {"x": features.weights(WORDS)}
-            )
-            return BENCHMARKS[benchmark].score(learner, items, 1, self.seed)
-
-        return make
+        items = items_of(self.recordings, BENCHMARKS[benchmark])
+        limits, data = self.limits(method), self.recordings
+        tracks = encode_batch(self.config, limits, data.wrench, data.length)
+        features = extract_features({"W5": tracks}, items, WORDS)
+        learner = validation.nested_svm(
+            {"x": features.values}, items.y, items.trial, RANKS, {"x": features.weights(WORDS)}
+        )
+        return BENCHMARKS[benchmark].score(learner, items, 1, self.seed)
 
     def about(self) -> dict[str, Any]:
         return {
@@ -163,8 +154,8 @@ def main(seed: int = 0, gradient: bool = False, only: Only = ALL_ROWS) -> None:
     )
     wanted = {}
     for method in (*METHODS, *("gradient",) * gradient):
-        wanted[f"limits | {method}"] = experiment.calibrated(method)
-        wanted |= {f"{name} | {method}": experiment.scored(name, method) for name in SCORED}
+        wanted[f"limits | {method}"] = partial(experiment.calibrated, method)
+        wanted |= {f"{name} | {method}": partial(experiment.scored, name, method) for name in SCORED}
     rows.fill(wanted, only)
 
 

@@ -6,7 +6,6 @@ Thresholds are chosen on the training side of every split; results are added tas
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 
 from experiments._lib.benchmarks import FAILURES, REAL, SIM1, of_sources, rounded
 from experiments._lib.results_io import RESULTS, write_result
@@ -155,21 +155,20 @@ def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any
     return result
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("store", type=Path)
-    parser.add_argument("--tasks", nargs="+", default=["sim1", "real-transfer", "sim1-to-real", "failure-type"])
-    parser.add_argument("--candidates", type=int, default=1024)
-    parser.add_argument("--repeats", type=int, default=3)
-    given = parser.parse_args()
-    store = read_recordings(given.store)
+def main(
+    store: tyro.conf.Positional[Path],
+    tasks: tuple[str, ...] = ("sim1", "real-transfer", "sim1-to-real", "failure-type"),
+    candidates: int = 1024,
+    repeats: int = 3,
+) -> None:
+    recordings = read_recordings(store)
     path = RESULTS / "calibration.json"
-    for task in given.tasks:
+    for task in tasks:
         known = json.loads(path.read_text())["result"] if path.exists() else {}
-        scores = run(task, store, given.candidates, given.repeats)
+        scores = run(task, recordings, candidates, repeats)
         command = "python -m experiments.calibration.methods STORE.zarr"
         write_result("calibration", command, known | {task: scores}, seed=SEED)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

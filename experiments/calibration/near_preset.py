@@ -13,15 +13,15 @@ Run: python -m experiments.calibration.near_preset STORE.zarr [--simulated FOLDE
 
 from __future__ import annotations
 
-import argparse
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
@@ -52,7 +52,7 @@ Floats = NDArray[np.float64]
 Kernel = NDArray[np.floating[Any]]
 
 
-def candidates(count: int) -> tuple[Floats, Floats]:
+def candidates_of(count: int) -> tuple[Floats, Floats]:
     """GradientThresholds ``[candidate, 6, 4]``, the preset first, and their distance from it in octaves."""
     points = (2 * qmc.Sobol(3, rng=SEED).random(count) - 1) * OCTAVES
     points[0] = 0
@@ -169,20 +169,19 @@ class Near:
         return cost_scores(part, self.y[train], self.groups[train], COSTS, INNER, INNER_REPEATS, seed)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("store", type=Path)
-    parser.add_argument("--simulated", type=Path, help="folder of simulated sets; those that are missing are made")
-    parser.add_argument("--candidates", type=int, default=64)
-    parser.add_argument("--repeats", type=int, default=3, help="of the five outer folds of SIM1")
-    given = parser.parse_args()
-    store = read_recordings(given.store)
-    limits, distance = candidates(given.candidates)
+def main(
+    store: tyro.conf.Positional[Path],
+    simulated: Annotated[Path | None, tyro.conf.arg(help="Folder of simulated sets; missing ones are made.")] = None,
+    candidates: int = 64,
+    repeats: Annotated[int, tyro.conf.arg(help="Of the five outer folds of SIM1.")] = 3,
+) -> None:
+    recorded = read_recordings(store)
+    limits, distance = candidates_of(candidates)
     known: dict[str, tuple[Near, LabelledIntervals]] = {}
 
     @cache
     def transfers() -> dict[tuple[str, str], Floats]:
-        return simulated_transfer(given.simulated, limits)
+        return simulated_transfer(simulated, limits)
 
     def without(preset_of_test: str) -> Floats:
         pairs = [value for pair, value in transfers().items() if preset_of_test not in pair]
@@ -190,7 +189,7 @@ def main() -> None:
 
     def near(source: str) -> tuple[Near, LabelledIntervals]:
         if source not in known:
-            recordings = of_sources(store, (source,))
+            recordings = of_sources(recorded, (source,))
             items = labelled_intervals(recordings, states())
             known[source] = Near(words(recordings, items, limits), items.y, items.trial, distance), items
         return known[source]
@@ -199,7 +198,7 @@ def main() -> None:
         learners, items = near(SIM1)
         if method.startswith("simulated"):
             learners.ranked[method] = without("openhrp")
-        splits = validation.repeated_folds(items.y, items.trial, 5, given.repeats, SEED)
+        splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
         scores = validation.cross_validate(learners.learner(method), items.y, splits, SEED)
         chosen = [choice["candidates"][0] for repeat in scores.chosen for choice in repeat]
         return {"accuracy": rounded(scores.summary()["accuracy"]), "chosen": chosen}
@@ -213,20 +212,18 @@ def main() -> None:
         return {"accuracy": rounded(scores.summary()["accuracy"]), "chosen": scores.chosen["candidates"][:1]}
 
     wanted: dict[str, Callable[[], Any]] = {}
-    methods = (*METHODS, *(("simulated, best", "simulated, average") if given.simulated else ()))
+    methods = (*METHODS, *(("simulated, best", "simulated, average") if simulated else ()))
     for method in methods:
         wanted[f"REAL A -> B | {method}"] = partial(transfer, "A", "B", method)
         wanted[f"REAL B -> A | {method}"] = partial(transfer, "B", "A", method)
     wanted |= {f"SIM1 | {method}": partial(sim1, method) for method in methods}
     about = {
         "features": "words, scaled by ranks; states, harmonised",
-        "candidates": given.candidates, "repeats": given.repeats, "octaves": OCTAVES, "costs": COSTS,
+        "candidates": candidates, "repeats": repeats, "octaves": OCTAVES, "costs": COSTS,
     }  # fmt: skip
-    command = "python -m experiments.calibration.near_preset STORE.zarr" + (
-        " --simulated FOLDER" if given.simulated else ""
-    )
+    command = "python -m experiments.calibration.near_preset STORE.zarr" + (" --simulated FOLDER" if simulated else "")
     Rows("calibration_near", command, about, SEED).fill(wanted)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

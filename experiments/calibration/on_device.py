@@ -24,6 +24,7 @@ import numpy as np
 
 from experiments._lib.results_io import write_result
 from experiments._lib.tasks import task
+from experiments._lib.timing import seconds_of
 from rcbht_jax.calibration import contextual, gradient
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.objective import SCORES, Objective
@@ -75,13 +76,6 @@ def _rows(data: CalibrationData, span: slice) -> CalibrationData:
     return device_calibration_data(CONFIG, data.wrench[span], data.edges[span], data.y[span], data.classes)
 
 
-def seconds_of(work: Callable[[], Any]) -> tuple[Any, float]:
-    """What it makes, and how long that took on the device."""
-    start = time.perf_counter()
-    made = jax.block_until_ready(work())
-    return made, round(time.perf_counter() - start, 2)
-
-
 def unseen(work: Callable[[], Any], direction: Any) -> tuple[Any, str]:
     """Run under a guard that forbids implicit copies; where it strikes, once more without it, and say so."""
     try:
@@ -98,9 +92,8 @@ def rollouts(run: Run) -> dict[str, Any]:
     given, scene, impl = run.given, one_arm(), engines.IMPLEMENTATIONS[run.given.engine]
     share = 1.0 if given.task == "states" else 0.0
     spec = DomainRandomization(nominal_share=share, faults=("pose",), longest=given.longest)
-    start = time.perf_counter()
-    params, faults = get_scenario(given.preset).draw_batch(SEED, range(given.trials), spec)
-    drawn = round(time.perf_counter() - start, 2)
+    scenario = get_scenario(given.preset)
+    (params, faults), drawn = seconds_of(lambda: scenario.draw_batch(SEED, range(given.trials), spec))
     short = replace(params, task=replace(params.task, timeout=np.full(given.trials, 0.2)))
     _, compiling = seconds_of(lambda: device.run(scene, short, impl).wrench)
     start = time.perf_counter()
@@ -117,7 +110,7 @@ def rollouts(run: Run) -> dict[str, Any]:
     periods = int(out.length.sum())
     return {
         "trials": given.trials, "usable": len(run.data), "training": run.training,
-        "seconds to draw": drawn, "seconds to compile (with trials of 0.2 s)": compiling,
+        "seconds to draw": round(drawn, 2), "seconds to compile (with trials of 0.2 s)": round(compiling, 2),
         "seconds to simulate": round(simulated, 2), "physics steps per second": round(2 * periods / simulated),
         "mean length, s": round(periods * CONTROL_PERIOD / given.trials, 2),
         "implicit copies to the host": copies,
@@ -170,15 +163,13 @@ def searched(run: Run) -> dict[str, Any]:
     options = SearchOptions(space=SPACE, candidates=given.candidates, generations=given.generations, seed=SEED)
     few = replace(options, candidates=min(given.candidates, 256), generations=min(given.generations, 1))
     _, compiling = seconds_of(lambda: search(training, CONFIG, few).value)
-    start = time.perf_counter()
-    found, copies = unseen(lambda: search(training, CONFIG, options), jax.transfer_guard)
-    spent = time.perf_counter() - start
+    (found, copies), spent = seconds_of(lambda: unseen(lambda: search(training, CONFIG, options), jax.transfer_guard))
     samples = 6 * int(training.windows.length.sum()) * found.evaluations
     run.limits["search"] = np.asarray(found.thresholds.limits)
     both = np.stack([run.limits[name] for name in ("preset", "search")])
     held_out = score_candidates(outside, CONFIG, both).astype(np.float64)
     return {
-        "evaluations": found.evaluations, "seconds of a first, small search (compiles)": compiling,
+        "evaluations": found.evaluations, "seconds of a first, small search (compiles)": round(compiling, 2),
         "seconds": round(spent, 2), "billion samples per second": round(samples / spent / 1e9, 3),
         "implicit copies": copies, "limits": run.limits["search"].round(4).tolist(),
         "training objective of preset and found": [round(found.start_value, 4), round(found.value, 4)],
@@ -193,14 +184,13 @@ def trained(run: Run) -> dict[str, Any]:
     held_out = _rows(outside, slice(given.batch))
     once = replace(options, steps=1)
     _, compiling = seconds_of(lambda: gradient.calibrate(training, CONFIG, preset(), once, held_out=held_out).history)
-    start = time.perf_counter()
-    made = gradient.calibrate(training, CONFIG, preset(), options, held_out=held_out)
-    spent = time.perf_counter() - start
+    made, spent = seconds_of(lambda: gradient.calibrate(training, CONFIG, preset(), options, held_out=held_out))
     run.limits["gradient"] = np.asarray(made.thresholds.limits)
     values = score_candidates(outside, CONFIG, run.limits["gradient"][None]).astype(np.float64)
     return {
-        "steps": given.steps, "trials per step": given.batch, "seconds of the first step (compiles)": compiling,
-        "seconds": round(spent, 2), "limits": run.limits["gradient"].round(4).tolist(),
+        "steps": given.steps, "trials per step": given.batch,
+        "seconds of the first step (compiles)": round(compiling, 2), "seconds": round(spent, 2),
+        "limits": run.limits["gradient"].round(4).tolist(),
         "held-out loss, first and last": [round(made.history[k][2], 4) for k in (0, -1)],
         "held-out scores": _named(values[0]),
     }  # fmt: skip
@@ -208,16 +198,13 @@ def trained(run: Run) -> dict[str, Any]:
 
 def stored(run: Run) -> dict[str, Any]:
     """The completed trials with the labels of every method, as a store; context speaks here, from the host."""
-    start = time.perf_counter()
-    run.recordings = _recordings(run.data, run.given.preset)
-    copied = time.perf_counter() - start
+    run.recordings, copied = seconds_of(lambda: _recordings(run.data, run.given.preset))
     said: dict[str, Any] = {}
     if run.given.task == "states":  # the rule reads rotation and insertion, which a failure need not have
         rows = np.arange(run.training)[: run.given.svm_trials]
-        start = time.perf_counter()
-        found = contextual.calibrate(run.recordings, rows, CONFIG, copy=contextual.OWN)
+        found, spent = seconds_of(lambda: contextual.calibrate(run.recordings, rows, CONFIG, copy=contextual.OWN))
         run.limits["context"] = np.asarray(found.thresholds.limits)
-        said = {"trials": found.trials.tolist(), "seconds": round(time.perf_counter() - start, 2)}
+        said = {"trials": found.trials.tolist(), "seconds": round(spent, 2)}
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         path = run.given.store or Path(folder) / "simulated.zarr"

@@ -6,15 +6,15 @@ All one-arm simulation successes and real successes, six axes, W=5: 4,096 candid
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import numpy as np
+import tyro
 
 from experiments._lib.results_io import write_result
 from experiments._lib.tasks import states
@@ -40,7 +40,7 @@ def from_store(path: Path) -> CalibrationData:
     return calibration_data(recordings, labelled_intervals(recordings, states(sources=SOURCES)), EncoderConfig(5, DT))
 
 
-def save(data: CalibrationData, path: Path) -> None:
+def save_data(data: CalibrationData, path: Path) -> None:
     lines = {field.name: getattr(data.windows, field.name) for field in fields(Windows)}
     np.savez_compressed(
         path, wrench=data.wrench, edges=data.edges, y=data.y, classes=np.array(data.classes), trial=data.trial, **lines
@@ -97,22 +97,21 @@ def measure(data: CalibrationData, candidates: int, chunk: int | None, group: in
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("source", type=Path, help="store, or calibration data (.npz)")
-    parser.add_argument("--save", type=Path, help="write the calibration data to this file and stop")
-    parser.add_argument("--candidates", type=int, default=4096)
-    parser.add_argument("--chunk", type=int)
-    parser.add_argument("--group", type=int)
-    given = parser.parse_args()
-    data = load(given.source) if given.source.suffix == ".npz" else from_store(given.source)
-    if given.save:
-        save(data, given.save)
+def main(
+    source: tyro.conf.Positional[Path],
+    save: Annotated[Path | None, tyro.conf.arg(help="Write the calibration data to this file and stop.")] = None,
+    candidates: int = 4096,
+    chunk: int | None = None,
+    group: int | None = None,
+) -> None:
+    data = load(source) if source.suffix == ".npz" else from_store(source)
+    if save is not None:
+        save_data(data, save)
         return
-    result = measure(data, given.candidates, given.chunk, given.group)
+    result = measure(data, candidates, chunk, group)
     backend = jax.default_backend()
     write_result(f"calibration_speed_{backend}", "python -m experiments.calibration.speed STORE.zarr", result, SEED)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -87,7 +87,7 @@ def curve(data: Data, name: str, features: str, repeats: int, seed: int) -> dict
             predicted, _ = learn(np.flatnonzero(inside), test, 1000 * seed + repeat)
             scores[repeat] = metrics.accuracy(items.y[test], predicted)
         out[str(size)] = [float(scores.mean()), *np.quantile(scores, [0.05, 0.95]).tolist()]
-    return out
+    return rounded(out)
 
 
 def grid(data: Data, name: str, features: str, seed: int) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def grid(data: Data, name: str, features: str, seed: int) -> dict[str, Any]:
             for train, test in folds
         ]
         out[kernel] = np.mean(scores, axis=0).tolist()
-    return out
+    return rounded(out)
 
 
 def main(repeats: int = 20, seed: int = 0, only: Only = ALL_ROWS) -> None:
@@ -119,11 +119,9 @@ def main(repeats: int = 20, seed: int = 0, only: Only = ALL_ROWS) -> None:
     wanted: dict[str, Callable[[], Any]] = {}
     for name in SETS:
         for features in (*FEATURES, STATISTICS):
-            wanted[f"{name} | curve | {features}"] = lambda n=name, f=features: rounded(
-                curve(data, n, f, repeats, seed)
-            )
+            wanted[f"{name} | curve | {features}"] = partial(curve, data, name, features, repeats, seed)
         for features in FEATURES:
-            wanted[f"{name} | grid | {features}"] = lambda n=name, f=features: rounded(grid(data, n, f, seed))
+            wanted[f"{name} | grid | {features}"] = partial(grid, data, name, features, seed)
     Rows("curves", command, about, seed).fill(wanted, only)
 
 

@@ -13,9 +13,8 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -102,23 +101,20 @@ class Experiment:
     def items(self, benchmark: str) -> LabelledIntervals:
         return items_of(self.recordings, BENCHMARKS[benchmark])
 
-    def row(self, benchmark: str, name: str) -> Callable[[], Any]:
-        def make() -> Any:
-            sentence, items, chosen = SENTENCES[name], self.items(benchmark), Counter[str]()
-            features = {
-                f"limits x {scale:g}": extract_features(
-                    {"W5": self.tracks(sentence.rule, scale, sentence.tolerance)}, items, sentence.spec
-                )
-                for scale in sentence.scales
-            }
-            weights = {key: x.weights(sentence.spec) for key, x in features.items()}
-            matrices = {key: x.values for key, x in features.items()}
-            grid = RANKS if sentence.ranks else DEVIATION
-            learner = counted(validation.nested_svm(matrices, items.y, items.trial, grid, weights), chosen)
-            score = BENCHMARKS[benchmark].score(learner, items, self.repeats, self.seed)
-            return {**score, "repeats": self.repeats, "chosen": dict(chosen.most_common())}
-
-        return make
+    def row(self, benchmark: str, name: str) -> dict[str, Any]:
+        sentence, items, chosen = SENTENCES[name], self.items(benchmark), Counter[str]()
+        features = {
+            f"limits x {scale:g}": extract_features(
+                {"W5": self.tracks(sentence.rule, scale, sentence.tolerance)}, items, sentence.spec
+            )
+            for scale in sentence.scales
+        }
+        weights = {key: x.weights(sentence.spec) for key, x in features.items()}
+        matrices = {key: x.values for key, x in features.items()}
+        grid = RANKS if sentence.ranks else DEVIATION
+        learner = counted(validation.nested_svm(matrices, items.y, items.trial, grid, weights), chosen)
+        score = BENCHMARKS[benchmark].score(learner, items, self.repeats, self.seed)
+        return {**score, "repeats": self.repeats, "chosen": dict(chosen.most_common())}
 
     def about(self) -> dict[str, Any]:
         return {
@@ -139,7 +135,9 @@ class Experiment:
 def main(repeats: int = 2, seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(repeats, seed)
     command = f"python -m experiments.classification.fitted_words --repeats {repeats} --seed {seed}"
-    wanted = {f"{benchmark} | {name}": experiment.row(benchmark, name) for benchmark in CHOSEN for name in SENTENCES}
+    wanted = {
+        f"{benchmark} | {name}": partial(experiment.row, benchmark, name) for benchmark in CHOSEN for name in SENTENCES
+    }
     rows = Rows("fit_classification", command, experiment.about(), seed)
     rows.fill(wanted, only)
 

@@ -11,8 +11,7 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from itertools import product
 from typing import Any
 
@@ -122,12 +121,9 @@ class Experiment:
             right.append(metrics.accuracy(self.items(task).y[split[1]], answers[best][1]))
         return float(np.mean(right))
 
-    def row(self, grammars: tuple[str, ...], families: tuple[str, ...]) -> Callable[[], Any]:
-        def make() -> Any:
-            scores = {task: round(self.score(task, grammars, families), 4) for task in TASKS}
-            return {"mean": round(float(np.mean(list(scores.values()))), 4), "scores": scores}
-
-        return make
+    def row(self, grammars: tuple[str, ...], families: tuple[str, ...]) -> dict[str, Any]:
+        scores = {task: round(self.score(task, grammars, families), 4) for task in TASKS}
+        return {"mean": round(float(np.mean(list(scores.values()))), 4), "scores": scores}
 
 
 def option_name(grammars: tuple[str, ...], families: tuple[str, ...]) -> str:
@@ -144,7 +140,7 @@ def main(only: Only = ALL_ROWS) -> None:
         "trials": {task: len(np.unique(experiment.items(task).trial)) for task in TASKS},
     }
     rows = Rows("frozen_choice", "python -m experiments.classification.frozen_choice", about, SEED)
-    rows.fill({option_name(*option): experiment.row(*option) for option in OPTIONS}, only)
+    rows.fill({option_name(*option): partial(experiment.row, *option) for option in OPTIONS}, only)
 
 
 if __name__ == "__main__":

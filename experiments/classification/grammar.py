@@ -13,9 +13,9 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -114,23 +114,20 @@ class Experiment:
             features[grammar] = extract_features(tracks, self.items(benchmark), method.spec)
         return dict(sorted(features.items(), key=lambda item: len(item[1].names)))
 
-    def row(self, benchmark: str, name: str) -> Callable[[], Any]:
-        def make() -> Any:
-            items, chosen = self.items(benchmark), Counter[str]()
-            if name == "duration alone":
-                learner, columns = validation.forest(items.seconds, items.y), {}
-            else:
-                method = METHODS[name]
-                features = self.candidates(benchmark, method)
-                columns = {key: len(x.names) for key, x in features.items()}
-                weights = {key: x.weights(method.spec) for key, x in features.items()}
-                matrices = {key: x.values for key, x in features.items()}
-                learner = counted(validation.nested_svm(matrices, items.y, items.trial, method.grid, weights), chosen)
-            repeats = fewer_repeats(benchmark, self.repeats)
-            score = self.benchmarks[benchmark].score(learner, items, repeats, self.seed)
-            return {**score, "repeats": repeats, "columns": columns, "chosen": dict(chosen.most_common())}
-
-        return make
+    def row(self, benchmark: str, name: str) -> dict[str, Any]:
+        items, chosen = self.items(benchmark), Counter[str]()
+        if name == "duration alone":
+            learner, columns = validation.forest(items.seconds, items.y), {}
+        else:
+            method = METHODS[name]
+            features = self.candidates(benchmark, method)
+            columns = {key: len(x.names) for key, x in features.items()}
+            weights = {key: x.weights(method.spec) for key, x in features.items()}
+            matrices = {key: x.values for key, x in features.items()}
+            learner = counted(validation.nested_svm(matrices, items.y, items.trial, method.grid, weights), chosen)
+        repeats = fewer_repeats(benchmark, self.repeats)
+        score = self.benchmarks[benchmark].score(learner, items, repeats, self.seed)
+        return {**score, "repeats": repeats, "columns": columns, "chosen": dict(chosen.most_common())}
 
     def about(self) -> dict[str, Any]:
         methods = {
@@ -196,7 +193,7 @@ def main(repeats: int = 5, seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(repeats, seed)
     command = f"python -m experiments.classification.grammar --repeats {repeats} --seed {seed}"
     wanted = {
-        f"{benchmark} | {method}": experiment.row(benchmark, method)
+        f"{benchmark} | {method}": partial(experiment.row, benchmark, method)
         for benchmark in experiment.benchmarks
         for method in ("duration alone", *METHODS)
     }

@@ -11,7 +11,7 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import distributions
 from typing import Any
 
@@ -76,14 +76,11 @@ class Experiment:
             return validation.nested_svm({"": words}, items.y, items.trial, GRID)
         return (PEERS | PROBES)[method](parts, items)
 
-    def row(self, benchmark: str, method: str) -> Callable[[], Any]:
-        def make() -> Any:
-            items, _ = self.data(benchmark)
-            repeats = repeats_of(benchmark, method, self.repeats)
-            score = BENCHMARKS[benchmark].score(self.learner(benchmark, method), items, repeats, self.seed)
-            return {"kind": kind(method), **score, "repeats": repeats, "libraries": libraries()}
-
-        return make
+    def row(self, benchmark: str, method: str) -> dict[str, Any]:
+        items, _ = self.data(benchmark)
+        repeats = repeats_of(benchmark, method, self.repeats)
+        score = BENCHMARKS[benchmark].score(self.learner(benchmark, method), items, repeats, self.seed)
+        return {"kind": kind(method), **score, "repeats": repeats, "libraries": libraries()}
 
 
 def kind(method: str) -> str:
@@ -120,7 +117,7 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
     command = f"python -m experiments.classification.peers --repeats {repeats} --seed {seed}"
     rows = Rows("peers", command, about(experiment), seed)
     wanted = {
-        f"{benchmark} | {method}": experiment.row(benchmark, method)
+        f"{benchmark} | {method}": partial(experiment.row, benchmark, method)
         for method in (*PROBES, *OURS, *PEERS)
         for benchmark in BENCHMARKS
     }

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -92,15 +92,12 @@ class Experiment:
             "words + SVM, without duration and offset": words,
         }
 
-    def row(self, question: str, view: str) -> Callable[[], Any]:
-        def make() -> Any:
-            items = self.items(question)
-            splits = self.splits(question)
-            result = validation.cross_validate(self.learners(question)[view](), items.y, splits, self.seed)
-            counts = dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True))
-            return {"trials": counts, **rounded(result.summary())}
-
-        return make
+    def row(self, question: str, view: str) -> dict[str, Any]:
+        items = self.items(question)
+        splits = self.splits(question)
+        result = validation.cross_validate(self.learners(question)[view](), items.y, splits, self.seed)
+        counts = dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True))
+        return {"trials": counts, **rounded(result.summary())}
 
     def splits(self, question: str) -> list[list[Split]]:
         items, asked = self.items(question), QUESTIONS[question]
@@ -127,7 +124,7 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
     }
     command = f"python -m experiments.classification.probes --repeats {repeats} --seed {seed}"
     views = experiment.learners(next(iter(QUESTIONS)))
-    wanted = {f"{name} | {view}": experiment.row(name, view) for name in QUESTIONS for view in views}
+    wanted = {f"{name} | {view}": partial(experiment.row, name, view) for name in QUESTIONS for view in views}
     Rows("probes", command, about, seed).fill(wanted, only)
 
 

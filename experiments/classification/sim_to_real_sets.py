@@ -7,12 +7,13 @@ ones. The name of a set is a recorded session, or a level of randomisation and a
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+import tyro
 
 from experiments._lib.tasks import states
 from experiments._lib.zero_shot_set import TARE_SECONDS, WIDE
@@ -141,16 +142,15 @@ def make(folder: Path, level: str, session: str) -> None:
     print(pipeline.synthesise(target, job, progress=progress), flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--sets", nargs="+", choices=SETS, default=["none", "mild", "wide"])
-    parser.add_argument("--presets", nargs="+", choices=PRESETS, default=list(PRESETS))
-    given = parser.parse_args()
-    for level in given.sets:
-        for name in given.presets:
-            make(given.folder, level, name)
+def main(
+    folder: tyro.conf.Positional[Path],
+    sets: tuple[Literal["none", "mild", "wide", "own-end", "ideal"], ...] = ("none", "mild", "wide"),
+    presets: tuple[Literal["A", "B", "C", "openhrp"], ...] = ("A", "B", "C", "openhrp"),
+) -> None:
+    for level in sets:
+        for name in presets:
+            make(folder, level, name)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ from experiments._lib.benchmarks import (
     rounded,
 )
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments.classification.table1_published import FIXED, NESTED
 from rcbht_jax.features import FeatureSpec, longest
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
@@ -57,8 +58,6 @@ from sim_mjx.synthesis.plan import SynthesisConfig
 SIMULATED = {"simulated B": "hooked-B", "simulated A": "hooked-A", "simulated two-arm": "two"}  # set -> preset
 TRIALS, SHARE, LONGEST = 200, 0.5, 40.0  # of each preset; without a fault; s
 OUTCOME = TaskSpec("outcome", outcomes=())
-FIXED = Grid(kernels=("poly",), costs=(1.0,), scalings=(False,))
-NESTED = Grid(scalings=(False,))  # the authors' grid: three kernels, ten costs, no scaling
 WORDS = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scalings=(True,))
 LABELS = ("offline", "online")
 
@@ -181,11 +180,11 @@ def main(folder: tyro.conf.Positional[Path], repeats: int = 10, seed: int = 0, o
     }
     command = f"python -m experiments.classification.table1_ours FOLDER --repeats {repeats} --seed {seed}"
     data = Data(folder, seed)
-
-    def make(row: Row, labels: str) -> Callable[[], Any]:
-        return lambda: measure(data, row, labels, repeats, seed)
-
-    wanted = {f"{name} | {labels}": make(row, labels) for name, row in ROWS.items() for labels in LABELS}
+    wanted = {
+        f"{name} | {labels}": partial(measure, data, row, labels, repeats, seed)
+        for name, row in ROWS.items()
+        for labels in LABELS
+    }
     Rows("table1_ours", command, about, seed).fill(wanted, only)
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from experiments._lib.benchmarks import SIM2
 from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import pictures, write_result
 from rcbht_jax.io.hiro import dat
@@ -35,7 +36,6 @@ from sim_mjx.registry import get_scenario
 from sim_mjx.validation import signature
 from sim_mjx.validation.solver_convergence import certify
 
-SOURCE = "SIM_HIRO_TWO_SA_SUCCESS"
 SEED = 0
 LIKE_RECORDED, MILD, CERTIFIED, FAULTY = 16, 64, 64, 64  # trials
 SHARES = (0.0, 0.1, 0.2, 0.5, 1.0)  # of the right arm's gains
@@ -200,7 +200,7 @@ def seating(run: Rollouts, faults: list[str], seconds: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    root = DATA / SOURCE
+    root = DATA / SIM2
     recorded, _ = read_hiro(root)
     result: dict[str, Any] = {"recorded trials": len(recorded) // 2, "forward kinematics": forward_kinematics(root)}
     mild = DomainRandomization(nominal_share=1.0)

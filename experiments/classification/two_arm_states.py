@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 from experiments._lib import tasks
+from experiments._lib.benchmarks import SIM2, rounded
 from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import write_result
-from experiments.classification.two_arm import SOURCE, as_recordings, simulated
+from experiments.classification.two_arm import as_recordings, simulated
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset as thresholds
@@ -61,19 +62,14 @@ def states(recorded: Recordings, sets: dict[str, Recordings]) -> dict[str, Any]:
                 kind: evaluate(both, tracks, task, spec, EvaluationProtocol(5, 3, SEED, grid, **split))
                 for kind, (spec, grid) in KINDS.items()
             }
-            row = {kind: interval(one.score) for kind, one in evaluations.items()}
-            row["duration alone"] = interval(evaluations["words"].duration_baseline)
+            row = {kind: rounded(one.score["accuracy"]) for kind, one in evaluations.items()}
+            row["duration alone"] = rounded(evaluations["words"].duration_baseline["accuracy"])
             out[title] = row | {"trials": evaluations["words"].trials}
     return out
 
 
-def interval(score: dict[str, Any]) -> dict[str, float]:
-    """The accuracy with its 95 % interval."""
-    return {key: round(float(value), 4) for key, value in score["accuracy"].items()}
-
-
 def main() -> None:
-    recorded, _ = read_hiro(DATA / SOURCE)
+    recorded, _ = read_hiro(DATA / SIM2)
     mild = DomainRandomization(nominal_share=1.0)
     sets = {name: as_recordings(simulated(name, TRIALS, mild)[0], name) for name in TWO_ARM}
     note = (

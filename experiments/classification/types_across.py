@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 from sklearn.ensemble import ExtraTreesClassifier
 
-from experiments._lib.benchmarks import FAILURES, FOLDS, recorded
+from experiments._lib.benchmarks import FAILURES, FOLDS, recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import by_trial
 from experiments._lib.tasks import failure_types
@@ -157,13 +157,10 @@ def scored(predicted: Ints, y: Ints) -> dict[str, Any]:
     """Accuracy with its interval by trial, and which type was taken for which."""
     classes = authors()[0]
     score = by_trial(float((predicted == y).mean()), len(y))
-    rounded = {key: round(value, 4) if isinstance(value, float) else value for key, value in score.items()}
     table = confusion(y, predicted, len(classes))
-    found = {
-        name: round(float(row[k] / row.sum()), 4) for k, (name, row) in enumerate(zip(classes, table, strict=True))
-    }
+    recall = dict(zip(classes, (table.diagonal() / table.sum(1)).tolist(), strict=True))
     said_of = dict(zip(classes, table.tolist(), strict=True))
-    return {"score": rounded, "trials tested": len(y), "recall": found, "true and said": said_of}
+    return rounded({"score": score, "trials tested": len(y), "recall": recall, "true and said": said_of})
 
 
 @cache
@@ -174,7 +171,7 @@ def choice(folder: Path, seen: float, seed: int) -> dict[str, float]:
     for a, b in (("narrow", "wide"), ("wide", "narrow")):
         y = simulated(folder, b).y
         found[f"{a} to {b}"] = float((said(x[a], simulated(folder, a).y, x[b], seed) == y).mean())
-    return {name: round(value, 4) for name, value in {**found, "mean": float(np.mean(list(found.values())))}.items()}
+    return rounded(found | {"mean": float(np.mean(list(found.values())))})
 
 
 def chosen(folder: Path, seed: int) -> float:
@@ -218,8 +215,7 @@ def with_shots(folder: Path, ways: tuple[str, str], shots: int, seed: int) -> di
         inside, known = np.concatenate([x, z[few]]), np.concatenate([train.y, test.y[few]])
         heavier = np.concatenate([np.ones(len(x)), np.full(len(few), len(x) / len(few))])
         right.append(float((said(inside, known, z[left], seed + draw, heavier) == test.y[left]).mean()))
-    score = by_trial(float(np.mean(right)), len(left))
-    return {"score": {key: round(v, 4) if isinstance(v, float) else v for key, v in score.items()}}
+    return rounded({"score": by_trial(float(np.mean(right)), len(left))})
 
 
 def within(folder: Path, name: str, seed: int) -> dict[str, Any]:

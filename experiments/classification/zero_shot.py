@@ -13,9 +13,8 @@ Finished rows are stored; the same command resumes an interrupted run.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import asdict, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -71,25 +70,22 @@ class Experiment:
             return raw.forest(raw.statistics(segments(self.recordings(), items)), items.y)
         return self.method.learner(self.grammars(), items, FEATURES[name])
 
-    def row(self, boundaries: str, name: str) -> Callable[[], Any]:
-        def make() -> Any:
-            items = self.items(boundaries)
-            train, test = (np.flatnonzero((items.session == SIMULATED) == side) for side in (True, False))
-            predicted, choice = self.learner(name, items)(train, test, SEED)
-            right = predicted == items.y[test]
-            out: dict[str, Any] = {"training trials": len(np.unique(items.trial[train]))}
-            for sessions in (*((one,) for one in SESSIONS), SESSIONS):
-                mine = np.isin(items.session[test], sessions)
-                tested = len(np.unique(items.trial[test][mine]))
-                out["+".join(sessions)] = by_trial(float(right[mine].mean()), tested) | {"trials": tested}
-            wrong = Counter(
-                f"{items.classes[true]} as {items.classes[said]}"
-                for true, said in zip(items.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)
-            )
-            chosen = {key: choice[key] for key in ("features", "kernel", "cost") if key in choice}
-            return rounded(out) | {"wrong": dict(wrong), "chosen": chosen, "method": self.method.sha256}
-
-        return make
+    def row(self, boundaries: str, name: str) -> dict[str, Any]:
+        items = self.items(boundaries)
+        train, test = (np.flatnonzero((items.session == SIMULATED) == side) for side in (True, False))
+        predicted, choice = self.learner(name, items)(train, test, SEED)
+        right = predicted == items.y[test]
+        out: dict[str, Any] = {"training trials": len(np.unique(items.trial[train]))}
+        for sessions in (*((one,) for one in SESSIONS), SESSIONS):
+            mine = np.isin(items.session[test], sessions)
+            tested = len(np.unique(items.trial[test][mine]))
+            out["+".join(sessions)] = by_trial(float(right[mine].mean()), tested) | {"trials": tested}
+        wrong = Counter(
+            f"{items.classes[true]} as {items.classes[said]}"
+            for true, said in zip(items.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)
+        )
+        chosen = {key: choice[key] for key in ("features", "kernel", "cost") if key in choice}
+        return rounded(out) | {"wrong": dict(wrong), "chosen": chosen, "method": self.method.sha256}
 
 
 def main(folder: tyro.conf.Positional[Path], only: Only = ALL_ROWS) -> None:
@@ -104,7 +100,9 @@ def main(folder: tyro.conf.Positional[Path], only: Only = ALL_ROWS) -> None:
     }
     names = (*FEATURES, "duration alone", "statistics + random forest")
     rows = Rows("zero_shot", "python -m experiments.classification.zero_shot FOLDER", about, SEED)
-    wanted = {f"{BOUNDARIES[kind]} | {name}": experiment.row(kind, name) for kind in BOUNDARIES for name in names}
+    wanted = {
+        f"{BOUNDARIES[kind]} | {name}": partial(experiment.row, kind, name) for kind in BOUNDARIES for name in names
+    }
     rows.fill(wanted, only)
 
 

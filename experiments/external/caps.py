@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,18 +21,15 @@ from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.model_selection import LeaveOneOut
 
 from experiments._lib.benchmarks import rounded
-from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.other_robots import of_other_robot
 from experiments.external import change_points
 from experiments.external.change_points import DETECTORS, ORACLE
 from rcbht_jax.features.trailing import trailing_statistics, with_norms
 from rcbht_jax.introspection.segmentation import Protocol, Segmentation, WrenchSegmenter, segment
-from rcbht_jax.io.importing.importer import read_source
-from rcbht_jax.io.importing.mapping import read_mapping
 from rcbht_jax.learning.segment_metrics import segmentation_score
 from rcbht_jax.types import Recordings
 
-MAPPING = Path(__file__).resolve().parents[2] / "examples" / "mappings" / "caps_40hz.toml"
 WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s, of the peer
 TREES = 150
 ABOUT = {
@@ -54,7 +50,7 @@ class Experiment:
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def recordings(self) -> Recordings:
-        return read_source(EXTERNAL / "caps" / "runs_40hz", "csv", read_mapping(MAPPING)).recordings
+        return of_other_robot("caps/runs_40hz", "caps_40hz")
 
     def ours(self, one_shot: bool = False, **options: Any) -> Any:
         protocol = Protocol(folds=0, one_shot=one_shot)

@@ -6,8 +6,7 @@ Reads the recorded trials (RCBHT_DATA).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -61,17 +60,14 @@ class Experiment:
     def folds(self, name: str) -> list[Any]:
         return BENCHMARKS[name].splits(self.described(name)[0], 1, self.seed)[0]
 
-    def row(self, members: tuple[str, ...]) -> Callable[[], Any]:
-        def make() -> Any:
-            scores = {}
-            for name in NAMES:
-                y, folds = self.described(name)[0].y, self.folds(name)
-                votes = [sum(parts) for parts in zip(*(self.probability(name, part) for part in members), strict=True)]
-                right = [vote.argmax(1) == y[test] for vote, (_, test) in zip(votes, folds, strict=True)]
-                scores[name] = round(float(np.concatenate(right).mean()), 4)
-            return {"mean": round(float(np.mean(list(scores.values()))), 4), "benchmarks": scores}
-
-        return make
+    def row(self, members: tuple[str, ...]) -> dict[str, Any]:
+        scores = {}
+        for name in NAMES:
+            y, folds = self.described(name)[0].y, self.folds(name)
+            votes = [sum(parts) for parts in zip(*(self.probability(name, part) for part in members), strict=True)]
+            right = [vote.argmax(1) == y[test] for vote, (_, test) in zip(votes, folds, strict=True)]
+            scores[name] = round(float(np.concatenate(right).mean()), 4)
+        return {"mean": round(float(np.mean(list(scores.values()))), 4), "benchmarks": scores}
 
 
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
@@ -80,7 +76,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     rows = Rows(
         "external_choice", f"python -m experiments.external.choice --seed {seed}", {"method": method.ABOUT}, seed
     )
-    rows.fill({" + ".join(members): experiment.row(members) for members in COMBINATIONS}, only)
+    rows.fill({" + ".join(members): partial(experiment.row, members) for members in COMBINATIONS}, only)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -23,17 +22,14 @@ from sklearn.naive_bayes import GaussianNB
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, rounded, segments
-from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.other_robots import of_other_robot
 from experiments.external import method
 from rcbht_jax.features.recipes import LEVELS
-from rcbht_jax.io.importing.importer import read_source
-from rcbht_jax.io.importing.mapping import read_mapping
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
-MAPPING = Path(__file__).resolve().parents[2] / "examples" / "mappings" / "robot_execution_failures.toml"
 SETS = ("lp1", "lp2", "lp4")
 MEMBERS = ("words", "wrench")
 
@@ -49,8 +45,8 @@ class Experiment:
     @cache  # noqa: B019 (one object lives as long as the program)
     def data(self, name: str, samples: int = 15) -> tuple[Recordings, LabelledIntervals]:
         """A set, or the first samples of its series."""
-        file = EXTERNAL / "robot_execution_failures" / f"{name}.csv"
-        recordings = read_source(file, "csv", read_mapping(MAPPING), keep_copies=True).recordings
+        file = f"robot_execution_failures/{name}.csv"
+        recordings = of_other_robot(file, "robot_execution_failures", keep_copies=True)
         cut = np.minimum(recordings.length, samples)
         recordings = replace(recordings, wrench=recordings.wrench[:, :samples], length=cut)
         return recordings, labelled_intervals(recordings, TaskSpec("class", outcomes=()))
@@ -99,11 +95,11 @@ class Experiment:
         make = method.svm if member == "words" else method.trees
         return lambda train, test, seed: (make(x, y, train, test, seed).argmax(1), {})
 
-    def peer(self, name: str, make: Callable[[Any, int], Any]) -> validation.Estimator:
+    def peer(self, kind: str, name: str) -> validation.Estimator:
         """A classifier of aeon on the series themselves."""
         recordings, items = self.data(name)
         x = np.stack([part.T for part in segments(recordings, items)])
-        return raw.estimator(x, items.y, lambda seed: make(_aeon(), seed))
+        return raw.of_aeon(kind, x, items.y)
 
     def makers(self) -> dict[str, Make]:
         return {
@@ -114,11 +110,9 @@ class Experiment:
             "tuned in the folds": self.tuned,
             "naive Bayes on the values": self.naive_bayes,
             "majority": lambda name: validation.majority(self.data(name)[1].y),
-            "MiniRocket": lambda name: self.peer(name, lambda aeon, seed: aeon.MiniRocketClassifier(random_state=seed)),
-            "MultiRocketHydra": lambda name: self.peer(
-                name, lambda aeon, seed: aeon.MultiRocketHydraClassifier(random_state=seed)
-            ),
-            "QUANT": lambda name: self.peer(name, lambda aeon, seed: aeon.QUANTClassifier(random_state=seed)),
+            "MiniRocket": partial(self.peer, "MiniRocketClassifier"),
+            "MultiRocketHydra": partial(self.peer, "MultiRocketHydraClassifier"),
+            "QUANT": partial(self.peer, "QUANTClassifier"),
         }
 
     def naive_bayes(self, name: str) -> validation.Estimator:
@@ -126,24 +120,11 @@ class Experiment:
         x = np.stack([part.ravel() for part in segments(recordings, items)])
         return raw.estimator(x, items.y, lambda seed: GaussianNB())
 
-    def row(self, name: str, make: Callable[[], validation.Estimator], repeats: int) -> Callable[[], Any]:
-        def score() -> Any:
-            y = self.data(name)[1].y
-            splits = validation.repeated_folds(y, np.arange(len(y)), FOLDS, repeats, self.seed)
-            return rounded(validation.cross_validate(make(), y, splits, self.seed).summary()) | {"repeats": repeats}
-
-        return score
-
-
-class _aeon:
-    """The classifiers of aeon, wherever they are kept."""
-
-    def __getattr__(self, name: str) -> Any:
-        try:
-            from aeon.classification import convolution_based, interval_based
-        except ImportError as error:
-            raise SystemExit('the peers need the library aeon; see "make peers".') from error
-        return getattr(convolution_based, name, None) or getattr(interval_based, name)
+    def row(self, name: str, make: Make) -> Any:
+        y = self.data(name)[1].y
+        splits = validation.repeated_folds(y, np.arange(len(y)), FOLDS, self.repeats, self.seed)
+        scores = validation.cross_validate(make(name), y, splits, self.seed)
+        return rounded(scores.summary()) | {"repeats": self.repeats}
 
 
 def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:
@@ -153,7 +134,7 @@ def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:
     command = f"python -m experiments.external.failures --repeats {repeats} --seed {seed}"
     rows = Rows("external_failures", command, about, seed)
     wanted = {
-        f"{name} | {title}": experiment.row(name, lambda make=make, name=name: make(name), repeats)
+        f"{name} | {title}": partial(experiment.row, name, make)
         for title, make in experiment.makers().items()
         for name in SETS
     }

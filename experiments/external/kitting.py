@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 from tqdm import tqdm
 
-from experiments._lib.catalogue import EXTERNAL
+from experiments._lib.other_robots import KITTING, of_other_robot
 from experiments._lib.results_io import write_result
 from rcbht_jax import labels
 from rcbht_jax._util.cells import number_of
@@ -42,21 +41,11 @@ from rcbht_jax.introspection.alarms import conformal_threshold
 from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import Watched, auroc, hold_out, judge
 from rcbht_jax.introspection.nominal_peers import IsolationForestMonitor, QuantileBand
-from rcbht_jax.io.importing.importer import read_source
-from rcbht_jax.io.importing.mapping import Channel, read_mapping
 from rcbht_jax.types import Recordings
 
-MAPPING = Path(__file__).resolve().parents[2] / "examples" / "mappings" / "kitting.toml"
-CHANNELS = {
-    "force": "robotiq_force_sensor.wrench.force.norm",
-    "torque": "robotiq_force_sensor.wrench.torque.norm",
-    "speed": "baxter_enpoint_pose.twist.linear.norm",
-    "rotation": "baxter_enpoint_pose.twist.angular.norm",
-    "left": "tactile_static_data.left.std",
-    "right": "tactile_static_data.right.std",
-}
+CHANNELS = tuple(KITTING)
 SETS = {
-    "all six channels": tuple(CHANNELS),
+    "all six channels": CHANNELS,
     "contact": ("force", "torque", "left", "right"),
     "force and torque": ("force", "torque"),
 }
@@ -89,8 +78,7 @@ class Executions:
 
 def read_executions() -> Recordings:
     """All executions, with the six channels."""
-    mapping = replace(read_mapping(MAPPING), channels=tuple(Channel(column, name) for name, column in CHANNELS.items()))
-    return read_source(EXTERNAL / "kitting", "csv", mapping).recordings
+    return of_other_robot("kitting", "kitting", KITTING)
 
 
 def of_skill(recordings: Recordings, skill: str) -> Executions:
@@ -193,7 +181,7 @@ def main(seed: int = 0, skill: tuple[str, ...] = SKILLS, show: bool = True) -> N
     recordings = read_executions()
     executions = {name: of_skill(recordings, name) for name in skill}
     rng, rows = np.random.default_rng(seed), {}
-    sets = {name: [list(CHANNELS).index(channel) for channel in channels] for name, channels in SETS.items()}
+    sets = {name: [CHANNELS.index(channel) for channel in channels] for name, channels in SETS.items()}
     sets["words"] = list(range(2 * len(WORDS)))
     for name, columns in tqdm(sets.items(), file=sys.stderr, disable=None):
         told = in_words(recordings) if name == "words" else recordings

@@ -55,7 +55,7 @@ class Experiment:
 
     def band(self) -> dict[str, Any]:
         executions = {skill: kitting.of_skill(self.recordings(), skill) for skill in kitting.SKILLS}
-        columns = [list(kitting.CHANNELS).index(channel) for channel in kitting.SETS["contact"]]
+        columns = [kitting.CHANNELS.index(channel) for channel in kitting.SETS["contact"]]
         band = GaussianProcessBand(
             rate=1 / self.recordings().dt, score_rate=kitting.SCORE_RATE, memory=1 / kitting.SCORE_RATE,
             random_state=self.seed,

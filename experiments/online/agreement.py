@@ -10,7 +10,7 @@ import json
 
 import numpy as np
 
-from experiments._lib.benchmarks import recorded
+from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
 from rcbht_jax.encoding.batch import encode_batch
@@ -87,9 +87,9 @@ def report(trials: list[list[list[float]]]) -> dict[str, dict[str, float]]:
     out = {}
     for layer, name in enumerate(LAYERS):
         axes = np.nanmean(shares[:, layer], axis=0)
-        means = {"all axes": float(np.nanmean(shares[:, layer])), **dict(zip(AXES, axes.tolist(), strict=True))}
-        out[name] = {axis: round(value, 4) for axis, value in means.items()}
-    return out
+        mean = float(np.nanmean(shares[:, layer]))
+        out[name] = {"all axes": mean, **dict(zip(AXES, axes.tolist(), strict=True))}
+    return rounded(out)
 
 
 if __name__ == "__main__":

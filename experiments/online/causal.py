@@ -27,7 +27,7 @@ from sklearn.linear_model import RidgeCV
 from sklearn.metrics import r2_score
 
 from experiments._lib import frozen
-from experiments._lib.benchmarks import recorded
+from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import by_trial, with_width
 from experiments._lib.tasks import states
@@ -223,7 +223,7 @@ def with_ends(scores: list[float], tested: int) -> dict[str, Any]:
     """Mean of half-splits with its corrected interval; of one split, or without a mistake, Wilson's by trial."""
     mean, low, high = metrics.corrected_interval(np.array(scores), 1.0) if len(scores) > 1 else (scores[0],) * 3
     made = with_width({"mean": mean, "low": low, "high": high}, tested) if high > low else by_trial(mean, tested)
-    return {key: round(value, 4) if isinstance(value, float) else value for key, value in made.items()}
+    return rounded(made)
 
 
 def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
@@ -240,7 +240,7 @@ def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
             scale = fit_scale(x[a], True, 0.0, True)
             machine = RidgeCV(ALPHAS).fit(scale(x[a]), elapsed[a])
             found[name].append(float(r2_score(elapsed[b], machine.predict(scale(x[b])))))
-    return {name: round(float(np.median(values)), 4) for name, values in found.items()}
+    return rounded({name: float(np.median(values)) for name, values in found.items()})
 
 
 def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:

@@ -11,6 +11,7 @@ Every finished row is kept; run it again to go on where it was interrupted. Read
 from __future__ import annotations
 
 import sys
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,10 +46,9 @@ def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[
         seen, p = beliefs(x, items, one)
         parts += [(items.y[s], held(seen, p, s, length[s])) for s in np.unique(seen.interval)]
     y, p = np.array([c for c, _ in parts]), np.array([course for _, course in parts])
-    return {
-        "seconds of a sub-task, median": [float(np.median(length[items.y == c])) * recordings.dt for c in np.unique(y)],
-        "belief": {name: summary(p[y == c]) for c, name in enumerate(items.classes)},
-    }
+    seconds = [float(np.median(length[items.y == c])) * recordings.dt for c in np.unique(y)]
+    belief = {name: summary(p[y == c]) for c, name in enumerate(items.classes)}
+    return rounded({"seconds of a sub-task, median": seconds, "belief": belief})
 
 
 def held(snapshots: Snapshots, p: np.ndarray, interval: int, length: int) -> np.ndarray:
@@ -75,7 +75,7 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "families": SUBTASK,
     }
     command = f"python -m experiments.online.confidence --repeats {repeats} --seed {seed}"
-    wanted = {n: lambda n=n: rounded(measure(recordings, n, repeats, seed)) for n in SETS}
+    wanted = {name: partial(measure, recordings, name, repeats, seed) for name in SETS}
     Rows("confidence", command, about, seed).fill(wanted, only)
 
 

@@ -16,14 +16,14 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.benchmarks import recorded
+from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.tasks import failure_types
 from experiments.online.failure_types import FOLDS, METHODS, RATE, streamed, that_train, watched
@@ -71,7 +71,7 @@ def errors(p: Floats, y: Ints, quarter: Ints, classes: tuple[str, ...]) -> dict[
             "worst class": max(alone.values()),
             "classes": alone,
         }
-    return _rounded(found)
+    return rounded(found)
 
 
 def one_class(p: Floats, true: NDArray[np.bool_]) -> float:
@@ -81,33 +81,24 @@ def one_class(p: Floats, true: NDArray[np.bool_]) -> float:
     return float(np.abs(gap).sum() / len(p))
 
 
-def _rounded(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _rounded(part) for key, part in value.items()}
-    return round(value, 4)
-
-
-def row(name: str, seed: int) -> Callable[[], Any]:
-    def make() -> Any:
-        recordings = recorded()
-        items = labelled_intervals(recordings, failure_types())
-        snapshots = regular_snapshots(items, round(1 / (RATE * recordings.dt)))
-        x, training = watched(recordings, snapshots, METHODS[name]), that_train(items, snapshots, recordings.dt)
-        length = ((items.intervals[0].end - items.intervals[0].start) * recordings.dt).astype(np.float64)
-        p = np.full((len(snapshots), len(items.classes)), np.nan)
-        fold, planned = np.zeros(len(snapshots), np.int64), np.zeros(FOLDS)
-        for number, (train, test) in enumerate(repeated_folds(items.y, items.trial, FOLDS, 1, seed)[0]):
-            beliefs = streamed(items, snapshots, training, x, METHODS[name], test, seed)[1]
-            mine = np.isin(snapshots.interval, test)
-            p[mine], fold[mine], planned[number] = beliefs[mine], number, np.median(length[train])
-        y = items.y[snapshots.interval]
-        seconds = (snapshots.now - snapshots.begin) * recordings.dt
-        quarter = part_of(seconds / length[snapshots.interval] - 1e-9)
-        calibrated = by_progress(p, y, fold, seconds, items.trial[snapshots.interval], planned)
-        made = {"as they are": p, "by progress": calibrated}
-        return {kind: errors(q, y, quarter, items.classes) for kind, q in made.items()}
-
-    return make
+def row(name: str, seed: int) -> dict[str, Any]:
+    recordings = recorded()
+    items = labelled_intervals(recordings, failure_types())
+    snapshots = regular_snapshots(items, round(1 / (RATE * recordings.dt)))
+    x, training = watched(recordings, snapshots, METHODS[name]), that_train(items, snapshots, recordings.dt)
+    length = ((items.intervals[0].end - items.intervals[0].start) * recordings.dt).astype(np.float64)
+    p = np.full((len(snapshots), len(items.classes)), np.nan)
+    fold, planned = np.zeros(len(snapshots), np.int64), np.zeros(FOLDS)
+    for number, (train, test) in enumerate(repeated_folds(items.y, items.trial, FOLDS, 1, seed)[0]):
+        beliefs = streamed(items, snapshots, training, x, METHODS[name], test, seed)[1]
+        mine = np.isin(snapshots.interval, test)
+        p[mine], fold[mine], planned[number] = beliefs[mine], number, np.median(length[train])
+    y = items.y[snapshots.interval]
+    seconds = (snapshots.now - snapshots.begin) * recordings.dt
+    quarter = part_of(seconds / length[snapshots.interval] - 1e-9)
+    calibrated = by_progress(p, y, fold, seconds, items.trial[snapshots.interval], planned)
+    made = {"as they are": p, "by progress": calibrated}
+    return {kind: errors(q, y, quarter, items.classes) for kind, q in made.items()}
 
 
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
@@ -117,7 +108,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
         "folds": FOLDS,
         "bins": 10,
     }
-    wanted = {name: row(name, seed) for name in ("richer words", "richer words, thresholds / 256")}
+    wanted = {name: partial(row, name, seed) for name in ("richer words", "richer words, thresholds / 256")}
     command = f"python -m experiments.online.failure_calibration --seed {seed}"
     Rows("failure_calibration", command, about, seed).fill(wanted, only)
 

@@ -13,8 +13,8 @@ Every finished row is kept; run it again to go on where it was interrupted. Read
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -161,15 +161,12 @@ def that_train(items: LabelledIntervals, snapshots: Snapshots, dt: float) -> NDA
 
 def row(
     recordings: Recordings, items: LabelledIntervals, snapshots: Snapshots, method: Method, repeats: int, seed: int
-) -> Callable[[], Any]:
-    def make() -> Any:
-        training = that_train(items, snapshots, recordings.dt)
-        x = watched(recordings, snapshots, method)
-        splits = repeated_folds(items.y, items.trial, FOLDS, repeats, seed)
-        parts = [(seed + k, test) for k, folds in enumerate(splits) for _, test in folds]
-        return summary([fold(items, snapshots, training, x, method, test, s) for s, test in tqdm(parts, disable=None)])
-
-    return make
+) -> dict[str, Any]:
+    training = that_train(items, snapshots, recordings.dt)
+    x = watched(recordings, snapshots, method)
+    splits = repeated_folds(items.y, items.trial, FOLDS, repeats, seed)
+    parts = [(seed + k, test) for k, folds in enumerate(splits) for _, test in folds]
+    return summary([fold(items, snapshots, training, x, method, test, s) for s, test in tqdm(parts, disable=None)])
 
 
 def main(repeats: int = 1, seed: int = 0, only: Only = ALL_ROWS) -> None:
@@ -187,7 +184,7 @@ def main(repeats: int = 1, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "complete record counts for": ENDS,
     }
     command = f"python -m experiments.online.failure_types --repeats {repeats} --seed {seed}"
-    wanted = {name: row(recordings, items, snapshots, m, repeats, seed) for name, m in METHODS.items()}
+    wanted = {name: partial(row, recordings, items, snapshots, m, repeats, seed) for name, m in METHODS.items()}
     Rows("failure_types_online", command, about, seed).fill(wanted, only)
 
 

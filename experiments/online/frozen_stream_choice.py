@@ -11,15 +11,15 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
 import tyro
 
 from experiments._lib import frozen
-from experiments._lib.benchmarks import REAL, SIM1, recorded
+from experiments._lib.benchmarks import REAL, SIM1, recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments.online import causal
 from experiments.online.table2 import halves
@@ -59,19 +59,16 @@ def permitted(known: Recordings) -> Recordings:
     return known.take((known.session == "A") | (known.source == SIM1))
 
 
-def row(data: Recordings, option: str) -> Callable[[], Any]:
-    def make() -> Any:
-        method = frozen.FrozenMethod({"thresholds": "hiro", **ENCODER, "streamed": heads(option)})
-        found: dict[str, list[dict[str, float]]] = {}
-        for name, filters in (("SIM1", {"sources": (SIM1,)}), ("A", {"sources": (REAL,), "sessions": ("A",)})):
-            stream = causal.Stream(method, data, **filters)
-            for seed in range(SEED, SEED + REPEATS):
-                beliefs = causal.unaided(stream, False, halves(stream.items, seed), seed)
-                for belief, scores in beliefs.items():
-                    found.setdefault(belief, []).append({name: scores["macro step accuracy"]})
-        return {belief: _means(scores) for belief, scores in found.items()}
-
-    return make
+def row(data: Recordings, option: str) -> dict[str, Any]:
+    method = frozen.FrozenMethod({"thresholds": "hiro", **ENCODER, "streamed": heads(option)})
+    found: dict[str, list[dict[str, float]]] = {}
+    for name, filters in (("SIM1", {"sources": (SIM1,)}), ("A", {"sources": (REAL,), "sessions": ("A",)})):
+        stream = causal.Stream(method, data, **filters)
+        for seed in range(SEED, SEED + REPEATS):
+            beliefs = causal.unaided(stream, False, halves(stream.items, seed), seed)
+            for belief, scores in beliefs.items():
+                found.setdefault(belief, []).append({name: scores["macro step accuracy"]})
+    return {belief: _means(scores) for belief, scores in found.items()}
 
 
 ENCODER = {"encoders": {"W5": {"window": 5, "scale": 1.0}}}
@@ -79,7 +76,7 @@ ENCODER = {"encoders": {"W5": {"window": 5, "scale": 1.0}}}
 
 def _means(scores: list[dict[str, float]]) -> dict[str, float]:
     sets = {name: float(np.mean([one[name] for one in scores if name in one])) for name in ("SIM1", "A")}
-    return {name: round(value, 4) for name, value in {**sets, "mean": float(np.mean(list(sets.values())))}.items()}
+    return rounded(sets | {"mean": float(np.mean(list(sets.values())))})
 
 
 def main(only: Only = ALL_ROWS) -> None:
@@ -91,7 +88,7 @@ def main(only: Only = ALL_ROWS) -> None:
         "options": {name: heads(name) for name in OPTIONS},
     }
     rows = Rows("frozen_stream_choice", "python -m experiments.online.frozen_stream_choice", about, SEED)
-    rows.fill({name: row(data, name) for name in OPTIONS}, only)
+    rows.fill({name: partial(row, data, name) for name in OPTIONS}, only)
 
 
 if __name__ == "__main__":

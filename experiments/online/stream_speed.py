@@ -13,7 +13,6 @@ Reads the recorded trials (RCBHT_DATA) for the signal.
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import os
@@ -26,9 +25,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.catalogue import DATA
@@ -55,7 +55,8 @@ assert introspector.push([[0.0] * 6] * introspector.model.encoder.window)
 used = resource.getrusage(resource.RUSAGE_SELF)
 print(time.perf_counter() - start, used.ru_utime + used.ru_stime)
 """
-PARTS = ("start", "latency", "long stream", "fuzzed messages", "fuzzed page")
+Part = Literal["start", "latency", "long stream", "fuzzed messages", "fuzzed page"]
+PARTS: tuple[Part, ...] = get_args(Part)
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "largest": 1.0}
 
 
@@ -193,34 +194,28 @@ def fuzz_page(model: Path, count: int, seed: int) -> dict[str, Any]:
     return {"requests": count, "answers": answers, "memory along the way, MB": [round(m, 1) for m in memory]}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model", type=Path)
-    parser.add_argument("--pushes", type=int, default=100_000)
-    parser.add_argument("--samples", type=int, default=10_000_000)
-    parser.add_argument("--messages", type=int, default=1_000_000)
-    parser.add_argument("--requests", type=int, default=20_000)
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+def main(
+    model: tyro.conf.Positional[Path], pushes: int = 100_000, samples: int = 10_000_000, messages: int = 1_000_000,
+    requests: int = 20_000, parts: tuple[Part, ...] = PARTS, seed: int = 0,
+) -> None:  # fmt: skip
     wrench = signal(DATA)
-    head = load(args.model).heads[0].machine.svm
-    parts: dict[str, Callable[[], Any]] = {
-        "start": lambda: start_up(args.model),
-        "latency": lambda: latency(args.model, wrench, args.pushes),
-        "long stream": lambda: long_stream(args.model, wrench, args.samples),
-        "fuzzed messages": lambda: fuzz_stream(args.model, args.messages, args.seed),
-        "fuzzed page": lambda: fuzz_page(args.model, args.requests, args.seed),
+    head = load(model).heads[0].machine.svm
+    work: dict[str, Callable[[], Any]] = {
+        "start": lambda: start_up(model),
+        "latency": lambda: latency(model, wrench, pushes),
+        "long stream": lambda: long_stream(model, wrench, samples),
+        "fuzzed messages": lambda: fuzz_stream(model, messages, seed),
+        "fuzzed page": lambda: fuzz_page(model, requests, seed),
     }
-    model = {"kernel": head.spec.kernel, "features": head.center.size, "support vectors": len(head.support)}
-    sizes = f"--pushes {args.pushes} --samples {args.samples} --messages {args.messages} --requests {args.requests}"
-    command = f"python -m experiments.online.stream_speed MODEL {sizes} --seed {args.seed}"
-    done = measured(command, model)
-    for part in args.parts:
+    about = {"kernel": head.spec.kernel, "features": head.center.size, "support vectors": len(head.support)}
+    sizes = f"--pushes {pushes} --samples {samples} --messages {messages} --requests {requests}"
+    command = f"python -m experiments.online.stream_speed MODEL {sizes} --seed {seed}"
+    done = measured(command, about)
+    for part in parts:
         busy = round(os.getloadavg()[0], 1)
-        done[part] = {"load of the machine before, processes": busy, **parts[part]()}
-        result = {"model": model, "complete": set(done) == set(PARTS), **done}
-        write_result("stream_speed", command, result, args.seed, show=part == args.parts[-1])
+        done[part] = {"load of the machine before, processes": busy, **work[part]()}
+        result = {"model": about, "complete": set(done) == set(PARTS), **done}
+        write_result("stream_speed", command, result, seed, show=part == parts[-1])
 
 
 def measured(command: str, model: dict[str, Any]) -> dict[str, Any]:
@@ -233,4 +228,4 @@ def measured(command: str, model: dict[str, Any]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

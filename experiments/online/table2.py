@@ -8,23 +8,22 @@ average) are given as well, at the paper's three rates.
 "relative" repeats everything with features without duration and absolute offset.
 
 Run: python -m experiments.online.table2 --repeats 50 --seed 0
-Every finished row is kept; run it again to go on where it was interrupted.
-Reads the recorded trials (RCBHT_DATA).
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
 
-import json
 import sys
-from typing import Any, Literal
+from functools import partial
+from typing import Any
 
 import numpy as np
 import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments._lib.benchmarks import recorded, with_interval
-from experiments._lib.results_io import RESULTS, write_result
+from experiments._lib.benchmarks import REAL, SIM1, SIM2, recorded, with_interval
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.tasks import states
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -49,8 +48,7 @@ KINDS = {"all": SUBTASK, "relative": SUBTASK_RELATIVE}
 MAIN_RATE = 10.0
 RATES = (MAIN_RATE, 2.0, 100.0)
 FRACTIONS = 10  # of the sub-task, for the early-classification curve
-SetNames = tuple[Literal["REAL", "SIM1", "SIM2"], ...]
-SETS = {"REAL": "REAL_HIRO_ONE_SA_SUCCESS", "SIM1": "SIM_HIRO_ONE_SA_SUCCESS", "SIM2": "SIM_HIRO_TWO_SA_SUCCESS"}
+SETS = {"REAL": REAL, "SIM1": SIM1, "SIM2": SIM2}
 TARGETS = {
     "REAL": {"macro step accuracy": 0.90, "full-sequence accuracy": 0.98, "OverallPr": 0.93, "own m at .70": 0.60},
     "SIM1": {"full-sequence accuracy": 0.95, "OverallPr": 0.88},
@@ -191,7 +189,7 @@ def watched(recordings: Any, items: LabelledIntervals, config: EncoderConfig, ra
     return out
 
 
-def measure(recordings: Any, name: str, repeats: int, rate: float, seed: int, relative: bool) -> dict[str, Any]:
+def measure(recordings: Any, name: str, rate: float, repeats: int, seed: int) -> dict[str, Any]:
     config = EncoderConfig(dt=recordings.dt)
     items = labelled_intervals(recordings, states(sources=(SETS[name],), arms="R"))
     x = watched(recordings, items, config, rate)
@@ -201,7 +199,7 @@ def measure(recordings: Any, name: str, repeats: int, rate: float, seed: int, re
         "classes": items.classes,
     }
     for kind, families in KINDS.items():
-        if kind == "relative" and not relative:
+        if kind == "relative" and rate != MAIN_RATE:
             continue
         seeds = tqdm(range(seed, seed + repeats), desc=f"{name} {kind}", file=sys.stderr, disable=None)
         runs = [repeat(x, items, families, s, config.dt) for s in seeds]
@@ -209,37 +207,22 @@ def measure(recordings: Any, name: str, repeats: int, rate: float, seed: int, re
     return result
 
 
-def main(repeats: int = 50, seed: int = 0, sets: SetNames = (*SETS,), rates: tuple[float, ...] = RATES) -> None:
+def main(repeats: int = 50, seed: int = 0, only: Only = ALL_ROWS) -> None:
     recordings = recorded()
-    done = finished(repeats, seed)
-    for rate in rates:
-        for name in sets:
-            row = f"{name} at {rate:g} Hz"
-            if row not in done:
-                done[row] = measure(recordings, name, repeats, rate, seed, rate == MAIN_RATE)
-                write(done, repeats, seed)
-
-
-def finished(repeats: int, seed: int) -> dict[str, Any]:
-    """Rows of an earlier run with the same settings, perhaps interrupted."""
-    path = RESULTS / "table2.json"
-    record = json.loads(path.read_text()) if path.is_file() else {"seed": None}
-    settings = record["seed"], record.get("result", {}).get("repeats"), record.get("result", {}).get("families")
-    same = settings == (seed, repeats, {kind: list(families) for kind, families in KINDS.items()})
-    return dict(record["result"]["rows"]) if same else {}
-
-
-def write(rows: dict[str, Any], repeats: int, seed: int) -> None:
-    """Write the finished rows."""
-    result = {
+    about = {
         "what": "states streamed over the untrained half of the trials; harmonised boundaries, right arm",
         "repeats": repeats,
         "targets": TARGETS,
         "paper": PAPER,
         "families": KINDS,
-        "rows": rows,
     }
-    write_result("table2", f"python -m experiments.online.table2 --repeats {repeats} --seed {seed}", result, seed)
+    wanted = {
+        f"{name} at {rate:g} Hz": partial(measure, recordings, name, rate, repeats, seed)
+        for rate in RATES
+        for name in SETS
+    }
+    command = f"python -m experiments.online.table2 --repeats {repeats} --seed {seed}"
+    Rows("table2", command, about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

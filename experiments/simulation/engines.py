@@ -7,11 +7,11 @@ Measure speeds on an idle machine. Writes experiments/results/engines.json.
 from __future__ import annotations
 
 import argparse
-import time
 from dataclasses import asdict
 from typing import Any
 
 from experiments._lib.results_io import write_result
+from experiments._lib.timing import seconds_of
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene
@@ -33,20 +33,16 @@ def trials_of(count: int, longest: float, nominal_share: float = 0.5, preset: st
 
 def speed(engine: str, params: TrialParams, scene: Scene) -> tuple[dict[str, float], Rollouts]:
     """The second run is timed; the first one compiles. Also the trials."""
-    seconds = []
-    for _ in range(2):
-        start = time.perf_counter()
-        out = engines.simulate(scene, params, engine)
-        seconds.append(time.perf_counter() - start)
+    (_, first), (out, seconds) = (seconds_of(lambda: engines.simulate(scene, params, engine)) for _ in range(2))
     steps = int(out.length.sum()) * scene.substeps
     return {
         "trials": len(out.length),
-        "compile_s": round(seconds[0] - seconds[1], 2),
-        "seconds": round(seconds[1], 3),
-        "steps_per_s": round(steps / seconds[1]),
+        "compile_s": round(first - seconds, 2),
+        "seconds": round(seconds, 3),
+        "steps_per_s": round(steps / seconds),
         "mean_simulated_seconds": round(float(out.length.mean()) * CONTROL_PERIOD, 2),
-        "trials_per_minute": round(60 * len(out.length) / seconds[1], 1),
-        "trials_of_15_s_per_minute": round(60 * out.length.sum() * CONTROL_PERIOD / 15.0 / seconds[1], 1),
+        "trials_per_minute": round(60 * len(out.length) / seconds, 1),
+        "trials_of_15_s_per_minute": round(60 * out.length.sum() * CONTROL_PERIOD / 15.0 / seconds, 1),
     }, out
 
 

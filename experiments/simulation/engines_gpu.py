@@ -26,6 +26,7 @@ import jax
 import numpy as np
 
 from experiments._lib.results_io import machine
+from experiments._lib.timing import seconds_of
 from experiments.simulation.engines import PRESET, SEED, trials_of
 from rcbht_jax.io import store
 from sim_mjx import engines
@@ -53,13 +54,10 @@ def scene_of(options: argparse.Namespace) -> Scene:
 
 def timed_parity(engine: str, options: argparse.Namespace) -> dict[str, Any]:
     params, scene = trials_of(options.parity, options.longest, preset=options.preset), scene_of(options)
-    start = time.perf_counter()
-    expected, contact = reference(scene, params)
-    native = time.perf_counter() - start
-    start = time.perf_counter()
-    found = engines.simulate(scene, params, engine)
+    (expected, contact), native = seconds_of(lambda: reference(scene, params))
+    found, first = seconds_of(lambda: engines.simulate(scene, params, engine))
     return {
-        "native_seconds": round(native, 2), "first_run_seconds": round(time.perf_counter() - start, 2),
+        "native_seconds": round(native, 2), "first_run_seconds": round(first, 2),
         **asdict(parity(expected, contact, found)),
     }  # fmt: skip
 
@@ -67,25 +65,18 @@ def timed_parity(engine: str, options: argparse.Namespace) -> dict[str, Any]:
 def throughput(engine: str, batch: int, options: argparse.Namespace) -> dict[str, Any]:
     """Physics steps per second with controller, sensor and state machine, all trials running to the end."""
     params, scene = trials_of(batch, options.short, 1.0, options.preset), scene_of(options)
-    seconds = []
-    for _ in range(2):
-        start = time.perf_counter()
-        out = device.run(scene, params, engines.IMPLEMENTATIONS[engine])
-        jax.block_until_ready(out)
-        seconds.append(time.perf_counter() - start)
-    start = time.perf_counter()
-    fields = device.fields_of(scene, params)
-    prepared = time.perf_counter() - start
-    del fields
+    impl = engines.IMPLEMENTATIONS[engine]
+    (_, first), (out, seconds) = (seconds_of(lambda: device.run(scene, params, impl)) for _ in range(2))
+    _, prepared = seconds_of(lambda: device.fields_of(scene, params))
     steps = int((out.phase < ENDED).sum()) * scene.substeps
     return {
         "batch": batch,
-        "compile_s": round(seconds[0] - seconds[1], 2),
-        "seconds": round(seconds[1], 3),
+        "compile_s": round(first - seconds, 2),
+        "seconds": round(seconds, 3),
         "of_them_model_fields_on_the_host": round(prepared, 3),
         "simulated_s_per_trial": round(float(out.length.mean()) * CONTROL_PERIOD, 2),
-        "steps_per_s": round(steps / seconds[1]),
-        "steps_per_s_without_preparation": round(steps / (seconds[1] - prepared)),
+        "steps_per_s": round(steps / seconds),
+        "steps_per_s_without_preparation": round(steps / (seconds - prepared)),
         "memory_peak_GB": round((jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 1e9, 2),
     }
 

@@ -7,7 +7,6 @@ compilation apart; medians. Run on a GPU: python -m experiments.simulation.envir
 from __future__ import annotations
 
 import statistics
-import time
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -17,6 +16,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.results_io import write_result
+from experiments._lib.timing import seconds_of
 from sim_mjx import engines, env
 from sim_mjx.assembly.rollout import batch_size
 from sim_mjx.assembly.task import CONTROL_PERIOD
@@ -37,12 +37,8 @@ CALL = 40  # steps of the environment per call
 
 def timed(work: Callable[[], Any], repeats: int) -> tuple[float, list[float]]:
     """Seconds of the first call, which compiles, and of the others."""
-    seconds = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
-        jax.block_until_ready(work())
-        seconds.append(time.perf_counter() - start)
-    return seconds[0], seconds[1:]
+    first, *others = [seconds_of(work)[1] for _ in range(repeats + 1)]
+    return first, others
 
 
 def row(steps: int, first: float, seconds: list[float], host: float = 0.0) -> dict[str, Any]:

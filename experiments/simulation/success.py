@@ -8,7 +8,6 @@ Simulates with the native engine. The recorded snaps are measured on the authors
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from matplotlib.figure import Figure
 
 from experiments._lib.catalogue import DATA
@@ -144,14 +144,13 @@ def snapped() -> dict[str, Any]:
 PARTS: dict[str, Callable[[], dict[str, Any]]] = {"rates": rates, "map": mapped, "snaps": snapped}
 
 
-def main() -> None:
-    chosen = sys.argv[1:] or list(PARTS)
+def main(parts: tyro.conf.Positional[tuple[str, ...]] = tuple(PARTS)) -> None:
     path = RESULTS / "sim_success.json"
     result = json.loads(path.read_text())["result"] if path.exists() else {}
-    for name in chosen:
+    for name in parts:
         result[name] = PARTS[name]()
         write_result("sim_success", "python -m experiments.simulation.success", result, seed=SEED)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -9,7 +9,6 @@ python -m experiments.words.encoder_speed
 from __future__ import annotations
 
 import statistics
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any
@@ -21,6 +20,7 @@ from jax.experimental.layout import Format, Layout
 
 from experiments._lib.random_walks import AXES, SAMPLES, recordings
 from experiments._lib.results_io import write_result
+from experiments._lib.timing import seconds_of
 from rcbht_jax.encoding import encoder, gpu
 from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -33,11 +33,7 @@ SCANNED = 1024  # recordings of the comparison with the scan
 
 def timed(work: Callable[[], Any], repeats: int) -> dict[str, Any]:
     """Seconds of the first call, which compiles, and of the others."""
-    seconds = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
-        jax.block_until_ready(work())
-        seconds.append(time.perf_counter() - start)
+    seconds = [seconds_of(work)[1] for _ in range(repeats + 1)]
     median = statistics.median(seconds[1:])
     return {"compile_s": round(seconds[0] - median, 2), "seconds": [round(value, 6) for value in seconds[1:]]}
 
@@ -47,9 +43,7 @@ def speed(function: Callable[..., LabelTracks], wrench: Array, layout: bool, rep
     limits = jnp.asarray(preset().limits, jnp.float32)
     length = jnp.full(len(wrench), SAMPLES, jnp.int32)
     compiled = jax.jit(function, out_shardings=Format(Layout.AUTO) if layout else None)
-    start = time.perf_counter()
-    run = compiled.lower(limits, wrench, length).compile()
-    compiling = time.perf_counter() - start
+    run, compiling = seconds_of(lambda: compiled.lower(limits, wrench, length).compile())
     row = timed(lambda: run(limits, wrench, length), repeats)
     row["compile_s"] = round(compiling, 2)
     return row | _rate(wrench, row)

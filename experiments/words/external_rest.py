@@ -17,14 +17,12 @@ import tyro
 from jaxtyping import Bool
 
 from experiments._lib.benchmarks import rounded
-from experiments._lib.catalogue import EXTERNAL
+from experiments._lib.other_robots import of_other_robot
 from experiments._lib.results_io import write_result
-from experiments.words.sets import MAPPINGS, annotated_samples
+from experiments.words.sets import annotated_samples
 from rcbht_jax.calibration.rest import RestCalibration, rest_not_constant, rest_thresholds
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AUTO, config_of, limits_for
-from rcbht_jax.io.importing.importer import read_source
-from rcbht_jax.io.importing.mapping import read_mapping
 from rcbht_jax.labels import LLB, MC, Primitive
 from rcbht_jax.types import LabelTracks
 
@@ -53,7 +51,7 @@ def constant(tracks: LabelTracks, rest: Bool[np.ndarray, "recording time axis"])
 
 def of_set(folder: str, kind: str, mapping: str, window: int) -> dict[str, Any]:
     """Both rules on the rest of one set."""
-    recordings = read_source(EXTERNAL / folder, kind, read_mapping(MAPPINGS / f"{mapping}.toml")).recordings
+    recordings = of_other_robot(folder, mapping, kind=kind)
     calibration = rest_thresholds(recordings, window)
     own = by_sample(calibration, recordings.wrench.shape[1], window)
     rests = {"of the calibration": own}

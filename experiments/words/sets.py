@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,21 +11,18 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded
-from experiments._lib.catalogue import EXTERNAL
+from experiments._lib.other_robots import KITTING, of_other_robot
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import auto_tolerance
-from rcbht_jax.io.importing.importer import read_source
-from rcbht_jax.io.importing.mapping import Channel, read_mapping
 from rcbht_jax.types import LabelTracks, Recordings
 
-MAPPINGS = Path(__file__).resolve().parents[2] / "examples" / "mappings"
-CONTACT = {  # of the kitting executions
-    "force": "robotiq_force_sensor.wrench.force.norm",
-    "torque": "robotiq_force_sensor.wrench.torque.norm",
-    "left": "tactile_static_data.left.std",
-    "right": "tactile_static_data.right.std",
+CONTACT = {name: KITTING[name] for name in ("force", "torque", "left", "right")}
+OTHERS = {  # file or folder, mapping, channels
+    "caps": ("caps/runs_40hz", "caps_40hz", None),
+    "kitting": ("kitting", "kitting", CONTACT),
+    "failures LP1": ("robot_execution_failures/lp1.csv", "robot_execution_failures", None),
 }
 COUNTS = {"REAL, session A": 6, "SIM1": 6, "two-arm": 6, "caps": 12, "kitting": 12, "failures LP1": 24}
 OURS = tuple(COUNTS)[:3]  # recorded with the robot whose thresholds are known
@@ -110,13 +106,4 @@ def part(name: str) -> Part:
         source = dict(zip(OURS, (REAL, SIM1, SIM2), strict=True))[name]
         found = of_sources(_recorded(), (source,))
         return Part(spread(found.take(found.session == "A") if source == REAL else found, COUNTS[name]), True)
-    file, mapping = {
-        "caps": (EXTERNAL / "caps" / "runs_40hz", read_mapping(MAPPINGS / "caps_40hz.toml")),
-        "kitting": (EXTERNAL / "kitting", read_mapping(MAPPINGS / "kitting.toml")),
-        "failures LP1": (
-            EXTERNAL / "robot_execution_failures" / "lp1.csv", read_mapping(MAPPINGS / "robot_execution_failures.toml")
-        ),
-    }[name]  # fmt: skip
-    if name == "kitting":
-        mapping = replace(mapping, channels=tuple(Channel(column, title) for title, column in CONTACT.items()))
-    return Part(spread(read_source(file, "csv", mapping, keep_copies=True).recordings, COUNTS[name]), False)
+    return Part(spread(of_other_robot(*OTHERS[name], keep_copies=True), COUNTS[name]), False)

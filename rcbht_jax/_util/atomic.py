@@ -159,7 +159,7 @@ def atomic_folder(path: Path, near: Path | None = None, *, replace: bool = False
         raise InputError(f"{path} exists already; choose another name, or move it away.")
     try:
         yield draft
-        flush_tree(draft)
+        flush_all([*draft.rglob("*"), draft])  # before what it replaces is deleted
         if _identity(path) != before:
             raise _kept(path, draft)
         _swap(draft, path)
@@ -222,11 +222,6 @@ class _Later:
 
     def __call__(self, number: int, _: FrameType | None) -> None:
         self.pressed.append(signal.Signals(number))
-
-
-def flush_tree(folder: Path) -> None:
-    """Have a folder and all that it holds on disk, so that what it replaces can be deleted."""
-    flush_all([*folder.rglob("*"), folder])
 
 
 def flush_all(entries: Iterable[Path]) -> None:

@@ -94,7 +94,6 @@ def encode(
     length: Int[Array, " trial"],
     *,
     block: int = BLOCK,
-    warps: int = WARPS,
     interpret: bool = False,
 ) -> LabelTracks:
     """Dense labels of whole recordings, as :func:`rcbht_jax.encoding.encoder.encode` gives them.
@@ -105,13 +104,12 @@ def encode(
         wrench: float32, N and Nm, padded with anything finite.
         length: int32, samples that count.
         block: lanes of one program; a power of two.
-        warps: of one program.
         interpret: run without a GPU, slowly, for tests.
 
     Returns:
         labels ``[slot, lane]``, one slot per window and then those of the end, as many as the layer can hold.
     """
-    found, counts = _encoded(config, limits, wrench, length, False, block, warps, interpret)
+    found, counts = _encoded(config, limits, wrench, length, False, block, interpret)
     flat = (column.reshape(-1, counts.shape[-1]) for column in found)
     return LabelTracks(*(LabelTrack(*(next(flat) for _ in _FIELDS)) for _ in FLUSH_SLOTS))
 
@@ -123,7 +121,6 @@ def encode_packed(
     length: Int[Array, " trial"],
     *,
     block: int = BLOCK,
-    warps: int = WARPS,
     interpret: bool = False,
 ) -> tuple[list[Int[Array, "lane _row field"]], Int[Array, "3 lane"]]:
     """As :func:`encode`, each lane's labels one after the other from the first row on.
@@ -132,7 +129,7 @@ def encode_packed(
         of each layer the labels, whose fields are those of a track in their order, real ones as the bits of an int32;
         and how many labels each lane has. Other rows hold anything.
     """
-    found, counts = _encoded(config, limits, wrench, length, True, block, warps, interpret)
+    found, counts = _encoded(config, limits, wrench, length, True, block, interpret)
     lanes = counts.shape[-1]
     return [words.reshape(lanes, -1, len(_FIELDS)) for words in found], counts
 
@@ -147,9 +144,8 @@ def unpacked(words: Int[Array, "*lane field"]) -> LabelTrack:
 
 
 def _encoded(
-    config: EncoderConfig, limits: Array, wrench: Array, length: Array, packed: bool, block: int, warps: int,
-    interpret: bool,
-) -> tuple[list[Array], Array]:  # fmt: skip
+    config: EncoderConfig, limits: Array, wrench: Array, length: Array, packed: bool, block: int, interpret: bool
+) -> tuple[list[Array], Array]:
     """Columns of all layers, or the packed labels of each, flat; and the number of labels, in the packed form."""
     trials, samples, axes = wrench.shape
     lanes, windows = trials * axes, -(-samples // config.window)
@@ -167,7 +163,7 @@ def _encoded(
     call = partial(
         pl.pallas_call,
         grid=(pl.cdiv(lanes, block),),
-        compiler_params=triton.CompilerParams(num_warps=warps, num_stages=1),
+        compiler_params=triton.CompilerParams(num_warps=WARPS, num_stages=1),
         interpret=interpret,
     )
     walk = call(

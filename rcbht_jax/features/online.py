@@ -92,6 +92,7 @@ def empty(spec: FeatureSpec, begin: Array, axes: int = len(AXES)) -> RunningStat
     ints = jnp.zeros((*lanes, CODES), jnp.int32)
     runs = CODES**spec.ngram if "ngram" in spec.families else 0
     last = jnp.zeros((*lanes, spec.ngram - 1), jnp.int32)
+    weighed = online_weights.needed(spec.weighing, "ngram" in spec.families)
     return RunningStats(
         begin=begin,
         count=ints,
@@ -99,14 +100,10 @@ def empty(spec: FeatureSpec, begin: Array, axes: int = len(AXES)) -> RunningStat
         longest=ints,
         last=last,
         runs=jnp.zeros((*lanes, runs), jnp.int32),
-        weighed={kind: online_weights.empty(lanes, CODES, runs, spec.ngram) for kind in _weighed(spec)},
+        weighed={kind: online_weights.empty(lanes, CODES, runs, spec.ngram) for kind in weighed},
         values=_no_values(lanes) if _VALUED & set(spec.families) else None,
         readings=online_signal.empty(axes) if set(LINES) & set(spec.families) else None,
     )
-
-
-def _weighed(spec: FeatureSpec) -> tuple[str, ...]:
-    return online_weights.needed(spec.weighing, "ngram" in spec.families)
 
 
 def _no_values(lanes: tuple[int, int]) -> Values:

@@ -102,8 +102,11 @@ def _problems(path: Path, file: BinaryIO, size: int) -> list[str]:
                 try:
                     chunk = _chunk(file, at, length)
                     inside = [(kind, length) for kind, _, length in _inside(chunk.content)]
-                except ValueError as error:
-                    _refuse_bombs(path, error)
+                except _TooLarge as error:
+                    raise InputError(
+                        f"{path} holds {error}; expected at most {MAX_CHUNK}. That is not a recording."
+                    ) from None
+                except ValueError:
                     problems["damaged chunks"] += 1
                     continue
                 kinds = Counter(kind for kind, _ in inside)
@@ -291,11 +294,6 @@ def _inside(content: bytes) -> Iterator[tuple[int, int, int]]:
 
 class _TooLarge(ValueError):
     """A chunk is larger than is allowed."""
-
-
-def _refuse_bombs(path: Path, error: ValueError) -> None:
-    if isinstance(error, _TooLarge):
-        raise InputError(f"{path} holds {error}; expected at most {MAX_CHUNK}. That is not a recording.") from None
 
 
 def _chunk(file: BinaryIO, at: int, length: int) -> _Chunk:

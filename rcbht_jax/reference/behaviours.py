@@ -31,10 +31,6 @@ def _single(label: LLB, this: Row, tag: float = NONE) -> Row:
     return [float(label), *values, this[mc.LABEL], tag, *times, (this[mc.T1S] + this[mc.T2E]) / 2]
 
 
-def _contact_partner(first: float, second: float) -> bool:
-    return second == MC.C or {first, second} == {MC.PC, MC.NC}
-
-
 def _second_adjustment(motions: Table, i: int) -> int | None:
     """Index of the adjustment that pairs with adjustment i: the next row, or the one after a short row i."""
     last = len(motions) - 1
@@ -58,7 +54,8 @@ def _behaviour(motions: Table, i: int, long: bool) -> tuple[Row, int]:
             return _pair(kind, this, motions[following]), following
         return _single(kind if long else LLB.N, this), i
     if label in _CONTACTS:
-        if _contact_partner(label, motions[following][mc.LABEL]):
+        second = motions[following][mc.LABEL]
+        if second == MC.C or {label, second} == {MC.PC, MC.NC}:
             return _pair(LLB.CT, this, motions[following]), following
         return _single(LLB.CT, this), i
     if label == MC.A:

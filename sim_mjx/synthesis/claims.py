@@ -62,7 +62,8 @@ class Claim:
     """A claim that this process holds; see :func:`take`."""
 
     def __init__(self, path: Path, handle: int) -> None:
-        self.path, self._handle, self._about = path, handle, _about_us()
+        self.path, self._handle = path, handle
+        self._about = {"host": platform.node(), "kernel": _kernel(), "pid": os.getpid(), "locked": True}
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:  # a file system without locks: others go by the lease
@@ -237,10 +238,6 @@ def _now(folder: Path) -> float:
     """The file system's time, s."""
     with tempfile.NamedTemporaryFile(dir=folder, prefix=".clock-") as probe:
         return os.fstat(probe.fileno()).st_mtime
-
-
-def _about_us() -> dict[str, Any]:
-    return {"host": platform.node(), "kernel": _kernel(), "pid": os.getpid(), "locked": True}
 
 
 @cache

@@ -9,7 +9,7 @@ the signs of the moments are compared.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -145,7 +145,4 @@ def _ratio(values: Sequence[float | None], factor: float) -> Check:
 
 def as_json(found: dict[str, Check]) -> dict[str, Any]:
     """Values, limits and verdicts as JSON values."""
-    return {
-        name: {"value": check.value, "low": check.low, "high": check.high, "holds": check.holds}
-        for name, check in found.items()
-    }
+    return {name: {**asdict(check), "holds": check.holds} for name, check in found.items()}

@@ -6,7 +6,7 @@ Source: the LeRobotDataset v3.0 documentation (folder layout, ``meta/info.json``
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,8 @@ def write_lerobot(data: DataSet, folder: Path, progress: Callable[[int], None]) 
         frames = _write_frames(data, folder, fps, tasks, episodes, progress)
         episodes.flush()
     if intervals := tables.intervals(data.recordings):
-        _write_table(intervals, folder / "annotations.parquet")
+        table = require("pyarrow", "export").table(intervals)
+        require("pyarrow.parquet", "export").write_table(table, folder / "annotations.parquet")
     named = pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks, name="task"))
     named.to_parquet(meta / "tasks.parquet")
     _write_json(meta / "info.json", _info(data, fps, len(tasks), episodes.count, frames))
@@ -238,10 +239,6 @@ def _combined(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> dic
     found["std"] = np.sqrt(within + share * (1 - share) * (two["mean"] - one["mean"]) ** 2)
     found |= {"min": np.minimum(one["min"], two["min"]), "max": np.maximum(one["max"], two["max"])}
     return found | {"count": frames + more}
-
-
-def _write_table(columns: Mapping[str, Any], path: Path) -> None:
-    require("pyarrow.parquet", "export").write_table(require("pyarrow", "export").table(columns), path)
 
 
 def _write_json(path: Path, value: Any) -> None:

@@ -82,12 +82,14 @@ def test_other_lines_of_another_length_remain_mistakes(tmp_path: Path, edit: Cal
         read_source(tmp_path / "run.csv")
 
 
-def test_decimal_commas_between_semicolons(tmp_path: Path) -> None:
-    rows = [";".join(repr(float(v)).replace(".", ",") for v in [t, *row]) for t, row in zip(TIME, WRENCH, strict=True)]
-    (tmp_path / "run.csv").write_text("\n".join([";".join(["time", *AXES]), *rows]))
-    same(read_source(tmp_path / "run.csv"))
-    (tmp_path / "bare.csv").write_text("\n".join(rows))
-    assert read_source(tmp_path / "bare.csv").recordings.wrench.shape == (1, N, 6)
+@pytest.mark.parametrize(("between", "ending"), [(";", "csv"), ("\t", "tsv")])
+def test_decimal_commas(between: str, ending: str, tmp_path: Path) -> None:
+    numbers = np.column_stack([TIME, WRENCH]).astype(float).tolist()
+    rows = [between.join(repr(value).replace(".", ",") for value in row) for row in numbers]
+    (tmp_path / f"run.{ending}").write_text("\n".join([between.join(["time", *AXES]), *rows]))
+    same(read_source(tmp_path / f"run.{ending}"))
+    (tmp_path / f"bare.{ending}").write_text("\n".join(rows))
+    assert read_source(tmp_path / f"bare.{ending}").recordings.wrench.shape == (1, N, 6)
 
 
 def test_a_table_of_a_spreadsheet_need_not_be_utf8(tmp_path: Path) -> None:
@@ -116,14 +118,6 @@ def test_a_line_of_units_below_the_names(tmp_path: Path, before: str) -> None:
     assert (imported.recordings.axes, imported.recordings.units) == (("Fx", "Fy", "Fz"), ("N",) * 3)
     assert imported.recordings.dt == 0.005
     np.testing.assert_array_equal(imported.recordings.wrench[0, :, 0], np.arange(9) + 0.5)
-
-
-def test_decimal_commas_between_tabs(tmp_path: Path) -> None:
-    rows = ["\t".join(repr(float(v)).replace(".", ",") for v in [t, *row]) for t, row in zip(TIME, WRENCH, strict=True)]
-    (tmp_path / "run.tsv").write_text("\n".join(["\t".join(["time", *AXES]), *rows]))
-    same(read_source(tmp_path / "run.tsv"))
-    (tmp_path / "bare.tsv").write_text("\n".join(rows))
-    assert read_source(tmp_path / "bare.tsv").recordings.wrench.shape == (1, N, 6)
 
 
 def test_a_table_without_names_has_the_time_first(tmp_path: Path) -> None:

@@ -203,15 +203,24 @@ def damage(place: Path, how: str) -> None:
     file.write_bytes({"cut": data[: len(data) // 2], "flip": data, "empty": b""}[how])
 
 
-@pytest.mark.parametrize("how", ["cut", "flip", "empty"])
+SHARD = [f"{name}/c/1" for name in ("wrench", "length", "simulation/seated", "part_sha256", "part_summary")]
+METADATA = [("zarr.json", "cut"), ("zarr.json", "empty"), ("dt/c", "flip"), ("axis/c", "flip")]
+
+
 @pytest.mark.parametrize(
-    "where", [f"{name}/c/1" for name in ("wrench", "length", "simulation/seated", "part_sha256", "part_summary")]
+    ("where", "how", "kept"),
+    [
+        *((where, how, 5) for where in SHARD for how in ("cut", "flip", "empty")),
+        *((where, how, 0) for where, how in METADATA),
+    ],
 )
-def test_a_damaged_shard_is_made_again(where: str, how: str, whole: dict[str, bytes], tmp_path: Path) -> None:
+def test_a_damaged_shard_is_made_again_and_a_store_without_metadata_begun_anew(
+    where: str, how: str, kept: int, whole: dict[str, bytes], tmp_path: Path
+) -> None:
     target = tmp_path / "t.zarr"
     interrupted(target, SMALL, after=2)
     damage(shards.store_of(shards.folder_of(target)) / where, how)
-    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == kept
     assert tree(target) == whole
 
 
@@ -222,19 +231,6 @@ def test_damaged_labels_are_made_again(tmp_path: Path) -> None:
     assert synthesise(target, job, simulate=fake_engine).resumed == 5
     synthesise(tmp_path / "once.zarr", job, simulate=fake_engine)
     assert tree(target) == tree(tmp_path / "once.zarr")
-
-
-@pytest.mark.parametrize(
-    "damaged", [("zarr.json", "cut"), ("zarr.json", "empty"), ("dt/c", "flip"), ("axis/c", "flip")]
-)
-def test_a_store_whose_metadata_are_lost_is_begun_anew(
-    damaged: tuple[str, str], whole: dict[str, bytes], tmp_path: Path
-) -> None:
-    target, (where, how) = tmp_path / "t.zarr", damaged
-    interrupted(target, SMALL, after=2)
-    damage(shards.store_of(shards.folder_of(target)) / where, how)
-    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
-    assert tree(target) == whole
 
 
 @pytest.mark.parametrize("moment", [1, 2, 20, 60])
