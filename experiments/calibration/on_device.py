@@ -1,11 +1,11 @@
 """Thresholds from thousands of simulated trials that stay on the device: rollouts, labels, search and training.
 
 Run: python -m experiments.calibration.on_device --engine warp (GPU; or mjx). A small run on a CPU: --engine mjx
---trials 48 --longest 7 --candidates 16 --generations 1 --steps 4 --batch 8 --svm-trials 16 --agreement 8
---agreement-trials 8
+--trials 48 --preset openhrp --longest 7 --candidates 16 --generations 1 --steps 4 --batch 8 --svm-trials 16
+--agreement 8 --agreement-trials 8
 Tasks: types of simulated failures (default), and the states of simulated successes, which are easy. A fifth of the
 trials is held out of all selection. The result is written after each part, so that an interruption loses one part at
-most. Parts: rollouts, agreement, search, gradient, storage, svm.
+most. Parts: rollouts, search, gradient, storage, svm, agreement.
 """
 
 from __future__ import annotations
@@ -42,7 +42,6 @@ from rcbht_jax.learning.tasks import extract_features, labelled_intervals
 from rcbht_jax.robots.snap_assembly import FAILURE_TYPES, STATES, snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
-from sim_mjx.assembly.scene import one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import device
 from sim_mjx.randomization.trials import DomainRandomization
@@ -89,10 +88,11 @@ def unseen(work: Callable[[], Any], direction: Any) -> tuple[Any, str]:
 
 def rollouts(run: Run) -> dict[str, Any]:
     """Simulate; the compiled programs do not depend on how long the trials last, so short ones compile them."""
-    given, scene, impl = run.given, one_arm(), engines.IMPLEMENTATIONS[run.given.engine]
+    given, impl = run.given, engines.IMPLEMENTATIONS[run.given.engine]
     share = 1.0 if given.task == "states" else 0.0
     spec = DomainRandomization(nominal_share=share, faults=("pose",), longest=given.longest)
     scenario = get_scenario(given.preset)
+    scene = scenario.scene()
     (params, faults), drawn = seconds_of(lambda: scenario.draw_batch(SEED, range(given.trials), spec))
     short = replace(params, task=replace(params.task, timeout=np.full(given.trials, 0.2)))
     _, compiling = seconds_of(lambda: device.run(scene, short, impl).wrench)
@@ -272,8 +272,8 @@ def _named(values: np.ndarray) -> dict[str, float]:
 
 
 PARTS: dict[str, Callable[[Run], dict[str, Any]]] = {
-    "rollouts": rollouts, "agreement": agreement, "search": searched, "gradient": trained, "storage": stored,
-    "svm": svm,
+    "rollouts": rollouts, "search": searched, "gradient": trained, "storage": stored, "svm": svm,
+    "agreement": agreement,
 }  # fmt: skip
 
 
@@ -281,9 +281,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--engine", choices=["mjx", "warp"], required=True)
     parser.add_argument("--task", choices=["failure-type", "states"], default="failure-type")
-    parser.add_argument("--preset", choices=["openhrp", "A"], default="openhrp", help="B and C rotate for one sample")
+    parser.add_argument("--preset", default="hooked-B", help="of one arm; states need one that rotates for long, as A")
     parser.add_argument("--trials", type=int, default=10240, help="four fifths of the usable ones calibrate")
-    parser.add_argument("--longest", type=float, default=12.0, help="s, cuts every trial")
+    parser.add_argument("--longest", type=float, default=25.0, help="s, cuts every trial")
     parser.add_argument("--candidates", type=int, default=2048)
     parser.add_argument("--generations", type=int, default=16)
     parser.add_argument("--steps", type=int, default=120)
@@ -294,7 +294,7 @@ def main() -> None:
     parser.add_argument("--store", type=Path, default=None, help="keep the labelled trials there")
     given = parser.parse_args()
     run = Run(given, {"engine": given.engine, "task": given.task, "preset": given.preset})
-    options = f"--engine {given.engine} --task {given.task} --trials {given.trials}"
+    options = f"--engine {given.engine} --task {given.task} --preset {given.preset} --trials {given.trials}"
     name_of_result = f"calibration_device_{given.engine}_{given.task.replace('-', '_')}"
     for name, part in PARTS.items():
         start = time.perf_counter()
