@@ -155,7 +155,7 @@ def test_title_and_legends(recordings: Recordings, tracks: LabelTracks) -> None:
     figure = trial_figure(recordings, tracks, 2, window=20)
     assert figure.get_suptitle().split("\n") == [
         "t1   ·   BAD",
-        "session A, failure (+x-r), right arm, window 20 samples (100 ms)",
+        "session A, failure (failure type: +x-r), right arm, window 20 samples (100 ms)",
     ]
     legends = {legend.get_gid(): [text.get_text().split()[0] for text in legend.texts] for legend in figure.legends}
     for layer in LAYERS:
