@@ -33,8 +33,8 @@ _DIGESTS = {  # whose numbers say nothing to people
 }  # fmt: skip
 _OPTIONS = {  # of "rcbht simulate" as people know them, by their place in the manifest
     **{f"job.{name}": f"--{name}" for name in ("trials", "seed", "engine", "shard", "window")},
-    "job.preset": "the preset or assembly", "job.spec.nominal_share": "--nominal-share", "job.spec.longest": "--max-seconds",
-    "job.spec.physical": "--physical",
+    "job.preset": "the preset or assembly", "job.spec.physical": "--physical",
+    "job.spec.nominal_share": "--nominal-share", "job.spec.longest": "--max-seconds",
 }  # fmt: skip
 
 
