@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from matplotlib.lines import Line2D
 from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, name
-from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure, plain, text_color
+from rcbht_jax.plots.canvas import check_rows, cut, label_legend, new_figure, plain, text_color
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 100  # inches, 1600 pixels; six axes are 2000 pixels high
@@ -26,6 +27,8 @@ HEAD, FOOT, PANEL, GAP = 1.24, 2.1, 2.505, 0.326  # inches: title and two rows o
 SIGNAL, BARE_FOOT = 2.5, 0.7  # height of a signal in heights of its bands; foot in inches where there are no labels
 MARGIN = 0.24  # inches above the title
 LINE, ROOM, MOST_ROWS = 16, 2, 14  # of names of states: points of a row, rows that fit into the head, most rows
+LONG = 17, 22  # letters that fit beside a panel in the usual size, and in the small one
+WIDE = 80, 125  # letters that fit into the two lines of the title, the first one beside the key
 _FIELDS = tuple(field.name for field in fields(LabelTrack))
 _BAND_TITLES = ("primitive", "MC", "LLB")
 _RED = "#b2182b"  # of the state boundaries
@@ -114,7 +117,7 @@ def trial_figure(
 def outcome_of(recordings: Recordings, index: int) -> str:
     """Outcome of one recording, and its columns of text: such as "failure (fault: jamming)"."""
     texts = {name: str(values[index]) for name, values in recordings.columns.items() if values.dtype.kind == "U"}
-    facts = ", ".join(f"{name.replace('_', ' ')}: {text}" for name, text in texts.items() if text)
+    facts = ", ".join(f"{name.replace('_', ' ')}: {cut(text, 40)}" for name, text in texts.items() if text)
     return f"{recordings.outcome[index]} ({facts})" if facts else str(recordings.outcome[index])
 
 
@@ -199,14 +202,25 @@ def _canvas(axes: tuple[str, ...], head: float, bands: bool) -> tuple[Figure, li
 def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, view: _View) -> None:
     values = recordings.wrench[index, : recordings.length[index], axis]
     times = np.arange(len(values)) * recordings.dt
-    ax.plot(times, values, color="0.72", linewidth=2.6, gid="wrench", solid_joinstyle="round")
+    dot = "o" if len(values) == 1 else ""  # of which there would be no line
+    ax.plot(times, values, color="0.72", linewidth=2.6, gid="wrench", solid_joinstyle="round", marker=dot)
     visible = values[(times >= view.start) & (times <= view.stop)]
     low, high = float(visible.min()), float(visible.max())
-    margin = 0.08 * (high - low) or 1e-3
+    margin = 0.08 * (high - low) or max(1e-3, 0.05 * abs(high))  # of a constant
     ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
-    ax.set_ylabel(plain(", ".join(filter(None, (recordings.axes[axis], recordings.units[axis])))), fontsize=12)
+    _name_axis(ax, ", ".join(filter(None, (recordings.axes[axis], recordings.units[axis]))))
     ax.grid(axis="y", color="0.9", linewidth=0.8)
     ax.set_axisbelow(True)
+
+
+def _name_axis(ax: Axes, text: str) -> None:
+    """Name and unit beside a panel; long ones in two lines, not beyond the panel's height."""
+    short = len(text) <= LONG[0]
+    lines = [text] if short else wrap(text, LONG[1])
+    if len(lines) > 2:
+        lines = [lines[0], cut(lines[1] + lines[2], LONG[1])]
+    small: dict[str, Any] = {} if short else {"labelpad": 0.0, "linespacing": 1.0}
+    ax.set_ylabel(plain("\n".join(lines)), fontsize=12 if short else 8, **small)
 
 
 def _draw_fits(ax: Axes, primitives: LabelTrack, dt: float) -> None:
@@ -293,7 +307,8 @@ def _title(recordings: Recordings, index: int, window: int | None, rule: str) ->
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")
     if rule != "paper":
         facts.append(f"rule {rule}")
-    return f"{recordings.trial[index]}   ·   {recordings.source[index]}\n{', '.join(filter(None, facts))}"
+    names = f"{recordings.trial[index]}   ·   {recordings.source[index]}"
+    return f"{cut(names, WIDE[0])}\n{cut(', '.join(filter(None, facts)), WIDE[1])}"
 
 
 def _legends(figure: Figure, used: dict[str, set[int]]) -> None:

@@ -46,9 +46,9 @@ def forward_only(values: Any) -> Any:
 
     >>> jax.jvp(forward_only, (2.0,), (1.0,))[1].item()
     1.0
-    >>> jax.grad(forward_only)(2.0)
-    Traceback (most recent call last):
-    rcbht_jax.errors.InputError: The physics has no derivatives in reverse mode (jax.grad, jax.vjp, jax.jacrev); ...
+
+    Raises:
+        InputError: it is differentiated in reverse mode.
     """
     leaves, tree = jax.tree.flatten(values)
     floats = [number for number, leaf in enumerate(leaves) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating)]
