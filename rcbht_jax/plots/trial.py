@@ -216,10 +216,10 @@ def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, view: 
 def _name_axis(ax: Axes, text: str) -> None:
     """Name and unit beside a panel; long ones in two lines, not beyond the panel's height."""
     short = len(text) <= LONG[0]
-    lines = [text] if short else wrap(text, LONG[1])
+    lines = [text] if short else [line.replace("_ ", "_") for line in wrap(text.replace("_", "_ "), LONG[1])]
     if len(lines) > 2:
         lines = [lines[0], cut(lines[1] + lines[2], LONG[1])]
-    small: dict[str, Any] = {} if short else {"labelpad": 0.0, "linespacing": 1.0}
+    small: dict[str, Any] = {} if short else {"labelpad": 1.0, "linespacing": 1.0}
     ax.set_ylabel(plain("\n".join(lines)), fontsize=12 if short else 8, **small)
 
 
