@@ -264,6 +264,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
         return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in best.items())
     other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {names.base_and_unit(name)[0], names.group_base(name)}]
+    rest = [name for name in rest if np.isfinite(table.columns[name]).any()]  # an empty column is none
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:
