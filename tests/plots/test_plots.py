@@ -194,14 +194,14 @@ def test_map_colors_are_those_of_the_labels(recordings: Recordings, tracks: Labe
 def test_map_separates_sessions(recordings: Recordings, tracks: LabelTracks) -> None:
     ax = label_map(recordings, tracks, "llb").axes[0]
     assert [line.get_ydata()[0] for line in ax.lines] == [0.5]
-    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A failure, 1", "B success, 2"]
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A, failure (1)", "B, success (2)"]
 
 
 def test_map_sorts_rows_by_session_and_outcome(recordings: Recordings, tracks: LabelTracks) -> None:
     same = np.array(["A"] * 3)
     mixed = replace(recordings, session=same, source=same, outcome=np.array(["success", "failure", "success"]))
     ax = label_map(mixed, tracks, "llb").axes[0]
-    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A failure, 1", "A success, 2"]
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A, failure (1)", "A, success (2)"]
 
 
 def test_map_by_state_holds_time_within_states(recordings: Recordings, tracks: LabelTracks) -> None:
