@@ -23,8 +23,8 @@ _LEFT, RIGHT = 0.115, 0.985  # figure coordinates
 LETTER = 0.095  # inches of one letter of a state's name, at most
 LONG = 24  # letters beside a panel
 _CAPTIONS = {
-    "word": "rows: recordings by session and outcome (number of recordings); columns: labels in order; white: after the "
-    "last label",
+    "word": "rows: recordings by session and outcome (number of recordings); columns: labels in order; white: after "
+    "the last label",
     "state": "rows: recordings by session and outcome (number of recordings); columns: time, normalised within each "
     "state; white: state missing, or no label",
 }
