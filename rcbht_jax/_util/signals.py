@@ -1,7 +1,8 @@
-"""Signals as people have them, NumPy, JAX, pandas or xarray: values, names of axes, and a time to be checked."""
+"""Signals as people have them, NumPy, JAX, pandas, polars or xarray: values, names of axes, and a checked time."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from numbers import Real
 from typing import Any
@@ -13,6 +14,12 @@ from rcbht_jax.errors import InputError
 
 RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
 LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would be read as a steep line
+TIMES = (
+    "time", "t", "stamp", "timestamp", "times", "timestamps", "secs", "sec", "seconds", "elapsed", "%time", "clock",
+    "header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt",
+)  # fmt: skip
+_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TIME = re.compile(rf"({'|'.join(map(re.escape, TIMES))})(?:[ _]*[\[(]? *({'|'.join(_UNITS)})[\])]?)?")
 
 
 def period(rate: float) -> float:
@@ -52,23 +59,28 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
     """Values ``[..., time, axis]`` of any type, and names of the axes; None = they have none.
 
     Args:
-        wrench: NumPy, JAX, pandas or xarray.
-        dt: s per sample, with which a column, an index or a coordinate of time must agree.
+        wrench: NumPy, JAX, pandas, polars or xarray.
+        dt: s per sample, with which columns, an index or a coordinate of time must agree.
         axis_first: values whose dimensions have no names are ``[..., axis, time]``.
 
     Raises:
-        InputError: values that are no numbers, a time that disagrees, has a gap or is none, or an xarray Dataset.
+        InputError: values that are no numbers, a time that disagrees, has a gap or is none, an xarray Dataset, or a
+            table of pyarrow.
     """
     if is_frame(wrench):
         index = getattr(wrench, "index", None)
         if index is not None and (index.name == "time" or index.dtype.kind in "mM"):
             _check_time(index, dt)
-        if (count := list(wrench.columns).count("time")) > 1:
-            raise InputError(f"There are {count} columns of the name time; keep one.")
-        if "time" in wrench.columns:
-            _check_time(wrench["time"], dt)
-            wrench = wrench.drop(columns="time")
+        times = {name: unit for name in wrench.columns if (unit := _unit_of_time(name))}
+        for name, unit in times.items():
+            if (count := list(wrench.columns).count(name)) > 1:
+                raise InputError(f"There are {count} columns of the name {name}; keep one.")
+            _check_time(wrench[name], dt, unit)
+        if times:  # pandas' and polars' ways to say the same
+            wrench = wrench.drop(columns=list(times)) if hasattr(wrench, "iloc") else wrench.drop(list(times))
         return numbers_of(wrench), tuple(map(str, wrench.columns))
+    if hasattr(wrench, "column_names"):
+        raise InputError("A table of pyarrow holds columns; make a frame of it: table.to_pandas().")
     if is_xarray(wrench):
         if hasattr(wrench, "data_vars"):
             raise InputError('An xarray Dataset holds several arrays; make one of them: dataset.to_array("axis").')
@@ -163,9 +175,15 @@ def _coordinate_names(wrench: Any) -> tuple[str, ...] | None:
     return tuple(map(str, wrench.coords[axis].to_numpy()))
 
 
-def _check_time(time: Any, dt: float) -> None:
-    """Refuse a time ``[..., sample]`` of another rate, or with a gap."""
-    seconds = _seconds(time)
+def _unit_of_time(name: Any) -> float:
+    """Seconds per unit of a column that is a time by its name; 0 = it is none."""
+    match = _TIME.fullmatch(name.strip().lower()) if isinstance(name, str) else None
+    return _UNITS[match[2] or "s"] if match else 0.0
+
+
+def _check_time(time: Any, dt: float, unit: float = 1.0) -> None:
+    """Refuse a time ``[..., sample]`` of another rate, or with a gap; numbers are so many seconds each."""
+    seconds = _seconds(time, unit)
     steps = np.diff(seconds)
     if not steps.size:
         return
@@ -181,11 +199,12 @@ def _check_time(time: Any, dt: float) -> None:
         )
 
 
-def _seconds(time: Any) -> NDArray[np.float64]:
-    """Numbers are seconds; dates and durations are counted from the first."""
+def _seconds(time: Any, unit: float) -> NDArray[np.float64]:
+    """Numbers count units; dates and durations are counted from the first."""
+    time = time if hasattr(time.dtype, "kind") else time.to_numpy()  # polars has types of its own
     kind = time.dtype.kind
     if kind in "fiu":
-        return np.asarray(time, np.float64)
+        return np.asarray(time, np.float64) * unit
     if kind not in "mM":
         raise InputError(f"The time is {time.dtype}; expected seconds or dates.")
     stamps = np.asarray(time, f"{'timedelta' if kind == 'm' else 'datetime'}64[ns]")

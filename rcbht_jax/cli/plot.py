@@ -35,10 +35,13 @@ if TYPE_CHECKING:
 class PlotTrial(Command):
     """Plot one trial: its wrench, the linear fits, the three layers of labels and the state boundaries.
 
+    Of a store without labels, wrench and boundaries are shown; "rcbht encode" makes labels.
+
     Example: rcbht plot trial hiro.zarr 20121127-HIROSA-S-05 -o trial.png
     """
 
-    store: LabelledStore
+    store: Store
+    """Store of recordings, with labels or without."""
     trial: Trial
     out: OutFigure
     arm: Arm | None = None
@@ -51,12 +54,16 @@ class PlotTrial(Command):
     rule: DrawnRule = "fit"
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.io.label_store import list_tracks
+        from rcbht_jax.io.simulation import FAULT, simulation_batches, with_faults
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import save, trial_figure
 
-        recordings = read_recordings(self.store)
+        recordings = with_faults(read_recordings(self.store), simulation_batches(self.store, FAULT))
         index = find_recording(recordings, self.trial, self.arm, self.source)
-        name, labels, attrs = drawn_words(self.store, self.tracks, self.rule)
+        name, labels, attrs = None, None, dict[str, Any]()
+        if self.tracks or list_tracks(self.store):
+            name, labels, attrs = drawn_words(self.store, self.tracks, self.rule)
         window = attrs.get("window")
         figure = trial_figure(
             recordings,
@@ -71,9 +78,9 @@ class PlotTrial(Command):
         return {"figure": str(self.out), "tracks": name, **recording}
 
     def text(self, result: dict[str, Any]) -> str:
-        return (
-            f"{result['figure']}: {result['source']} {result['trial']} arm {result['arm']}, labels {result['tracks']}"
-        )
+        missing = f'no labels; make them with "rcbht encode {self.store}"'
+        labels = missing if result["tracks"] is None else f"labels {result['tracks']}"
+        return f"{result['figure']}: {result['source']} {result['trial']} arm {result['arm']}, {labels}"
 
 
 @dataclass(frozen=True)

@@ -230,9 +230,11 @@ class McapWriter:
     def __enter__(self) -> McapWriter:
         self._exit = ExitStack()
         self._draft = self._exit.enter_context(atomic_write(self._path, keep=True))
-        self._folder = draft_of(self._draft)  # the writer makes a folder with the file in it
+        self._folder = draft_of(self._draft)
         self._exit.callback(shutil.rmtree, self._folder, ignore_errors=True)
-        self._writer = Writer(self._folder, version=9, storage_plugin=StoragePlugin.MCAP)
+        # the writer makes a folder with a file of its name in it, and the file says what it is called
+        self._bag = self._folder / self._path.stem
+        self._writer = Writer(self._bag, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         return self
 
@@ -242,7 +244,7 @@ class McapWriter:
         try:
             self._writer.close()
             if kind is None or self._connections:  # an hour of recording is worth more than its missing end
-                [file] = self._folder.glob("*.mcap")
+                [file] = self._bag.glob("*.mcap")
                 seal(file)
                 os.replace(file, self._draft)
         except BaseException:

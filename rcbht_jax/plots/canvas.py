@@ -51,6 +51,15 @@ def plain(text: str) -> str:
     return printable(text).replace("$", r"\$")
 
 
+def cut(text: str, letters: int) -> str:
+    """A text of so many letters at most.
+
+    >>> cut("operator", 8), cut("operators", 8)
+    ('operator', 'operato…')
+    """
+    return text if len(text) <= letters else f"{text[: letters - 1]}…"
+
+
 def check_rows(recordings: Recordings, tracks: LabelTracks) -> None:
     """Check that the tracks belong to the recordings.
 

@@ -23,9 +23,10 @@ _LEFT, RIGHT = 0.115, 0.985  # figure coordinates
 LETTER = 0.095  # inches of one letter of a state's name, at most
 LONG = 24  # letters beside a panel
 _CAPTIONS = {
-    "word": "rows: recordings by session and outcome; columns: labels in order; white: after the last label",
-    "state": "rows: recordings by session and outcome; columns: time, normalised within each state; white: state "
-    "missing, or no label",
+    "word": "rows: recordings by session and outcome (number of recordings); columns: labels in order; white: after "
+    "the last label",
+    "state": "rows: recordings by session and outcome (number of recordings); columns: time, normalised within each "
+    "state; white: state missing, or no label",
 }
 Rows = Int[np.ndarray, " row"]
 Codes = Int8[np.ndarray, "row axis _column"]
@@ -197,8 +198,8 @@ def _separate_sessions(ax: Axes, recordings: Recordings, rows: Rows, named: bool
     for start in starts[1:]:
         ax.axhline(start - 0.5, color="black", linewidth=0.9, gid="session", path_effects=_RIM)
     middles = [(start + stop - 1) / 2 for start, stop in zip(starts, stops, strict=True)]
-    names = [(keys[start][0], f"{keys[start][1]}, {stop - start}") for start, stop in zip(starts, stops, strict=True)]
-    texts = [("\n" if len(" ".join(pair)) > LONG else " ").join(map(plain, pair)) for pair in names]
+    names = [(keys[start][0], f"{keys[start][1]} ({stop - start})") for start, stop in zip(starts, stops, strict=True)]
+    texts = [(",\n" if len(", ".join(pair)) > LONG else ", ").join(map(plain, pair)) for pair in names]
     ax.set_yticks(middles, [text if named else "" for text in texts])
     ax.tick_params(axis="y", length=0)
 

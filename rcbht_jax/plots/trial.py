@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,17 @@ from matplotlib.lines import Line2D
 from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, name
-from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure, plain, text_color
+from rcbht_jax.plots.canvas import check_rows, cut, label_legend, new_figure, plain, text_color
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 100  # inches, 1600 pixels; six axes are 2000 pixels high
 LEFT, RIGHT = 0.062, 0.985  # figure coordinates
 HEAD, FOOT, PANEL, GAP = 1.24, 2.1, 2.505, 0.326  # inches: title and two rows of names, legends, an axis, between two
+SIGNAL, BARE_FOOT = 2.5, 0.7  # height of a signal in heights of its bands; foot in inches where there are no labels
 MARGIN = 0.24  # inches above the title
 LINE, ROOM, MOST_ROWS = 16, 2, 14  # of names of states: points of a row, rows that fit into the head, most rows
+LONG = 17, 22  # letters that fit beside a panel in the usual size, and in the small one
+WIDE = 80, 125  # letters that fit into the two lines of the title, the first one beside the key
 _FIELDS = tuple(field.name for field in fields(LabelTrack))
 _BAND_TITLES = ("primitive", "MC", "LLB")
 _RED = "#b2182b"  # of the state boundaries
@@ -57,14 +61,14 @@ class _View:
 
 def trial_figure(
     recordings: Recordings,
-    tracks: LabelTracks,
+    tracks: LabelTracks | None,
     index: int,
     *,
     window: int | None = None,
     rule: str = "paper",
     seconds: tuple[float, float] | None = None,
 ) -> Figure:
-    """Wrench, fitted lines, labels and state boundaries of one recording.
+    """Wrench and state boundaries of one recording, and its fitted lines and labels if it has some.
 
     >>> import rcbht_jax as rj
     >>> recordings = Recordings.from_arrays(np.random.default_rng(0).normal(size=(3, 400, 6)).cumsum(1), 200.0)
@@ -72,7 +76,7 @@ def trial_figure(
 
     Args:
         recordings: data set.
-        tracks: its labels ``[recording, axis, slot]``.
+        tracks: its labels ``[recording, axis, slot]``; None = none, so that there are no lines and no bands.
         index: row of the recording.
         window: samples per straight-line fit, for the title.
         rule: of the words, for the title, which names any but the paper's.
@@ -81,31 +85,40 @@ def trial_figure(
     Raises:
         InputError: the row does not exist, the tracks do not belong to the recordings, or ``seconds`` selects nothing.
     """
-    check_rows(recordings, tracks)
+    if tracks is not None:
+        check_rows(recordings, tracks)
     if not 0 <= index < len(recordings):
         raise InputError(f"Recording {index} does not exist; the data set has {len(recordings)}, counted from 0.")
     view = _view(recordings, index, seconds)
     marks = [mark for mark in state_marks(recordings, index) if view.start <= mark.seconds < view.stop]
     names = _name_rows(marks, view)
     head = HEAD + LINE / 72 * max(0, len({row for *_, row in names}) - ROOM)
-    count = len(recordings.axes)
-    figure = new_figure((WIDTH, round(head + FOOT + count * PANEL + (count - 1) * GAP, 2)), DPI)
-    panels = _panels(figure, recordings.axes, head)
+    figure, panels = _canvas(recordings.axes, head, tracks is not None)
     used: dict[str, set[int]] = {layer: set() for layer in LAYERS}
-    for axis, (signal, band) in enumerate(panels):
+    for axis, panel in enumerate(panels):
+        _draw_signal(panel[0], recordings, index, axis, view)
+        _draw_marks(panel, marks)
+        if tracks is None:
+            continue
         lanes = [_lane(getattr(tracks, layer), index, axis, view) for layer in LAYERS]
-        _draw_signal(signal, recordings, index, axis, lanes[0], view)
-        _draw_bands(band, lanes, view)
-        _draw_marks((signal, band), marks)
+        _draw_fits(panel[0], lanes[0], recordings.dt)
+        _draw_bands(panel[1], lanes, view)
         for layer, lane in zip(LAYERS, lanes, strict=True):
             used[layer].update(int(code) for code in lane.label)
     _name_marks(panels[0][0], names)
-    panels[-1][1].set_xlabel("time, s", fontsize=11)
+    panels[-1][-1].set_xlabel("time, s", fontsize=11)
     top, title = 1 - MARGIN / figure.get_figheight(), plain(_title(recordings, index, window, rule))
     figure.suptitle(title, x=LEFT, y=top, ha="left", va="top", fontsize=14)
     _legends(figure, used)
     _key(figure, panels[0][0], marks)
     return figure
+
+
+def outcome_of(recordings: Recordings, index: int) -> str:
+    """Outcome of one recording, and its columns of text: such as "failure (fault: jamming)"."""
+    texts = {name: str(values[index]) for name, values in recordings.columns.items() if values.dtype.kind == "U"}
+    facts = ", ".join(f"{name.replace('_', ' ')}: {cut(text, 40)}" for name, text in texts.items() if text)
+    return f"{recordings.outcome[index]} ({facts})" if facts else str(recordings.outcome[index])
 
 
 def state_marks(recordings: Recordings, index: int) -> list[Mark]:
@@ -154,42 +167,67 @@ def _lane(track: LabelTrack, index: int, axis: int, view: _View) -> LabelTrack:
     return LabelTrack(**{field: values[visible] for field, values in columns.items()})
 
 
-def _panels(figure: Figure, axes: tuple[str, ...], head: float) -> list[tuple[Axes, Axes]]:
-    """A pair of panels for each axis, signal above bands, all with one time axis, below a head of so many inches."""
-    height = figure.get_figheight()
+def _canvas(axes: tuple[str, ...], head: float, bands: bool) -> tuple[Figure, list[tuple[Axes, ...]]]:
+    """A figure, and for each axis the signal, above its bands if there are some; all panels have one time axis.
+
+    Args:
+        axes: names.
+        head: inches above the first panel.
+        bands: whether there are labels to show.
+    """
+    foot, panel = (FOOT, PANEL) if bands else (BARE_FOOT, PANEL * SIGNAL / (SIGNAL + 1))
+    height = round(head + foot + len(axes) * panel + (len(axes) - 1) * GAP, 2)
+    figure = new_figure((WIDTH, height), DPI)
     grid = figure.add_gridspec(
-        len(axes), 1, left=LEFT, right=RIGHT, bottom=FOOT / height, top=1 - head / height, hspace=GAP / PANEL
+        len(axes), 1, left=LEFT, right=RIGHT, bottom=foot / height, top=1 - head / height, hspace=GAP / panel
     )
-    panels: list[tuple[Axes, Axes]] = []
+    panels: list[tuple[Axes, ...]] = []
     for axis, title in enumerate(axes):
-        pair = grid[axis].subgridspec(2, 1, height_ratios=(2.5, 1.0), hspace=0)
-        signal = figure.add_subplot(pair[0], sharex=panels[0][0] if panels else None)
-        band = figure.add_subplot(pair[1], sharex=signal)
+        rows = grid[axis].subgridspec(2, 1, height_ratios=(SIGNAL, 1.0), hspace=0) if bands else [grid[axis]]
+        signal = figure.add_subplot(rows[0], sharex=panels[0][0] if panels else None)
         signal.set_gid(f"signal-{printable(title)}")
-        band.set_gid(f"labels-{printable(title)}")
-        signal.tick_params(labelbottom=False, bottom=False, labelsize=10)
-        band.tick_params(labelbottom=axis == len(axes) - 1, labelsize=10)
-        panels.append((signal, band))
-    return panels
+        signal.tick_params(labelsize=10)
+        panel_axes: tuple[Axes, ...] = (signal,)
+        if bands:
+            band = figure.add_subplot(rows[1], sharex=signal)
+            band.set_gid(f"labels-{printable(title)}")
+            band.tick_params(labelsize=10)
+            signal.tick_params(bottom=False, labelbottom=False)
+            panel_axes = signal, band
+        panel_axes[-1].tick_params(labelbottom=axis == len(axes) - 1)
+        panels.append(panel_axes)
+    return figure, panels
 
 
-def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, primitives: LabelTrack, view: _View) -> None:
+def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, view: _View) -> None:
     values = recordings.wrench[index, : recordings.length[index], axis]
     times = np.arange(len(values)) * recordings.dt
-    ax.plot(times, values, color="0.72", linewidth=2.6, gid="wrench", solid_joinstyle="round")
-    # Primitives of one window do not touch each other: with round caps they look like one line.
-    lines = LineCollection(
-        list(fitted_lines(primitives, recordings.dt)), colors="black", linewidths=1.0, capstyle="round"
-    )
-    lines.set_gid("fits")
-    ax.add_collection(lines, autolim=False)
+    dot = "o" if len(values) == 1 else ""  # of which there would be no line
+    ax.plot(times, values, color="0.72", linewidth=2.6, gid="wrench", solid_joinstyle="round", marker=dot)
     visible = values[(times >= view.start) & (times <= view.stop)]
     low, high = float(visible.min()), float(visible.max())
-    margin = 0.08 * (high - low) or 1e-3
+    margin = 0.08 * (high - low) or max(1e-3, 0.05 * abs(high))  # of a constant
     ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
-    ax.set_ylabel(plain(", ".join(filter(None, (recordings.axes[axis], recordings.units[axis])))), fontsize=12)
+    _name_axis(ax, ", ".join(filter(None, (recordings.axes[axis], recordings.units[axis]))))
     ax.grid(axis="y", color="0.9", linewidth=0.8)
     ax.set_axisbelow(True)
+
+
+def _name_axis(ax: Axes, text: str) -> None:
+    """Name and unit beside a panel; long ones in two lines, not beyond the panel's height."""
+    short = len(text) <= LONG[0]
+    lines = [text] if short else [line.replace("_ ", "_") for line in wrap(text.replace("_", "_ "), LONG[1])]
+    if len(lines) > 2:
+        lines = [lines[0], cut(lines[1] + lines[2], LONG[1])]
+    small: dict[str, Any] = {} if short else {"labelpad": 1.0, "linespacing": 1.0}
+    ax.set_ylabel(plain("\n".join(lines)), fontsize=12 if short else 8, **small)
+
+
+def _draw_fits(ax: Axes, primitives: LabelTrack, dt: float) -> None:
+    # Primitives of one window do not touch each other: with round caps they look like one line.
+    lines = LineCollection(list(fitted_lines(primitives, dt)), colors="black", linewidths=1.0, capstyle="round")
+    lines.set_gid("fits")
+    ax.add_collection(lines, autolim=False)
 
 
 def _draw_bands(ax: Axes, lanes: list[LabelTrack], view: _View) -> None:
@@ -224,7 +262,7 @@ def _names(layer: str, lane: LabelTrack, view: _View) -> Iterator[tuple[str, flo
             yield text, (start + stop) / 2, text_color(COLORS[layer][code - 1])
 
 
-def _draw_marks(axes: tuple[Axes, Axes], marks: list[Mark]) -> None:
+def _draw_marks(axes: tuple[Axes, ...], marks: list[Mark]) -> None:
     for ax in axes:
         for mark in marks:
             ax.axvline(mark.seconds, color=_RED, linewidth=1.3, linestyle=_STYLE[mark.dashed], gid="state")
@@ -264,15 +302,13 @@ def _name_marks(ax: Axes, names: list[tuple[Mark, bool, int]]) -> None:
 def _title(recordings: Recordings, index: int, window: int | None, rule: str) -> str:
     name = str(recordings.arm[index])
     arm = {"R": "right arm", "L": "left arm"}.get(name, f"arm {name}" if name else "")
-    kinds = (str(values[index]) for values in recordings.columns.values() if values.dtype.kind == "U")
-    kind = ", ".join(filter(None, kinds))
-    failure = f" ({kind})" if kind else ""
-    facts = [f"session {recordings.session[index]}", f"{recordings.outcome[index]}{failure}", arm]
+    facts = [f"session {recordings.session[index]}", outcome_of(recordings, index), arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")
     if rule != "paper":
         facts.append(f"rule {rule}")
-    return f"{recordings.trial[index]}   ·   {recordings.source[index]}\n{', '.join(filter(None, facts))}"
+    names = f"{recordings.trial[index]}   ·   {recordings.source[index]}"
+    return f"{cut(names, WIDE[0])}\n{cut(', '.join(filter(None, facts)), WIDE[1])}"
 
 
 def _legends(figure: Figure, used: dict[str, set[int]]) -> None:
@@ -283,8 +319,8 @@ def _legends(figure: Figure, used: dict[str, set[int]]) -> None:
 
 def _key(figure: Figure, ax: Axes, marks: list[Mark]) -> None:
     """Legend of the lines, in the upper right corner."""
-    handles: list[Artist] = [ax.lines[0], ax.collections[0]]
-    texts = ["wrench", "fitted lines"]
+    handles: list[Artist] = [ax.lines[0], *ax.collections]
+    texts = ["wrench", "fitted lines"][: len(handles)]
     for dashed, text in ((False, "start of a state"), (True, "start of a state, harmonised")):
         if any(mark.dashed == dashed for mark in marks):
             handles.append(Line2D([], [], color=_RED, linewidth=1.3, linestyle=_STYLE[dashed]))

@@ -71,7 +71,7 @@ def pack(
     Returns:
         its metadata (JSON values), with which the page decodes the blob, and the blob (base64).
     """
-    from rcbht_jax.plots.trial import state_marks  # matplotlib, which a live page does without
+    from rcbht_jax.plots.trial import outcome_of, state_marks  # matplotlib, which a live page does without
 
     samples, axes = int(recordings.length[row]), len(recordings.axes)
     codes, lowest, step = quantised(recordings.wrench[row, :samples].T)
@@ -93,7 +93,7 @@ def pack(
     raw = b"".join(part.tobytes() for part in [*wide, wrench, *narrow])
     about = {
         **{field: str(getattr(recordings, field)[row]) for field in ("trial", "arm", "source", "session", "outcome")},
-        "failure": str(recordings.columns["failure_type"][row]) if "failure_type" in recordings.columns else "",
+        "facts": outcome_of(recordings, row),
         "samples": samples,
         "low": lowest.tolist(),
         "step": step.tolist(),

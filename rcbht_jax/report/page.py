@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from importlib.resources import files
 from itertools import groupby
@@ -19,7 +19,8 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.io.export.card import confounds
-from rcbht_jax.io.export.dataset import DataSet
+from rcbht_jax.io.export.dataset import Block, DataSet
+from rcbht_jax.io.simulation import with_faults
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.report.pack import infer_beliefs, pack
 from rcbht_jax.report.results import Results, cells
@@ -51,7 +52,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     """
     rows = chosen(data.recordings, options)
     introspector = _introspector(data.recordings, options)
-    shown = data.rows(rows)
+    shown = _shown(data, rows)
     abouts, blobs = [], []
     for row in range(len(rows)):
         beliefs = [] if introspector is None else infer_beliefs(introspector, shown.recordings, row)
@@ -98,6 +99,14 @@ def chosen(recordings: Recordings, options: Options) -> NDArray[np.int64]:
         raise InputError(f"{options.most} trials cannot be shown; give one or more.")
     count = min(options.most, len(recordings))
     return np.unique(np.linspace(0, len(recordings) - 1, count).round().astype(np.int64))
+
+
+def _shown(data: DataSet, rows: NDArray[np.int64]) -> Block:
+    """Recordings of the browser; simulated ones with the fault that they were given."""
+    block = data.rows(rows)
+    columns = with_faults(data.recordings, data.simulation()).columns
+    columns = {name: values[rows] for name, values in columns.items()}
+    return replace(block, recordings=replace(block.recordings, columns=columns))
 
 
 def _introspector(recordings: Recordings, options: Options) -> Introspector | None:

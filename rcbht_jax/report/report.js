@@ -69,8 +69,8 @@ async function show(number) {
   if (view.number !== number) return; // another one was asked for meanwhile
   Object.assign(view, { trial, from: 0, to: trial.seconds, word: -1, drag: null });
   byId("trial").value = number;
-  const a = trial.about, failure = a.failure ? ` (${a.failure})` : "", arm = { R: "right arm", L: "left arm" }[a.arm] ?? a.arm;
-  byId("about").textContent = `${a.trial}: ${a.source}, session ${a.session}, ${a.outcome}${failure}, ${arm}, ${trial.seconds.toFixed(2)} s`;
+  const a = trial.about, arm = { R: "right arm", L: "left arm" }[a.arm] ?? a.arm;
+  byId("about").textContent = `${a.trial}: ${a.source}, session ${a.session}, ${a.facts}, ${arm}, ${trial.seconds.toFixed(2)} s`;
   byId("word").textContent = "Point at a word, or move from word to word with the arrow keys.";
   byId("previous").disabled = number === 0;
   byId("told").replaceChildren(...a.told.map(([time, text]) => {

@@ -47,7 +47,11 @@ function drawSignal(pen, width, a, top, height) {
   const last = Math.min(values.length, Math.ceil(view.to / dt) + 2);
   let low = Infinity, high = -Infinity;
   for (let i = first; i < last; i++) { low = Math.min(low, values[i]); high = Math.max(high, values[i]); }
-  if (high - low < 4 * view.trial.about.step[a]) { high += 5e-4; low -= 5e-4; } // flat, but for rounding
+  if (high - low < 4 * view.trial.about.step[a]) { // flat, but for rounding
+    const half = Math.max(5e-4, .05 * Math.abs(high));
+    high += half;
+    low -= half;
+  }
   const y = v => top + height - 4 - (height - 8) * (v - low) / (high - low);
   pen.save();
   pen.beginPath();
@@ -66,6 +70,7 @@ function drawSignal(pen, width, a, top, height) {
     pen.lineTo(xOf(s * dt, width), y(small));
     pen.lineTo(xOf(s * dt, width), y(large));
   }
+  if (values.length === 1) pen.arc(xOf(0, width), y(values[0]), 3, 0, 2 * Math.PI); // of which there is no line
   pen.stroke();
   pen.strokeStyle = "rgba(0, 0, 0, .75)";
   pen.lineWidth = 1;
@@ -85,7 +90,7 @@ function drawSignal(pen, width, a, top, height) {
   pen.fillText(brief(high), LEFT - 4, top + 10);
   pen.fillText(brief(low), LEFT - 4, top + height - 2);
   pen.textAlign = "left";
-  if (view.axis >= 0) pen.fillText(units[a], LEFT + 4, top + 12);
+  pen.fillText(units[a], LEFT + 4, top + 12);
   pen.font = "12px system-ui, sans-serif";
 }
 

@@ -55,6 +55,11 @@ class HookedParams(PartParams):
         gone = np.asarray(overlap) < 0
         return replace(self, hook_overlap=np.abs(overlap), tab_cut=np.where(gone, BROKEN_OFF, self.tab_cut))
 
+    @property
+    def missing(self) -> Bool[np.ndarray, "*batch 4"]:
+        """As of any parts."""
+        return np.asarray(self.tab_cut) >= BROKEN_OFF
+
 
 def add_male(spec: mujoco.MjSpec, arm: str) -> None:
     """Hang the male part on the tool, as :func:`sim_mjx.assembly.parts.add_male` does, with the tips of its hooks."""

@@ -66,6 +66,11 @@ class PartParams:
         """The parts with other overlaps, m; a negative one = the tab is missing."""
         return replace(self, hook_overlap=overlap)
 
+    @property
+    def missing(self) -> Bool[np.ndarray, "*batch 4"]:
+        """Which tabs have broken off."""
+        return np.asarray(self.hook_overlap) < 0
+
 
 MOUNT_MASS = 0.3  # kg
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rcbht_jax._util.devices import checked, wanted
+from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
     """What starts the workers that the options ask for; None = this process does all.
 
     Raises:
-        InputError: impossible numbers of workers or devices, or options that exclude each other.
+        InputError: impossible numbers of workers or devices, options that exclude each other or are none of Slurm's,
+            or a package that is missing.
     """
     from sim_mjx.synthesis import launch
     from sim_mjx.synthesis.plan import in_shards
@@ -53,8 +55,10 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
     if options and command.launch != "slurm":
         raise InputError("--launch-options are for --launch slurm; add that, or leave them out.")
     if command.launch == "ray":
+        require("ray", "ray")
         return lambda look: launch.ray(words, count, gpus, look, notice)
     if command.launch == "slurm":
+        launch.check_slurm(gpus, options)
         logs = command.out.absolute().with_name(f"{command.out.name}.jobs")
         return lambda look: launch.slurm(words, count or 1, gpus, options, logs, look, notice)
     if command.devices is not None:

@@ -54,8 +54,10 @@ class View(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.cli.plot import find_recording
+        from rcbht_jax.io.simulation import FAULT, simulation_batches, with_faults
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import save
+        from rcbht_jax.plots.trial import outcome_of
         from sim_mjx.plots import animation
         from sim_mjx.plots.trial_overview import trial_overview
         from sim_mjx.validation.replay import events
@@ -64,12 +66,13 @@ class View(Command):
         if self.out is None and out is not None and out.name != f"{self.trial}.png":
             raise InputError(f"The trial {self.trial!r} has no name for a file; choose one with -o.")
         self._check(out)
-        recordings = read_recordings(self.store)
+        recordings = with_faults(read_recordings(self.store), simulation_batches(self.store, FAULT))
         row = find_recording(recordings, self.trial, self.arm, self.source)
         film = out is not None and out.suffix.lower() in animation.SUFFIXES
         drawn = None if out is None or film else self._labelled(recordings, row)  # refused before the simulation
         replay = self._replay(recordings, row)
-        result = {"trial": str(recordings.trial[row]), "how": replay.how, "picture": None if out is None else str(out)}
+        result = {"trial": str(recordings.trial[row]), "outcome": outcome_of(recordings, row), "how": replay.how}
+        picture = None if out is None else str(out)
         times = events(replay, recordings, row)
         if out is None:
             show(replay, self.speed)
@@ -79,10 +82,10 @@ class View(Command):
         else:
             labelled, tracks, at, rule = drawn
             save(trial_overview(replay, labelled, tracks, at, times, SAYS[rule]), out)
-        return {**result, "moments": times}
+        return {**result, "picture": picture, "moments": times}
 
     def text(self, result: dict[str, Any]) -> str:
-        lines = [f"{result['trial']}: {result['how']}"]
+        lines = [f"{result['trial']}, {result['outcome']}: {result['how']}"]
         lines += [f"  {seconds:7.2f} s  {name}" for name, seconds in result["moments"].items()]
         return "\n".join([*lines, *([result["picture"]] if result["picture"] else [])])
 

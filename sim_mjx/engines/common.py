@@ -9,8 +9,11 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 from jaxtyping import Bool, Float, Float32, Int
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts
 
@@ -36,6 +39,47 @@ def single(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
     return inside
+
+
+def forward_only(values: Any) -> Any:
+    """A pytree as it is; derivatives go through it forwards, and backwards it raises a sentence.
+
+    >>> float(jax.jvp(forward_only, (2.0,), (1.0,))[1])
+    1.0
+
+    Raises:
+        InputError: it is differentiated in reverse mode.
+    """
+    leaves, tree = jax.tree.flatten(values)
+    floats = [number for number, leaf in enumerate(leaves) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating)]
+    for number, leaf in zip(floats, _forward_only([leaves[number] for number in floats]), strict=True):
+        leaves[number] = leaf
+    return jax.tree.unflatten(tree, leaves)
+
+
+@jax.custom_jvp
+def _forward_only(leaves: list[Any]) -> list[Any]:
+    return leaves
+
+
+@_forward_only.defjvp
+def _(primals: Any, tangents: Any) -> Any:
+    return primals[0], [_forwards.bind(tangent) for tangent in tangents[0]]
+
+
+def _refuse(*_: Any) -> Any:
+    raise InputError(
+        "The physics has no derivatives in reverse mode (jax.grad, jax.vjp, jax.jacrev); use forward mode: jax.jvp or "
+        "jax.jacfwd."
+    )
+
+
+_forwards = Primitive("forwards")  # a tangent as it is
+_forwards.def_impl(lambda tangent: tangent)
+_forwards.def_abstract_eval(lambda tangent: tangent)
+ad.deflinear2(_forwards, _refuse)
+batching.defvectorized(_forwards)
+mlir.register_lowering(_forwards, lambda _, tangent: [tangent])
 
 
 def select_lanes(which: Bool[Array, " lane"], first: Any, second: Any) -> Any:

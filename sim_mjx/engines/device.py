@@ -25,7 +25,7 @@ from rcbht_jax.types import Array
 from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
-from sim_mjx.engines.common import SETTLING, collect, select_lanes, single
+from sim_mjx.engines.common import SETTLING, collect, forward_only, select_lanes, single
 from sim_mjx.engines.quiet import mjx
 
 LANES = 16
@@ -256,11 +256,15 @@ def _step(layout: Layout, fixed: Fixed, body: Any, wanted: Array) -> tuple[Any, 
 
 
 def step_trial(model: mjx.Model, empty: mjx.Data, fields: dict[str, Array], at: Any, ctrl: Array) -> mjx.Data:
-    """One physics step of one trial, from a :class:`Body` or data; places are those before the step."""
+    """One physics step of one trial, from a :class:`Body` or data; places are those before the step.
+
+    Raises:
+        InputError: it is differentiated in reverse mode, which MJX's solver does not have.
+    """
     model = model.tree_replace(fields)
     if not isinstance(at, mjx.Data):
         at = empty.replace(qpos=at.qpos, qvel=at.qvel, qacc_warmstart=at.qacc_warmstart)
-    return mjx.step(model, at.replace(ctrl=ctrl))
+    return forward_only(mjx.step(model, at.replace(ctrl=ctrl)))
 
 
 def body_of(data: mjx.Data) -> Body:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from sim_mjx.validation.replay import Replay
 
 INCHES, DPI = (9.6, 7.2), 100  # 960 x 720 pixels: even numbers, which video needs
 RATE = {".gif": 10, ".mp4": 25}  # pictures per second
+WIDE = 110  # letters that fit into a line of the title
 SUFFIXES = tuple(RATE)
 
 
@@ -80,7 +82,7 @@ def _pictures(
     arm, close = figure.add_axes((0.03, 0.44, 0.45, 0.5)), figure.add_axes((0.52, 0.44, 0.45, 0.5))
     drawings = still((arm, close), replay, 0.0)
     cursor = _forces(figure, recordings, row)
-    figure.suptitle(plain(headline(replay, recordings, row)), x=0.03, ha="left", fontsize=12)
+    figure.suptitle(plain(fill(headline(replay, recordings, row), WIDE)), x=0.03, y=0.99, ha="left", fontsize=11)
     canvas: Any = FigureCanvasAgg(figure)
     for count, sample in enumerate(samples.tolist()):
         for drawing in drawings:

@@ -78,13 +78,19 @@ def _turns_right(a: Floats, b: Floats, c: Floats) -> bool:
 
 
 class Drawing:
-    """A scene in one axes; ``show`` moves it to other positions. What ``cut_at``, a body, has in front is cut away."""
+    """A scene in one axes; ``show`` moves it to other positions.
 
-    def __init__(self, ax: Axes, model: mujoco.MjModel, view: View, cut_at: str = "") -> None:
+    What ``cut_at``, a body, has in front is cut away; ``missing`` are tabs that have broken off.
+    """
+
+    def __init__(
+        self, ax: Axes, model: mujoco.MjModel, view: View, cut_at: str = "", missing: tuple[str, ...] = ()
+    ) -> None:
         self._model, self._data, self._view = model, mujoco.MjData(model), view
         names = [model.geom(i).name for i in range(model.ngeom)]
         hidden = _in_front(model, view, cut_at) if cut_at else [name.startswith(HIDDEN) for name in names]
-        self._geoms = [i for i, name in enumerate(names) if not hidden[i]]
+        gone = [name.endswith(missing) and _out_of_reach(model, i) for i, name in enumerate(names)]
+        self._geoms = [i for i, name in enumerate(names) if not (hidden[i] or gone[i])]
         self._tips = [next((t for t, tab in enumerate(_tabs(model)) if tab == i), None) for i in self._geoms]
         self._collection = PolyCollection([], linewidths=0.6)
         ax.add_collection(self._collection, autolim=False)
@@ -124,6 +130,12 @@ class Drawing:
         if self._name(geom).startswith("SEAT"):
             return SEAT
         return tuple(float(c) for c in self._model.geom_rgba[geom])
+
+
+def _out_of_reach(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether a geom of a missing tab is not there: its tip and stop, and blocks that are lowered to meet nothing."""
+    name = model.geom(geom).name
+    return "TIP_" in name or "STOP_" in name or float(model.geom_pos[geom, 2]) < -0.03
 
 
 def _in_front(model: mujoco.MjModel, view: View, body: str) -> list[bool]:

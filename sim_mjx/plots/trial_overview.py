@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from rcbht_jax.labels import AXES, COLORS
 from rcbht_jax.plots.canvas import label_legend, new_figure, plain
+from rcbht_jax.plots.trial import outcome_of
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.plots.projection import ABOVE, SEATED, SIDE, Drawing
@@ -25,6 +26,7 @@ XYZ = ("#1b6ca8", "#5aa469", "#d1495b")  # colours of the axes
 TAB_COLORS = ("#1b6ca8", "#6baed6", "#b2182b", "#f4a582")
 TAB_STYLES: tuple[Any, ...] = ("solid", (0, (4, 3)), "solid", (0, (4, 3)))  # right and left tabs often coincide
 LETTERS = "abcdef"
+LETTER = 8.0  # pixels of one letter of a state's name
 PLATE = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.0}  # behind a name that a line may cross
 
 
@@ -110,17 +112,17 @@ def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Draw
         return _parts_and_arm(pair, replay, index)
     one = all(not replay.model.body(i).name.startswith("LARM") for i in range(replay.model.nbody))
     view = SIDE if one else ABOVE
-    drawings = Drawing(pair[0], replay.model, view), Drawing(pair[1], replay.model, view)
-    for drawing in drawings:
+    far, close = (Drawing(ax, replay.model, view, missing=replay.missing) for ax in pair)
+    for drawing in (far, close):
         drawing.show(replay.qpos[index], replay.past[index])
-    x, y = drawings[0].place("MOUNT")
+    x, y = far.place("MOUNT")
     _look_at(pair[0], *((0.16, y + 0.22, 0.27) if one else (0.2, 0.0, 0.33)))
-    _look_closely(pair[1], drawings[1], *((x - 0.02, y + 0.018, 0.03) if one else (x - 0.02, y - 0.015, 0.035)))
+    _look_closely(pair[1], close, *((x - 0.02, y + 0.018, 0.03) if one else (x - 0.02, y - 0.015, 0.035)))
     for ax in pair:
         ax.set(xticks=[], yticks=[])
         for spine in ax.spines.values():
             spine.set_color("0.75")
-    return drawings
+    return far, close
 
 
 def _parts_and_arm(pair: tuple[Axes, Axes], replay: Replay, index: int) -> tuple[Drawing, Drawing]:
@@ -155,17 +157,20 @@ def _tabs(ax: Axes, replay: Replay) -> None:
     for tab, (color, style) in enumerate(zip(TAB_COLORS, TAB_STYLES, strict=True)):
         if tab < len(replay.marks):
             name = replay.marks[tab].removeprefix("TIP_").lower() if replay.of_parts else replay.marks[tab]
-            ax.plot(times, replay.height[:, tab] * 1e3, color=color, linestyle=style, linewidth=1.8, label=name)
+            gone = name in replay.missing
+            height = np.full(len(times), np.nan) if gone else replay.height[:, tab] * 1e3
+            label = f"{name} (missing)" if gone else name
+            ax.plot(times, height, color=color, linestyle=style, linewidth=1.8, label=label)
     if replay.of_parts:
         ax.set_ylabel("part above\nits socket, mm", fontsize=11)
-        _legend(ax, 4, 0.84)
+        _legend(ax, 4, 0.7)
         return
     ax.axhline(0, color=SEATED, linewidth=1.2)
-    ax.annotate("below the lip\n(past it: sprung back, too)", (0.002, 0), (0, -4), xycoords=ax.get_yaxis_transform(),
+    ax.annotate("below the lip\n(past it: sprung back, too)", (0.015, 0), (0, -4), xycoords=ax.get_yaxis_transform(),
                 textcoords="offset points", va="top", color=SEATED, fontsize=9)  # fmt: skip
     ax.set(ylim=(-5, 12))
     ax.set_ylabel("tips above\ntheir lips, mm", fontsize=11)
-    _legend(ax, 4, 0.84)
+    _legend(ax, 4, 0.7)
 
 
 def _legend(ax: Axes, columns: int, top: float) -> None:
@@ -209,22 +214,27 @@ def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> Non
     onset = recordings.starts(track)[row]
     known = np.flatnonzero(np.isfinite(onset))
     ends = [*onset[known][1:], recordings.length[row] * recordings.dt]
+    pixels = ax.get_window_extent().width / (recordings.length[row] * recordings.dt)
+    rows: list[float] = []  # s, where the last name of each row ends
     for state, end in zip(known, ends, strict=True):
         ax.axvspan(onset[state], end, color=SHADES[state % len(SHADES)], zorder=-1)
         if names:
             where: dict[str, Any] = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points"}
             name, middle = marks.labels[track][state], (onset[state] + end) / 2
+            half = (LETTER * len(name) + 8) / 2 / pixels
+            middle = max(min(middle, recordings.length[row] * recordings.dt - half), half)  # whole, within the panel
+            line = next((line for line, last in enumerate(rows) if last <= middle - half), len(rows))
+            rows[line : line + 1] = [middle + half]
             ax.annotate(
-                plain(name), (middle, 1.0), (0, -11), ha="center", fontsize=10, color="0.3", bbox=PLATE, **where
-            )
+                plain(name), (middle, 1.0), (0, -11 - 12 * line), ha="center", fontsize=10, color="0.3", bbox=PLATE,
+                **where,
+            )  # fmt: skip
 
 
 def headline(replay: Replay, recordings: Recordings, row: int) -> str:
     """What is known of a replayed trial, on one line."""
+    facts = f"{recordings.trial[row]}   ·   {recordings.source[row]}, {outcome_of(recordings, row)}"
     if replay.of_parts:
-        facts = f"{recordings.outcome[row]}; fault: {recordings.column('fault')[row]}"
-        return f"{recordings.trial[row]}   ·   {facts}"
-    kind = f" ({recordings.column('failure_type')[row]})" if recordings.column("failure_type")[row] else ""
-    facts = f"{recordings.source[row]}, {recordings.outcome[row]}{kind}; tabs past their lips: "
+        return facts
     past = [replay.marks[tab % 4] for tab in np.flatnonzero(replay.past[-1])]
-    return f"{recordings.trial[row]}   ·   {facts}{' '.join(past) or 'none'}"
+    return f"{facts}; tabs past their lips: {' '.join(past) or 'none'}"

@@ -152,6 +152,26 @@ def ray(
             cluster.shutdown()
 
 
+def check_slurm(gpus: bool, options: Mapping[str, Any]) -> None:
+    """Refuse options of Slurm jobs before anything is begun; errors as of :func:`slurm`."""
+    with tempfile.TemporaryDirectory() as folder:  # the executor makes one
+        _executor(Path(folder), gpus, options)
+
+
+def _executor(folder: Path, gpus: bool, options: Mapping[str, Any]) -> Any:
+    with needs_extra("slurm"):
+        import submitit
+
+    executor = submitit.AutoExecutor(folder=folder)
+    try:
+        executor.update_parameters(
+            **({"timeout_min": 24 * 60} | ({"gpus_per_node": 1} if gpus else {}) | dict(options))
+        )
+    except (AssertionError, NameError, TypeError, ValueError) as error:
+        raise InputError(f"Slurm's options are wrong: {_first_line(error)}") from error
+    return executor
+
+
 def slurm(
     words: Sequence[str],
     count: int,
@@ -168,26 +188,23 @@ def slurm(
         count: workers, one a job of the array.
         gpus: whether a worker needs a GPU of its own.
         options: of the jobs, as submitit names them: timeout_min, slurm_partition and so on.
-        folder: for the jobs' logs, shared by all nodes; deleted if all went well.
+        folder: for the jobs' logs, shared by all nodes; deleted if all went well, or if no job began.
         look: called now and then.
         notice: called with a sentence that says where the jobs run, and which ended before their work was done.
 
     Raises:
-        InputError: submitit is not installed, or an option is not one of its.
+        InputError: submitit is not installed, an option is not one of its, or Slurm takes no job.
     """
-    with needs_extra("slurm"):
-        import submitit
-
-    executor = submitit.AutoExecutor(folder=folder)
+    earlier = folder.exists()  # with logs of jobs that failed
+    executor = _executor(folder, gpus, options)
     if executor.cluster != "slurm":
         notice("There is no Slurm here; the jobs run on this machine.")
     try:
-        executor.update_parameters(
-            **({"timeout_min": 24 * 60} | ({"gpus_per_node": 1} if gpus else {}) | dict(options))
-        )
-    except (AssertionError, NameError, TypeError, ValueError) as error:
-        raise InputError(f"Slurm's options are wrong: {_first_line(error)}") from error
-    jobs = executor.map_array(run_worker, [list(words)] * count, [os.getcwd()] * count)
+        jobs = executor.map_array(run_worker, [list(words)] * count, [os.getcwd()] * count)
+    except Exception as error:  # whatever submitit makes of what Slurm says
+        if not earlier:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise InputError(f"Slurm takes no jobs: {_first_line(error)}") from error
     try:
         while not all(job.done() for job in jobs):
             time.sleep(_LOOK)

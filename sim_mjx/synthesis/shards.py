@@ -31,6 +31,11 @@ _DIGESTS = {  # whose numbers say nothing to people
     "own_sha256": "your files", "scene_sha256": "what your files read", "sim_mjx_sha256": "the simulation's code",
     "encoding_sha256": "the encoder's code",
 }  # fmt: skip
+_OPTIONS = {  # of "rcbht simulate" as people know them, by their place in the manifest
+    **{f"job.{name}": f"--{name}" for name in ("trials", "seed", "engine", "shard", "window")},
+    "job.preset": "the preset or assembly", "job.spec.physical": "--physical",
+    "job.spec.nominal_share": "--nominal-share", "job.spec.longest": "--max-seconds",
+}  # fmt: skip
 
 
 def folder_of(target: Path) -> Path:
@@ -194,4 +199,7 @@ def _difference(existing: Any, wanted: Any, name: str = "") -> str:
     last = name.rpartition(".")[2]
     if last in _DIGESTS and existing and wanted:
         return f"another content of {_DIGESTS[last]} ({last})"
-    return f"{name or 'a manifest'} {json.dumps(existing)}, not {json.dumps(wanted)}"
+    if name in _OPTIONS and existing is None:
+        return f"no {_OPTIONS[name]}, not with {json.dumps(wanted)}"
+    said = "none" if wanted is None else json.dumps(wanted)
+    return f"{_OPTIONS.get(name, name) or 'a manifest'} {json.dumps(existing)}, not {said}"

@@ -51,6 +51,7 @@ class Replay:
     height: Float64[np.ndarray, "time tab"]  # m, tips above the height at which they count as past their lips
     how: str  # the origin of the motion, one sentence
     marks: tuple[str, ...] = parts.TABS  # names of what ``past`` and ``height`` are about
+    missing: tuple[str, ...] = ()  # names of tabs that have broken off
 
     @property
     def of_parts(self) -> bool:
@@ -119,7 +120,9 @@ def simulated(path: Path, recordings: Recordings, row: int) -> Replay:
     past, height = tab_states(scene, model, qpos)
     columns = slice(6 * scenario.arms.index(str(recordings.arm[row])), None)
     how = _difference(run.wrench[0, : run.length[0], columns][:, :6], recordings, row)
-    return Replay(model, qpos, recordings.dt, past, height, how, _names(scenario, scene))
+    gone = np.flatnonzero(params.parts.missing) if scenario.recorded else ()
+    missing = tuple(parts.TABS[tab] for tab in gone)
+    return Replay(model, qpos, recordings.dt, past, height, how, _names(scenario, scene), missing)
 
 
 def _names(scenario: Scenario, scene: Scene) -> tuple[str, ...]:

@@ -91,6 +91,7 @@ def test_axes_that_change_together_share_a_sentence() -> None:
         (1.0, "Fz rises 132 N in 0.3 s, My falls 0.4 Nm in 0.15 s"),
         (1.2, "Fx rises 2 in 0.1 s"),
     ]
+    assert sentences([Change("Fz", 1.0, 1.3, 2.5e30)], {"Fz": "N"}) == [(1.0, "Fz rises 2.5e+30 N in 0.3 s")]
 
 
 def test_a_recording_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -389,3 +389,6 @@ def test_simulation_becomes_columns(tmp_path: Path) -> None:
     assert found["pose[1]"].tolist() == [1.0, 3.0, 5.0]
     assert found["fault"].tolist() == ["none", "", "é"]
     assert AXES[0] not in found
+    export(load(path), tmp_path / "mcap", "mcap")
+    assert (tmp_path / "mcap/simulation.csv").is_file()
+    assert "`simulation.csv`" in (tmp_path / "mcap/README.md").read_text()

@@ -45,6 +45,20 @@ def test_checksums_are_those_of_other_programs(recording: Path) -> None:
     assert all(struct.unpack("<QQI", raw[-28:-8]))  # the checksum of the index among them
 
 
+def test_a_file_says_its_own_name_and_is_the_same_each_time(tmp_path: Path) -> None:
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        folder.mkdir()
+        with McapWriter(folder / "run.mcap") as out:
+            out.wrench(0.0, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+        assert [path.name for path in folder.iterdir()] == ["run.mcap"]
+    one, other = ((tmp_path / name / "run.mcap").read_bytes() for name in "ab")
+    assert one == other
+    with (tmp_path / "a/run.mcap").open("rb") as file:
+        [record] = make_reader(file).iter_metadata()
+    assert "relative_file_paths:\n- run.mcap\n" in record.metadata["serialized_metadata"]
+    assert "partial" not in record.metadata["serialized_metadata"]
+
+
 def flip(raw: bytearray, rng: random.Random) -> None:
     raw[rng.randrange(9, len(raw))] ^= 1 << rng.randrange(8)
 

@@ -155,7 +155,7 @@ def test_title_and_legends(recordings: Recordings, tracks: LabelTracks) -> None:
     figure = trial_figure(recordings, tracks, 2, window=20)
     assert figure.get_suptitle().split("\n") == [
         "t1   ·   BAD",
-        "session A, failure (+x-r), right arm, window 20 samples (100 ms)",
+        "session A, failure (failure type: +x-r), right arm, window 20 samples (100 ms)",
     ]
     legends = {legend.get_gid(): [text.get_text().split()[0] for text in legend.texts] for legend in figure.legends}
     for layer in LAYERS:
@@ -194,14 +194,14 @@ def test_map_colors_are_those_of_the_labels(recordings: Recordings, tracks: Labe
 def test_map_separates_sessions(recordings: Recordings, tracks: LabelTracks) -> None:
     ax = label_map(recordings, tracks, "llb").axes[0]
     assert [line.get_ydata()[0] for line in ax.lines] == [0.5]
-    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A failure, 1", "B success, 2"]
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A, failure (1)", "B, success (2)"]
 
 
 def test_map_sorts_rows_by_session_and_outcome(recordings: Recordings, tracks: LabelTracks) -> None:
     same = np.array(["A"] * 3)
     mixed = replace(recordings, session=same, source=same, outcome=np.array(["success", "failure", "success"]))
     ax = label_map(mixed, tracks, "llb").axes[0]
-    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A failure, 1", "A success, 2"]
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A, failure (1)", "A, success (2)"]
 
 
 def test_map_by_state_holds_time_within_states(recordings: Recordings, tracks: LabelTracks) -> None:

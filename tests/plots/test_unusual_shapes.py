@@ -79,3 +79,26 @@ def test_a_contact_is_seen_in_a_long_recording() -> None:
     near = pixels[round(pixels.shape[0] - y), round(x) - 2 : round(x) + 3]
     fixed, contact = (np.array(to_rgb(COLORS["llb"][code - 1])) for code in (LLB.FX, LLB.CT))
     assert np.abs(near - contact).sum(-1).min() < 0.6 * np.abs(fixed - contact).sum()
+
+
+def test_long_names_and_texts_stay_in_their_places() -> None:
+    names = [f"joint_{number}_torque_estimate_of_the_left_arm_in_its_own_frame" for number in range(3)]
+    told = "a very long comment about what the operator saw during the trial, and why it was repeated " * 3
+    recordings = Recordings.from_arrays(
+        np.zeros((1, 400, 3)), 200.0, axes=names, units=["Nm"] * 3, trial=["long " * 50], comment=[told], note=[told]
+    )
+    for tracks in (None, words(3, [(1, 0, 400)])):
+        figure = trial_figure(recordings, tracks, 0)
+        labels = [ax.yaxis.label for ax in figure.axes if ax.get_ylabel()]
+        title = [text for text in figure.findobj(Text) if text.get_text() == figure.get_suptitle()]
+        assert len(labels) == 3
+        assert not overlapping(figure, [*labels, *title, *figure.legends[-1].get_texts()])
+        boxes = [text.get_window_extent() for text in [*labels, *title]]
+        assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes), boxes
+
+
+def test_one_sample_and_a_constant_are_seen() -> None:
+    figure = trial_figure(Recordings.from_arrays(np.full((1, 1, 1), 1e30), 200.0, axes=["Fz"], units=["N"]), None, 0)
+    (ax,) = figure.axes
+    assert ax.get_lines()[0].get_marker() == "o"
+    assert ax.get_ylim() == pytest.approx((0.95e30, 1.05e30))

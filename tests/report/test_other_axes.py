@@ -62,5 +62,26 @@ def test_a_signal_in_large_units_fills_its_panel(tmp_path: Path) -> None:
             "drawSignal(pen, 800, 0, 0, 100); return [ys, texts];"
         )
     assert (min(ys), max(ys)) == pytest.approx((4.0, 96.0), abs=0.1)
-    assert np.float64(texts[1:]) == pytest.approx([force.max(), force.min()], rel=0.1)
+    assert (texts[0], texts[3]) == ("Fz", "kN")
+    assert np.float64(texts[1:3]) == pytest.approx([force.max(), force.min()], rel=0.1)
     assert max(map(len, texts)) <= 8
+
+
+@pytest.mark.parametrize(("force", "mean"), [([[7.0]], 7.0), ([[1e30]] * 400, 1e30)])
+def test_one_sample_and_a_huge_constant_are_drawn(force: list[list[float]], mean: float, tmp_path: Path) -> None:
+    store, page = tmp_path / "s.zarr", tmp_path / "s.html"
+    write_recordings(store, Recordings.from_arrays(np.array([force]), 200.0, axes=["Fz"], units=["N"]), {})
+    assert main(["report", str(store), "-o", str(page)]) == 0
+    with browser(1280, 900) as driver:
+        driver.get(page.as_uri())
+        driver.implicitly_wait(5)
+        assert driver.find_element("css selector", "#plot[aria-label^='trial-0']")
+        ys, texts, dots = driver.execute_script(
+            "const ys = [], texts = [], dots = [], own = { lineTo: (x, y) => ys.push(y), arc: (x, y) => dots.push(y),"
+            "fillText: text => texts.push(text) }; view.trial.words[0][0] = [];"
+            "const pen = new Proxy(own, { get: (own, key) => own[key] ?? (() => 0) });"
+            "drawSignal(pen, 800, 0, 0, 100); return [ys, texts, dots];"
+        )
+    assert ys == pytest.approx([50.0] * len(force))  # in the middle of the panel
+    assert dots == pytest.approx([50.0] if len(force) == 1 else [])
+    assert np.float64(texts[1:3]) == pytest.approx([1.05 * mean, 0.95 * mean], rel=0.01)

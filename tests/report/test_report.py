@@ -197,6 +197,15 @@ def test_page_fetches_nothing_and_survives_any_name(report: Path) -> None:
     assert [trial["trial"] for trial in facts["trials"]] == ["one", "two", NASTY, "four"]
 
 
+def test_a_page_names_the_fault_that_a_trial_was_given(data: DataSet) -> None:
+    kinds = np.array(["none", "jamming", "pose", "wedging"])
+    given = dataclasses.replace(data, simulation=lambda: iter([{"fault": kinds[:3]}, {"fault": kinds[3:]}]))
+    for one, expected in ((given, "success (fault: jamming)"), (data, "success")):
+        text = page(one, Options(trials=("two",)))
+        [trial] = json.loads(re.search(r'id="facts">(.*?)</script>', text, re.S)[1])["trials"]
+        assert trial["facts"] == expected
+
+
 def test_links_of_a_page_lead_somewhere(data: DataSet, report: Path) -> None:
     for text, links in ((page(data), 2), (report.read_text(), 3)):
         nav = re.search(r"<nav.*?</nav>", text)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 import rcbht_jax
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
@@ -101,7 +102,8 @@ def confounds(data: DataSet) -> Sequence[str]:
         with suppress(InputError):  # the data has no two classes of this task
             items = labelled_intervals(recordings, task)
             sentences += [f"Task {task.task}: {sentence}" for sentence in learning.confounds(items)]
-            sentences += [f"Task {task.task}: {count} trials left out: {why}." for why, count in items.dropped.items()]
+            left = ((plural(count, "trial"), why) for why, count in items.dropped.items())
+            sentences += [f"Task {task.task}: {trials} left out: {why}." for trials, why in left]
     if copies := learning.copies(data.digests):
         sentences.append(copies)
     return sentences or ["None was detected; that does not mean that there is none."]

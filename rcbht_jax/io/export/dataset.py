@@ -21,16 +21,14 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_store
 from rcbht_jax.io.label_parts import taken
 from rcbht_jax.io.label_store import choose_name, list_tracks, read_tracks_attrs
+from rcbht_jax.io.simulation import simulation_batches
 from rcbht_jax.io.store import (
-    SIMULATION,
     longest_of,
-    open_store,
     read_attrs,
     read_batches,
     read_digests,
     read_rows,
     read_sample,
-    read_simulation_batches,
     read_table,
 )
 from rcbht_jax.labels import LAYERS
@@ -123,7 +121,7 @@ def load(
     return DataSet(
         read_table(store), lambda: _blocks(store, labels), rows, read_digests(store), longest_of(store),
         labels.name, labels.attrs, read_attrs(store),
-        lambda: read_simulation_batches(store) if SIMULATION in open_store(store) else iter(()),
+        lambda: simulation_batches(store),
     )  # fmt: skip
 
 

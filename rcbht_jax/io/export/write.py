@@ -199,6 +199,7 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
         "`/events` (starts of annotated intervals);\n"
         "* `trials.csv`: one row per recording: names, outcome, further columns;\n"
         "* `annotations.csv`: one row per annotated interval, where there are some;\n"
+        "* `simulation.csv`: parameters and ground truth of the simulation, where the trials were simulated;\n"
         "* `dataset.json`: sampling period, columns with units, alphabets, provenance."
     )
     write_card(data, folder, layout)

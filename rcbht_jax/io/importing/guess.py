@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.signals import TIMES
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
@@ -87,7 +88,7 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
     bases |= {base: name for name, (base, _) in reversed(parsed.items())}
     # Where several columns could be it, the order of the list decides.
-    for candidate in (bases[base] for base in names.TIMES if base in bases):
+    for candidate in (bases[base] for base in TIMES if base in bases):
         base, unit = parsed[candidate]
         rest = next((bases[name] for name in names.NANOSECONDS if name in bases), "") if base.startswith("sec") else ""
         values = table.columns[candidate]
@@ -187,7 +188,7 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         values, base = table.columns[name], names.base_and_unit(name)[0]
         short = re.split(r"[./]", base)[-1]
         text = values.dtype.kind == "U"
-        stamps = text and ((base in names.TIMES and _dates(values)) or _clock(values))  # that --source-rate replaces
+        stamps = text and ((base in TIMES and _dates(values)) or _clock(values))  # that --source-rate replaces
         if (
             (base in names.COUNTERS and not text)
             or stamps
@@ -261,8 +262,9 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     if found:
         best = max(found, key=len)
         return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in best.items())
-    other = {*names.COUNTERS, *names.GROUPS, *names.TIMES, *names.NANOSECONDS}
+    other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {names.base_and_unit(name)[0], names.group_base(name)}]
+    rest = [name for name in rest if np.isfinite(table.columns[name]).any()]  # an empty column is none
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:

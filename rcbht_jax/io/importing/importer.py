@@ -92,7 +92,9 @@ def read_source(
         raise InputError(f"{source} holds no usable recording.{reason}")
     recordings = assemble(found, source, base.rate, report)
     first, rows = used[found[0].name]
-    report.understood = [asdict(row) for row in rows]
+    taken = {row.column: row for _, others in used.values() for row in others if row.role != "left out"}
+    # a column may be empty in the first file, and state something in others
+    report.understood = [asdict(taken.get(row.column, row) if row.role == "left out" else row) for row in rows]
     report.content_sha256 = _digest(source, items)
     return Imported(recordings, first, report)
 

@@ -14,10 +14,6 @@ UNITS = {
     "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "nsec": "ns",
     "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
 }  # fmt: skip
-TIMES = (
-    "time", "t", "stamp", "timestamp", "times", "timestamps", "secs", "sec", "seconds", "elapsed", "%time", "clock",
-    "header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt",
-)  # fmt: skip
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanoseconds")
 COUNTERS = (
     "index", "sample", "samples", "frame", "frame_index", "step", "row", "seq", "header.seq", "unnamed: 0",

@@ -98,3 +98,12 @@ def test_the_column_of_the_outcome_may_have_any_name(tmp_path: Path, name: str, 
     store = tmp_path / "x.zarr"
     assert main(["import", "csv", str(tmp_path / "runs"), str(store), "--outcome", name]) == 0
     assert read_recordings(store).outcome.tolist() == sorted(["success", "failure"], key=lambda word: word != true)
+
+
+def test_a_column_that_is_empty_in_the_first_file_is_not_said_to_be_left_out(tmp_path: Path) -> None:
+    for number, operator in enumerate(("", "Ann", "Bob")):
+        write(tmp_path / f"{number}.csv", noise(number), operator=operator, remark="")
+    imported = read_source(tmp_path)
+    assert imported.recordings.columns["operator"].tolist() == ["", "Ann", "Bob"]
+    roles = {row["column"]: row["role"] for row in imported.report.understood}
+    assert (roles["operator"], roles["remark"]) == ("column operator", "left out")

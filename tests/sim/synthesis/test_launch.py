@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -195,6 +196,51 @@ def test_an_array_of_jobs_makes_the_same_bytes(
     for wrong in ("a=b", "timeout_min=soon"):
         assert main(["simulate", str(tmp_path / "u.zarr"), *SHORT, "--launch", "slurm", "--launch-options", wrong]) == 2
         assert "Slurm's options are wrong" in capsys.readouterr().err
+        assert os.listdir(tmp_path) == ["t.zarr"]
+
+
+def test_a_slurm_that_takes_no_jobs_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of an executor that fails as submitit's does: it leaves the pickled work behind."""
+
+    class Executor:
+        cluster = "slurm"
+
+        def __init__(self, folder: Path) -> None:
+            self._folder = folder
+            folder.mkdir(exist_ok=True)
+
+        def update_parameters(self, **_: object) -> None:
+            pass
+
+        def map_array(self, *_: object) -> None:
+            (self._folder / "work.pkl").touch()
+            raise RuntimeError("sbatch: error: invalid partition specified: nope")
+
+    monkeypatch.setitem(sys.modules, "submitit", SimpleNamespace(AutoExecutor=Executor))
+    target = tmp_path / "t.zarr"
+    words = ["simulate", str(target), *SHORT, "--launch", "slurm", "--launch-options", "slurm_partition=nope"]
+    assert main(words) == 2
+    expected = "rcbht: Slurm takes no jobs: sbatch: error: invalid partition specified: nope."
+    assert capsys.readouterr().err.splitlines() == [expected]
+    assert os.listdir(tmp_path) == ["t.zarr.work"]  # where the same command goes on
+    logs = tmp_path / "t.zarr.jobs"
+    logs.mkdir()
+    (logs / "earlier.log").touch()
+    assert main(words) == 2
+    assert (logs / "earlier.log").exists()
+
+
+@pytest.mark.parametrize("launch", ["ray", "slurm"])
+def test_a_missing_package_is_said_before_anything_is_begun(
+    launch: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.setitem(sys.modules, "submitit", None)
+    assert main(["simulate", str(tmp_path / "t.zarr"), *SHORT, "--launch", launch]) == 2
+    assert f'is not installed: pip install "rcbht-jax[{launch}]"' in capsys.readouterr().err
+    assert os.listdir(tmp_path) == []
 
 
 def test_options_of_jobs_are_numbers_where_they_are_decimal() -> None:

@@ -105,10 +105,12 @@ def interrupted(target: Path, job: SynthesisConfig, after: int = 1) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"seed": 6}, "job.seed 5, not 6"),
-        ({"trials": 13}, "job.trials 12, not 13"),
-        ({"preset": "A"}, 'job.preset "B", not "A"'),
-        ({"shard": 6}, "job.shard 5, not 6"),
+        ({"seed": 6}, r"begun with --seed 5, not 6\."),
+        ({"trials": 13}, "--trials 12, not 13"),
+        ({"preset": "A"}, 'the preset or assembly "B", not "A"'),
+        ({"shard": 6}, "--shard 5, not 6"),
+        ({"spec": replace(SMALL.spec, longest=0.2)}, r"begun with no --max-seconds, not with 0\.2"),
+        ({"window": 5}, r"begun with no --window, not with 5\."),
         ({"spec": DomainRandomization(friction=(0.5, 1.0))}, "job.spec.friction"),
     ],
 )

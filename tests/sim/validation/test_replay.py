@@ -96,12 +96,18 @@ def test_pictures_and_films_are_written_whole(
     figures: list[Any] = []
     monkeypatch.setattr(animation, "new_figure", lambda *size: figures.append(new_figure(*size)) or figures[-1])
     assert main.main(["view", str(simulated), TRIAL, "-o", str(gif), "--speed", "20"]) == 0
-    assert "tabs past their lips" in figures[0].get_suptitle()  # as in a picture
+    assert "SIM_MJX_C, success (fault: none); tabs past their lips" in figures[0].get_suptitle()  # as in a picture
     end = (read_recordings(simulated).length[1] - 1) * 0.005
     assert figures[0].axes[-1].lines[-1].get_xdata() == [end, end]  # the last picture
     with Image.open(gif) as film:
         assert film.n_frames == np.ceil(end / 20 * 10) + 1  # at twenty times the speed, ten pictures a second
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "a.png"]
+
+
+def test_a_plotted_trial_names_its_fault(simulated: Path, tmp_path: Path) -> None:
+    out = tmp_path / "t.svg"
+    assert main.main(["plot", "trial", str(simulated), TRIAL, "-o", str(out)]) == 0
+    assert "success (fault: none), right arm" in out.read_text()  # texts are paths, and comments
 
 
 @pytest.mark.usefixtures("at_once")

@@ -1,0 +1,44 @@
+"""``rcbht plot trial`` of a store without labels: the wrench and the boundaries, and the command that makes labels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.cli import main
+from rcbht_jax.io.store import write_recordings
+from rcbht_jax.labels import AXES
+from rcbht_jax.plots import trial_figure
+from rcbht_jax.types import Recordings
+
+
+@pytest.fixture
+def recordings() -> Recordings:
+    wrench = np.random.default_rng(0).normal(size=(2, 400, 6)).cumsum(1)
+    marks = [(0, "phase", "free", 0.0, 1.0), (0, "phase", "touch", 1.0, 2.0)]
+    return Recordings.from_arrays(wrench, 200.0, trial=["one", "two"], annotations=marks)
+
+
+def test_its_picture_is_the_wrench_with_boundaries(recordings: Recordings) -> None:
+    figure = trial_figure(recordings, None, 0)
+    assert [ax.get_gid() for ax in figure.axes] == [f"signal-{axis}" for axis in AXES]
+    assert all(len(ax.collections) == 0 for ax in figure.axes)  # no lines, no bands
+    assert [text.get_text() for text in figure.axes[0].texts] == ["free", "touch"]
+    assert [text.get_text() for text in figure.legends[0].texts] == ["wrench", "start of a state"]
+    assert figure.axes[-1].get_xlabel() == "time, s"
+
+
+def test_the_command_says_what_makes_labels(
+    recordings: Recordings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare, out = tmp_path / "bare.zarr", tmp_path / "x.png"
+    write_recordings(bare, recordings, {})
+    assert main.main(["plot", "trial", str(bare), "two", "-o", str(out)]) == 0
+    assert f'arm R, no labels; make them with "rcbht encode {bare}"\n' in capsys.readouterr().out
+    assert out.is_file()
+    assert main.main(["plot", "trial", str(bare), "two", "-o", str(out), "--json"]) == 0
+    assert '"tracks": null' in capsys.readouterr().out
+    assert main.main(["plot", "trial", str(bare), "two", "-o", str(out), "--tracks", "W20"]) == 2
+    assert "has no label tracks; run" in capsys.readouterr().err
