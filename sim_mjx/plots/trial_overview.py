@@ -39,9 +39,9 @@ def trial_overview(
     """The figure of one trial.
 
     Args:
-        replay: how it moved. recordings: its store. tracks: its labels. row: of the trial in both.
-        moments: what to show, name -> s, in order.
-        words: what they are, for the title.
+        replay: the motion. recordings: the trial's data set. tracks: its labels. row: of the trial in both.
+        moments: to show, name -> s, in order.
+        words: description of the labels, for the title.
     """
     figure = new_figure(INCHES, DPI)
     frames = choose(moments)
@@ -220,7 +220,7 @@ def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> Non
 
 
 def headline(replay: Replay, recordings: Recordings, row: int) -> str:
-    """What is known of a replayed trial, on one line."""
+    """Name and outcome of a replayed trial, with its fault or its passed tabs, on one line."""
     if replay.of_parts:
         facts = f"{recordings.outcome[row]}; fault: {recordings.column('fault')[row]}"
         return f"{recordings.trial[row]}   ·   {facts}"
