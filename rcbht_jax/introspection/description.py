@@ -301,7 +301,7 @@ def _snaps(
     columns = snaps.columns(recordings.axes, recordings.dt)
     events = snaps.push(wrench[:, columns], (len(wrench) - 1) * recordings.dt)
     sentences = []
-    for event in {(event.axis, event.seen): event for event in events}.values():  # the last that is said of each
+    for event in {(event.axis, event.seen): event for event in events}.values():  # the latest event of each snap
         unit = recordings.units[recordings.axes.index(event.axis)]
         end = "" if event.published is None else f", published at {event.published:.2f} s"
         force, load = (f"{_number(abs(size))}{unit and f' {unit}'}" for size in (event.fall, event.release))
