@@ -1,4 +1,4 @@
-"""What recordings must fulfil to be stored."""
+"""Checks of recordings before they are stored."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
 
 
 def check_padding(padded: int, longest: int) -> None:
-    """Refuse recordings that are padded to far more samples than the longest has: a store only declares them.
+    """Raise an error for recordings padded to far more samples than the longest has: a store only declares padding.
 
     Raises:
-        InputError: says how many there may be.
+        InputError: there are too many padded samples.
     """
     most = min(MAX_VALUES, max(MAX_PADDED, MAX_RATIO * longest))
     if padded > most:

@@ -273,7 +273,7 @@ def test_counts_of_another_version_are_not_compared(path: Path, monkeypatch: pyt
     monkeypatch.setattr(store_reader, "summary_of", lambda recordings: {"other": 1})
     store.verify(path)
     counts[0] = json.dumps({"counting": COUNTING + 1, **first})
-    with pytest.raises(InputError, match="what is counted in part 0"):
+    with pytest.raises(InputError, match="the summary of part 0"):
         store.verify(path)
 
 
