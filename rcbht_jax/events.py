@@ -50,7 +50,7 @@ class SubtaskStarted(Event):
 
     begin: int  # sample
     detected: bool
-    label: str = ""  # its name; "" = nobody has said it
+    label: str = ""  # its name; "" = not known
 
 
 @dataclass(frozen=True)

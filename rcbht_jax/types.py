@@ -1,6 +1,6 @@
 """Frozen pytree dataclasses that all packages share; each field states its shape and unit.
 
-Axes are usually Fx Fy Fz Mx My Mz, forces in N, moments in Nm, times in seconds unless a field says samples.
+Axes are usually Fx Fy Fz Mx My Mz, forces in N, moments in Nm, times in seconds unless a field states samples.
 Padding is stated per class. Shapes are checked under pytest, by jaxtyping.
 """
 
@@ -37,7 +37,7 @@ class Segment:
 
     Sums are kept instead of means so that merging only adds: no product feeds an addition, hence no
     compiler may contract one into a fused multiply-add, hence streaming and batch agree bit for bit.
-    An empty slot has label 0; its other fields mean nothing.
+    An empty slot has label 0; its other fields are undefined.
     """
 
     label: Int[Array, "*lanes"]  # int32, code of rcbht_jax.labels

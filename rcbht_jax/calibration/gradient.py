@@ -53,7 +53,10 @@ class GradientOptions:
 
     def __post_init__(self) -> None:
         if self.steps < 1 or self.batch < 0 or min(self.temperature) <= 0 or min(self.rate, self.rate_weights) <= 0:
-            raise InputError("Training needs steps, positive temperatures and positive rates.")
+            raise InputError(
+                f"Training has steps {self.steps}, batch {self.batch}, temperature {self.temperature}, rate "
+                f"{self.rate} and rate_weights {self.rate_weights}; expected positive numbers, of batch also 0."
+            )
         if self.loss not in ("logistic", "hinge", "fit"):
             raise InputError(f"The loss {self.loss!r} is not known; expected logistic, hinge or fit.")
 

@@ -126,7 +126,8 @@ def _checked(
             f"There are {length.size} lengths for {wrench.shape[0]} recordings; expected as many, at least one."
         )
     if length.min() < 0 or length.max() > wrench.shape[1]:
-        raise InputError(f"A length is outside 0 ... {wrench.shape[1]} samples.")
+        wrong = int(length.min()) if length.min() < 0 else int(length.max())
+        raise InputError(f"A length is {wrong}; expected 0 to {wrench.shape[1]} samples.")
     for index, samples in enumerate(length):
         if not usable(wrench[index, :samples]):
             raise InputError(

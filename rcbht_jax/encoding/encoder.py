@@ -68,7 +68,8 @@ class EncoderConfig:
         make_plain(self)
         check_choices(self.window, self.dt, latency_cap=self.latency_cap, noise_below=self.noise_below)
         if self.pipe not in ("two-slot", "one-slot") or self.rule not in ("paper", "similar"):
-            raise InputError(f"Pipe {self.pipe!r} with rule {self.rule!r} is not known; see EncoderConfig.")
+            expected = "expected 'two-slot' or 'one-slot', and 'paper' or 'similar'"
+            raise InputError(f"The pipe is {self.pipe!r} and the rule {self.rule!r}; {expected}.")
 
     @property
     def short(self) -> int:

@@ -3,7 +3,7 @@
 After each window the hard rule breaks its run where the saving exceeds ``tolerance^2 * needed``. Here it breaks with
 the probability ``sigmoid(log(sqrt(saving / needed) / tolerance) / temperature)``, at the same place. A run is known by
 its first sample alone, whatever happened before, so what is known of the present run is a distribution over its first
-samples: candidates with weights, as many as ``init`` is asked for. Where a candidate breaks, its weight divides between
+samples: candidates with weights, as many as ``init`` makes. Where a candidate breaks, its weight divides between
 the old and the new first sample; equal first samples join; the lightest leave. A run that ends speaks for its samples
 with its weight and a soft label.
 

@@ -244,7 +244,7 @@ def check_rows(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path | str, 
     """Refuse limits ``[axis, 4]`` of a file that are of another shape or out of order.
 
     Raises:
-        InputError: says which, with the name of the file.
+        InputError: the file is missing or wrong; the message names it.
     """
     if limits.shape != (len(axes), len(LIMITS)):
         raise InputError(f"Thresholds for {path} have shape {limits.shape}; expected [{len(axes)}, 4].")

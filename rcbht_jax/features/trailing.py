@@ -94,7 +94,7 @@ def with_norms(wrench: Signal, units: Sequence[str]) -> Table:
 
 
 def latest_words(track: LabelTrack, times: Int[np.ndarray, " moment"]) -> Float[np.ndarray, "moment column"]:
-    """What the newest published word of each axis says at each moment: label, change of value, length and age.
+    """The newest published word of each axis at each moment: label, change of value, length and age.
 
     A word counts from the sample of its publication, so that nothing is known before its time. Zeros before the first.
 

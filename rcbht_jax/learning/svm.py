@@ -79,7 +79,7 @@ class Grid:
             if not getattr(self, name):
                 raise InputError(f"There are no {name} to choose from; give at least one.")
         if list(self.costs) != sorted(set(self.costs)):
-            raise InputError(f"The costs {self.costs} do not increase.")
+            raise InputError(f"The costs are {self.costs}; expected increasing ones.")
 
     def paths(self, candidates: Sequence[str]) -> list[SvmSpec]:
         """Every choice but the cost, which is set to the smallest."""

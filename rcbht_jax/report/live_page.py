@@ -229,9 +229,9 @@ class _Handler(BaseHTTPRequestHandler):
         path = self.path.split("?", 1)[0]
         # A page elsewhere must not read this one under a name of its own (DNS rebinding).
         if self.server.local and _host(self.headers.get("Host", "")) not in self.server.names:
-            self.send_error(403, "Only this machine may look")
+            self.send_error(403, "Only viewers on this machine are admitted")
         elif path != "/" and self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none"):
-            self.send_error(403, "Pages of others may not look")  # nor take the places of viewers
+            self.send_error(403, "Requests from other pages are refused")  # nor take the places of viewers
         elif path == "/":
             self._send(self.server.document, "text/html; charset=utf-8", body)
         elif path == "/description":
@@ -304,7 +304,7 @@ class PageServer(ThreadingHTTPServer):
 
     Args:
         session: whose frames are shown; None = to be told by :meth:`show`.
-        host: address to bind; anything but loopback lets others look.
+        host: address to bind; anything but loopback admits viewers on other machines.
         port: 0 = any free one, see :attr:`url`.
 
     Raises:
@@ -336,7 +336,7 @@ class PageServer(ThreadingHTTPServer):
 
     def show(self, session: Session) -> None:
         """Tell viewers what the frames of a session mean."""
-        # The name tells a viewer that comes back whether it still is the same stream.
+        # By the name a viewer that reconnects recognises whether it is still the same stream.
         self.about = {"stream": secrets.token_hex(8), **description(session)}
         self.broadcast.tell("about", self.about)
 
@@ -373,7 +373,7 @@ class PageServer(ThreadingHTTPServer):
             self._unasked.pop(request, None)
 
     def service_actions(self) -> None:
-        """End connections whose request takes too long: the serving thread looks every tenth of a second."""
+        """End connections whose request takes too long: the serving thread checks every tenth of a second."""
         while self._dropped(IDLE):
             pass
 
