@@ -57,7 +57,7 @@ GRID = Grid(kernels=("linear",), costs=(0.01, 0.1, 1.0), scalings=(True,))
 
 @dataclass
 class Run:
-    """What the parts hand on."""
+    """The data that the parts pass on."""
 
     given: argparse.Namespace
     result: dict[str, Any]
@@ -76,14 +76,14 @@ def _rows(data: CalibrationData, span: slice) -> CalibrationData:
 
 
 def seconds_of(work: Callable[[], Any]) -> tuple[Any, float]:
-    """What it makes, and how long that took on the device."""
+    """The result of the work, and its duration on the device, s."""
     start = time.perf_counter()
     made = jax.block_until_ready(work())
     return made, round(time.perf_counter() - start, 2)
 
 
 def unseen(work: Callable[[], Any], direction: Any) -> tuple[Any, str]:
-    """Run under a guard that forbids implicit copies; where it strikes, once more without it, and say so."""
+    """Run under a guard that forbids implicit copies; if it raises, run again without it, and report that."""
     try:
         with direction("disallow"):
             return work(), "none"
@@ -207,7 +207,7 @@ def trained(run: Run) -> dict[str, Any]:
 
 
 def stored(run: Run) -> dict[str, Any]:
-    """The completed trials with the labels of every method, as a store; context speaks here, from the host."""
+    """The completed trials with the labels of every method, as a store; the method context runs here, on the host."""
     start = time.perf_counter()
     run.recordings = _recordings(run.data, run.given.preset)
     copied = time.perf_counter() - start
@@ -254,7 +254,7 @@ def _recordings(data: CalibrationData, name: str) -> Recordings:
 
 
 def svm(run: Run) -> dict[str, Any]:
-    """Support vector machines on the words of each method, on as many trials as one can wait for."""
+    """Support vector machines on the words of each method, on as many trials as is affordable."""
     count = run.given.svm_trials
     some = np.r_[np.arange(run.training)[:count], np.arange(run.training, len(run.data))[:count]]
     recordings = run.recordings.take(some)
@@ -313,7 +313,7 @@ def main() -> None:
         start = time.perf_counter()
         try:
             run.result[name] = part(run)
-        except Exception:  # a rented machine: what the other parts can still do counts
+        except Exception:  # on a rented machine the other parts should still run
             run.result[name] = {"failed": traceback.format_exc()[-1500:]}
         run.result[name]["seconds of this part"] = round(time.perf_counter() - start, 1)
         write_result(name_of_result, f"python -m experiments.calibration.on_device {options}", run.result, seed=SEED)

@@ -41,7 +41,7 @@ Make = Callable[[str], validation.Estimator]
 
 
 class Experiment:
-    """The data sets, read once, and what makes each row."""
+    """The data sets, read once, and the functions that make each row."""
 
     def __init__(self, repeats: int, seed: int) -> None:
         self.repeats, self.seed = repeats, seed
@@ -136,7 +136,7 @@ class Experiment:
 
 
 class _aeon:
-    """The classifiers of aeon, wherever they are kept."""
+    """The classifiers of aeon by name, from two of its modules."""
 
     def __getattr__(self, name: str) -> Any:
         try:

@@ -56,7 +56,7 @@ FZ = 2
 class Gated(NamedTuple):
     """Whole trials on all placements, of one seed."""
 
-    measures: dict[str, float]  # what the gate says
+    measures: dict[str, float]  # of the gate
     last: list[float]  # when the last snap comes, s after mating began, of each trial that seated and has one
     colours: dict[str, tuple[int, int]]  # cells -> trials that seated, and of those with a snap as recorded
 
@@ -74,7 +74,7 @@ def changed(
 
 
 def candidates() -> dict[str, SessionPreset]:
-    """What the gate is asked about, with the physics step of the preset; and once with twice that."""
+    """The presets that are measured by the gate, with the physics step of the preset, and once with twice that."""
     return {
         "the preset": changed(),
         TWICE: changed(),
@@ -105,7 +105,7 @@ def last_snaps(found: dict[int, list[snaps.Snap]], mating: NDArray[np.float64]) 
 
 
 def by_colour(found: dict[int, list[snaps.Snap]], cells: tuple[tuple[int, int], ...]) -> dict[str, tuple[int, int]]:
-    """Of the cells that the fit saw, and of the others: trials that seated, and those with a snap as recorded."""
+    """For the cells used by the fit, and for the others: trials that seated, and those with a snap as recorded."""
     out = {}
     for colour, seen in (("white", True), ("black", False)):
         each = [trial for at, trial in found.items() if (cells[at] in SEEN) is seen]
