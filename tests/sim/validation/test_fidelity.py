@@ -278,7 +278,7 @@ def test_the_fit_lowers_the_loss_and_writes_parameters(
         (["--parameters", "parts.colour"], "no physical parameter"),
         (["--parameters", "parts.position[0]"], "has no default range"),
         (["--bound", "parts.roll=0:1"], "not fitted"),
-        (["--bound", "parts.friction"], "not NAME=VALUE"),
+        (["--bound", "parts.friction"], "has no =; expected NAME=VALUE"),
         (["--fixed", "parts.friction=much"], "not a number"),
     ):
         assert main.main([*words, *wrong]) == 2
