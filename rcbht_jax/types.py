@@ -224,7 +224,7 @@ def padded(parts: Sequence[NDArray[np.floating]]) -> tuple[NDArray[np.floating],
 
 
 def axis_names(count: int) -> tuple[str, ...]:
-    """Names of axes that nobody named: those of a wrench if there are six, else axis0, axis1, ..."""
+    """Default names of axes: those of a wrench if there are six, else axis0, axis1, ..."""
     return labels.AXES if count == len(labels.AXES) else tuple(f"axis{number}" for number in range(count))
 
 
@@ -374,8 +374,8 @@ class Recordings:
         periods = sorted({part.dt for part in parts})
         if len(periods) != 1:
             raise InputError(f"data sets to be joined need one sampling period, these have {periods or 'none'}.")
-        if len({(part.axes, part.units) for part in parts}) > 1:
-            raise InputError("data sets to be joined need the same axes in the same units.")
+        if len(axes := {(part.axes, part.units) for part in parts}) > 1:
+            raise InputError(f"data sets to be joined need the same axes in the same units, these have {sorted(axes)}.")
         longest = max(part.wrench.shape[1] for part in parts)
         wide = [np.pad(part.wrench, ((0, 0), (0, longest - part.wrench.shape[1]), (0, 0))) for part in parts]
         texts: dict[str, Any] = {

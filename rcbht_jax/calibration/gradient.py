@@ -163,8 +163,9 @@ def calibrate(
     """
     checked_limits(config, start)
     free = np.asarray(_free(start), np.float32)
-    if not np.isfinite(free).all():
-        raise InputError("Training starts from strictly ordered thresholds; two of the given limits are equal.")
+    if (wrong := ~np.isfinite(free).all(1)).any():
+        equal = np.asarray(gradients_of(start))[wrong][0].tolist()
+        raise InputError(f"Training starts from strictly ordered thresholds; those of an axis are {equal}.")
     parameters = _first(free, len(data.classes), options)
     # static arguments of a compiled step: the other options may change without compiling it again
     fixed = replace(options, steps=1, temperature=(1.0, 1.0), batch=min(options.batch, 1), seed=0)

@@ -268,7 +268,7 @@ def begin_encoding(
     wrench: Float[Array, "recording time axis"],
     length: Int[Array, " recording"],
 ) -> Callable[[], LabelTracks]:
-    """:func:`encode_on_device` in two halves: this one asks for the labels, what it returns waits for them.
+    """:func:`encode_on_device` in two halves: this one starts the encoding, the function it returns waits for labels.
 
     How many slots there are is known only when the device has encoded; meanwhile the caller can give it other work. All
     recordings are scanned at once.

@@ -3,8 +3,8 @@
 :func:`init`, :func:`step`, :func:`flush` and :func:`encode` are safe under ``jit``, ``vmap``, ``grad`` and ``scan``;
 the configuration is static. ``step`` has a fixed size and no loop; ``encode`` scans it. Lanes (axes, arms, trials)
 are trailing batch dimensions, so a window is ``[window, axis]``, and ``[window, trial, axis]`` works alike.
-Streaming and batch results are equal bit for bit: see :class:`rcbht_jax.types.Segment` for why. ``rcbht_jax.encode``
-and :class:`rcbht_jax.encoding.stream.Encoder` are these functions for people.
+Streaming and batch results are equal bit for bit: see :class:`rcbht_jax.types.Segment` for why. Their interfaces on
+host arrays are ``rcbht_jax.encode`` and :class:`rcbht_jax.encoding.stream.Encoder`.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ def _delayed(x: Signal, steps: int) -> Signal:
 
 
 def running_totals(signal: Signal) -> Table:
-    """Largest absolute value so far, and the path travelled so far: both grow with what has been done.
+    """Largest absolute value so far, and length of the path so far; neither ever decreases.
 
     >>> running_totals(np.array([[1.0], [-2.0], [0.0]])).tolist()
     [[1.0, 0.0], [2.0, 3.0], [2.0, 5.0]]

@@ -132,7 +132,8 @@ class IntrospectionModel:
         if len(self.axes) != len(limits):
             raise InputError(f"a model has {len(self.axes)} names of axes and limits of {len(limits)}.")
         if not self.heads or len({head.name for head in self.heads}) < len(self.heads):
-            raise InputError("a model for introspection needs at least one head, each of its own name.")
+            found = ", ".join(head.name for head in self.heads) or "none"
+            raise InputError(f"an introspection model has the heads {found}; expected one or more of different names.")
         for head in self.heads:
             count, trained = len(names(head.view.spec, len(limits))), head.machine.svm.center.size
             if trained != count:

@@ -359,7 +359,7 @@ def _series(
     if series.ndim != 2 or series.shape[1] < 1 or len(series) < least:
         raise InputError(f"A recording has the shape {series.shape}; expected [time, axis] with samples.")
     if not np.isfinite(series).all():
-        raise InputError("A recording holds values that are not finite.")
+        raise InputError("A recording holds values that are not finite numbers; remove or interpolate them.")
     return series, names
 
 

@@ -64,8 +64,9 @@ class SnapConfig:
         for name, value in (("within", self.within), ("hold", self.hold), ("apart", self.apart)):
             if not 0 < value < math.inf:
                 raise InputError(f"A snap's {name} is {value:g} s; expected a positive, finite time.")
-        if not all(0 <= share < math.inf for share in (self.share, self.turn, self.loaded)):
-            raise InputError("The shares of a snap's fall must be finite and not negative.")
+        for name, value in (("share", self.share), ("turn", self.turn), ("loaded", self.loaded)):
+            if not 0 <= value < math.inf:
+                raise InputError(f"A snap's {name} is {value:g}; expected a finite share of its fall, 0 or more.")
 
 
 class SnapSizes(NamedTuple):

@@ -40,7 +40,7 @@ _NO_DIGESTS = np.zeros((0, 32), np.uint8)  # older files
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """A classifier with everything a stream needs to be described the way the training data was."""
+    """A classifier, with everything that is needed to compute its features on a stream."""
 
     svm: SvmModel
     feature_spec: FeatureSpec

@@ -49,8 +49,11 @@ class ProgressCalibration:
         inside = np.isfinite(numbers).all() and numbers.min() >= 0 and self.planned > 0 and min(self.temperature) > 0
         fits = len(self.temperature) == len(self.share) > 0 and abs(sum(self.prior) - 1) < 1e-6
         if not (inside and fits and max(self.share) <= 1):
-            raise InputError("a calibration by progress has values out of range; it needs one temperature and share "
-                             "for each part, and frequencies that sum to one.")  # fmt: skip
+            raise InputError(
+                f"a calibration by progress has planned {self.planned}, temperature {self.temperature}, share "
+                f"{self.share} and prior {self.prior}; expected positive numbers, a share of 0 to 1 for each "
+                "temperature, and a prior that sums to one."
+            )
 
     @staticmethod
     def fit(

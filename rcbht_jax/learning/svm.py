@@ -48,7 +48,7 @@ class SvmSpec:
     gamma: str = "auto"  # "auto" = 1 / features, "scale" = 1 / (features x variance)
     balanced: bool = False  # weigh classes by the inverse of their frequency
     features: str = ""  # which candidate feature matrix; "" = the only one
-    floor: float = 0.0  # least deviation to divide by when scaling, so that a rare label does not shout
+    floor: float = 0.0  # least deviation to divide by when scaling, so that a rare label does not dominate
     ranks: bool = False  # scale by ranks among the training side instead of mean and deviation
 
     def __post_init__(self) -> None:

@@ -88,8 +88,8 @@ class UnlabelledIntervals:
 def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = False) -> UnlabelledIntervals:
     """The intervals that a trained model can classify: as :func:`labelled_intervals`, but without known classes.
 
-    Trials of unknown outcome pass the task's own choice of outcomes, and one that names "unknown", which no other
-    outcome that it names need be there for; a whole trial of unknown class stays in.
+    Trials of unknown outcome are included if ``spec.outcomes`` is None or names "unknown"; other outcomes that it then
+    names may be absent from the data set. A whole trial of unknown class is included.
 
     Args:
         recordings: the data set.
@@ -306,10 +306,10 @@ def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = Fa
     Args:
         recordings: the data set.
         spec: names them.
-        unknown: recordings of unknown outcome pass as well, and no outcome need be there.
+        unknown: recordings of unknown outcome are chosen as well, and outcomes of the task may be absent.
 
     Raises:
-        InputError: a filter names a source, session or outcome that the data set has not.
+        InputError: a filter names a source, session or outcome that does not occur in the data set.
     """
     filters: list[tuple[str, NDArray[np.str_], Sequence[str]]] = [
         ("source", recordings.source, spec.sources),

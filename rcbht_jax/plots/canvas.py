@@ -105,7 +105,7 @@ def check_suffix(path: Path, others: tuple[str, ...] = ()) -> str:
 
     Args:
         path: of the file.
-        others: suffixes that would do, too, but of no figure; named when it is refused.
+        others: suffixes that the caller also accepts, not of figures; the error message names them.
 
     >>> check_suffix(Path("trial.PNG"))
     '.png'

@@ -303,7 +303,7 @@ class PageServer(ThreadingHTTPServer):
     """Serves the page of one session in the background; a context manager.
 
     Args:
-        session: whose frames are shown; None = to be told by :meth:`show`.
+        session: whose frames are shown; None = set later by :meth:`show`.
         host: address to bind; anything but loopback admits viewers on other machines.
         port: 0 = any free one, see :attr:`url`.
 
@@ -354,7 +354,7 @@ class PageServer(ThreadingHTTPServer):
         self.server_close()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own; of too many, those that hold back their request go."""
+        """Answer in a new thread; of too many connections, the oldest that has sent no whole request is closed."""
         if not (self._free.acquire(blocking=False) or (self._dropped() and self._free.acquire(timeout=1.0))):
             self.shutdown_request(request)
             return
@@ -368,17 +368,17 @@ class PageServer(ThreadingHTTPServer):
             raise
 
     def asked(self, request: Any) -> None:
-        """A connection has sent a whole request, or ends."""
+        """Note that a connection has sent its whole request, or ended."""
         with self._lock:
             self._unasked.pop(request, None)
 
     def service_actions(self) -> None:
-        """End connections whose request takes too long: the serving thread checks every tenth of a second."""
+        """Close connections whose request takes too long: the serving thread checks every tenth of a second."""
         while self._dropped(IDLE):
             pass
 
     def _dropped(self, age: float = 0.0) -> bool:
-        """End the connection that has held back its request for the longest time, if for ``age`` s; whether it did."""
+        """Close the oldest connection without a whole request, if it has lasted ``age`` s; whether one was closed."""
         with self._lock:
             oldest, since = next(iter(self._unasked.items()), (None, 0.0))
             if oldest is None or monotonic() - since < age:

@@ -113,7 +113,7 @@ def check(search: Search) -> None:
         InputError: no parameters, an empty range, too small a population, or a start outside its range.
     """
     if not search.bounds:
-        raise InputError("A search needs at least one parameter.")
+        raise InputError("bounds is empty; expected those of at least one parameter.")
     if search.population < 4 or search.generations < 1 or not 0.0 < search.spread <= 1.0:
         raise InputError(
             f"population is {search.population}, generations {search.generations} and spread {search.spread}; expected "

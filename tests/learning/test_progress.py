@@ -77,7 +77,7 @@ def test_the_stream_says_the_same() -> None:
     ],
 )  # fmt: skip
 def test_impossible_numbers_are_refused(fields: tuple) -> None:
-    with pytest.raises(InputError, match="out of range"):
+    with pytest.raises(InputError, match="a prior that sums to one"):
         ProgressCalibration(*fields)
 
 

@@ -252,7 +252,8 @@ def check(mapping: Mapping) -> Mapping:
             several sources or none.
     """
     if len(set(mapping.axes)) < len(mapping.axes) or "" in mapping.axes:
-        raise InputError("two channels have one name, or one has none; give each its own.")
+        names = ", ".join(map(repr, mapping.axes))
+        raise InputError(f"two channels have one name, or one has none: {names}; give each its own.")
     if mapping.time_unit not in SECONDS:
         raise InputError(f"the unit of time is {mapping.time_unit!r}; expected one of {', '.join(SECONDS)}.")
     for rate in (mapping.rate, mapping.source_rate):
