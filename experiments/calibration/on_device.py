@@ -211,13 +211,13 @@ def stored(run: Run) -> dict[str, Any]:
     start = time.perf_counter()
     run.recordings = _recordings(run.data, run.given.preset)
     copied = time.perf_counter() - start
-    said: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
     if run.given.task == "states":  # the rule reads rotation and insertion, which a failure need not have
         rows = np.arange(run.training)[: run.given.svm_trials]
         start = time.perf_counter()
         found = contextual.calibrate(run.recordings, rows, CONFIG, copy=contextual.OWN)
         run.limits["context"] = np.asarray(found.thresholds.limits)
-        said = {"trials": found.trials.tolist(), "seconds": round(time.perf_counter() - start, 2)}
+        summary = {"trials": found.trials.tolist(), "seconds": round(time.perf_counter() - start, 2)}
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         path = run.given.store or Path(folder) / "simulated.zarr"
@@ -229,7 +229,7 @@ def stored(run: Run) -> dict[str, Any]:
         size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     return {
         "trials": len(run.recordings), "seconds to copy them to the host": round(copied, 2),
-        "context (states only)": said,
+        "context (states only)": summary,
         "seconds to store them with the labels of each method": round(time.perf_counter() - start, 2),
         "GB": round(size / 1e9, 3),
     }  # fmt: skip

@@ -196,8 +196,8 @@ def main(seed: int = 0, skill: tuple[str, ...] = SKILLS, show: bool = True) -> N
     sets = {name: [list(CHANNELS).index(channel) for channel in channels] for name, channels in SETS.items()}
     sets["words"] = list(range(2 * len(WORDS)))
     for name, columns in tqdm(sets.items(), file=sys.stderr, disable=None):
-        told = in_words(recordings) if name == "words" else recordings
-        of = {number: of_skill(told, number) for number in skill}
+        inputs = in_words(recordings) if name == "words" else recordings
+        of = {number: of_skill(inputs, number) for number in skill}
         rows[name] = {
             method: measure(monitor.set_params(random_state=seed), of, columns, rng)
             for method, monitor in methods(1 / recordings.dt, name).items()

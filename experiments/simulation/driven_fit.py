@@ -159,14 +159,14 @@ def by_gauss_newton(
 
     found: LeastSquares = gauss_newton.fit(objective, how, iterations=iterations, step=step, progress=progress)
     windows = sum((len(t.path) - t.begin) // driven_fit.WINDOW for t in data.seen)
-    said = gauss_newton.identifiability(found.jacobian, list(how.bounds), found.loss, 6.0 * windows)
+    identifiable = gauss_newton.identifiability(found.jacobian, list(how.bounds), found.loss, 6.0 * windows)
     return {
         "start": how.start,
         "trials": {"seen": [t.name for t in data.seen], **{k: [t.name for t in v] for k, v in data.held.items()}},
         "gauss_newton": {
             "loss": found.loss, "candidates": found.candidates, "values": found.values, "at_bound": found.at_bound,
             "loss_by_candidates": [[at.candidates, round(at.loss, 4)] for at in found.iterations],
-            "identifiability": said,
+            "identifiability": identifiable,
         },
         "scores": {
             "presets": all_scores(data, objective, how.start), "fitted": all_scores(data, objective, found.values),
