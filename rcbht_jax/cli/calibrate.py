@@ -217,15 +217,15 @@ class Calibrate(RuleCommand):
 
             new, old = (GradientThresholds(gradients_of(x)) for x in (found.limits, base))
             save(threshold_figure(data, config.window, new, old, recordings.axes, recordings.units), self.plot)
-        return self._said(found.limits, recordings, seconds) | result
+        return self._summary(found.limits, recordings, seconds) | result
 
-    def _said(self, limits: AnyLimits, recordings: Recordings, seconds: float) -> dict[str, Any]:
+    def _summary(self, limits: AnyLimits, recordings: Recordings, seconds: float) -> dict[str, Any]:
         from rcbht_jax.encoding.rules import gradients_of
         from rcbht_jax.encoding.tolerance import FitLimits
 
-        said = {"thresholds": str(self.out), "rule": self.rule, "axes": list(recordings.axes)}
+        summary = {"thresholds": str(self.out), "rule": self.rule, "axes": list(recordings.axes)}
         tolerance = {"tolerance": np.asarray(limits.tolerance).tolist()} if isinstance(limits, FitLimits) else {}
-        return {**said, "limits": np.asarray(gradients_of(limits)).tolist(), **tolerance, "seconds": seconds}
+        return {**summary, "limits": np.asarray(gradients_of(limits)).tolist(), **tolerance, "seconds": seconds}
 
     def text(self, result: dict[str, Any]) -> str:
         from rcbht_jax.encoding.thresholds import LIMITS, TOLERANCE
@@ -282,7 +282,7 @@ class Calibrate(RuleCommand):
             limits = rest_thresholds(some, self.window).thresholds
         provenance = {**result, "window": self.window, "data_hash": sample.data_hash}
         write_limits(self.out, limits, provenance, recordings.axes)
-        return self._said(limits, recordings, time.perf_counter() - start) | result
+        return self._summary(limits, recordings, time.perf_counter() - start) | result
 
     def _rest_of(self, training: Recordings, config: AnyConfig) -> RestSlopes | RestRuns | None:
         from rcbht_jax.calibration.rest import RestSlopes

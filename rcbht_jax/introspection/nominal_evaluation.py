@@ -72,13 +72,13 @@ def hold_out(
     scores = [np.zeros(0)] * len(series)
     usual, calibration = np.full(len(series), np.nan), {}
     for group in np.unique(groups):
-        teach = np.flatnonzero(nominal & (groups != group)).tolist()
+        train = np.flatnonzero(nominal & (groups != group)).tolist()
         test = np.flatnonzero(groups == group).tolist()
-        if len(teach) >= FEWEST:
-            fitted = clone(monitor).fit([series[row] for row in teach], groups=groups[teach])
+        if len(train) >= FEWEST:
+            fitted = clone(monitor).fit([series[row] for row in train], groups=groups[train])
             for row in test:
                 scores[row] = fitted.scores(series[row])
-            usual[test] = np.median([len(series[row]) for row in teach])
+            usual[test] = np.median([len(series[row]) for row in train])
             calibration[str(group)] = fitted.peaks_
         if progress is not None:
             progress(1)

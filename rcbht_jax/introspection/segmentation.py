@@ -100,11 +100,11 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         classes = np.setdiff1d(np.concatenate(y), [UNKNOWN])
         if len(classes) < 2:
             raise InputError(f"There are {len(classes)} classes in {len(y)} recordings; two are needed.")
-        learned = clone(self)._learned(recordings, y, classes)  # a fit that fails leaves what was fitted before
-        self.__dict__.update(vars(learned))
+        fitted = clone(self)._fitted(recordings, y, classes)  # a fit that fails leaves what was fitted before
+        self.__dict__.update(vars(fitted))
         return self
 
-    def _learned(self, recordings: Recordings, y: Sequence[NDArray[Any]], classes: NDArray[Any]) -> WrenchSegmenter:
+    def _fitted(self, recordings: Recordings, y: Sequence[NDArray[Any]], classes: NDArray[Any]) -> WrenchSegmenter:
         self.classes_ = classes
         self.axes_, self._dt = (recordings.axes, recordings.units), recordings.dt
         self.thresholds_ = auto_thresholds(recordings, self.window)

@@ -159,8 +159,8 @@ def steps(
     by_words = _released(config, dt, sizes, lines) if new.any() else by_run
     sure = new & by_words.seen
     rest, first, published, when = _in_turn(config, dt, state, now, sure | by_run.seen, sure)
-    said = _Released(first, *(np.where(published, a, b) for a, b in zip(by_words[1:], by_run[1:], strict=True)))
-    return SnapState(Lines(*(field[:, -1] for field in lines)), *rest), Snaps(first, published, *said[1:], when)
+    found = _Released(first, *(np.where(published, a, b) for a, b in zip(by_words[1:], by_run[1:], strict=True)))
+    return SnapState(Lines(*(field[:, -1] for field in lines)), *rest), Snaps(first, published, *found[1:], when)
 
 
 def _remembered(old: Lines, words: Lines, new: AllFlags) -> Lines:
@@ -363,20 +363,20 @@ class SnapDetector:
         events = []
         for block in blocks:
             words, running = (line_of(*lines) for lines in block)
-            self._state, said = steps(self.config, self.dt, self.sizes, self._state, words, running)
-            events += self._events(said, running.t1, end, stamp)
+            self._state, found = steps(self.config, self.dt, self.sizes, self._state, words, running)
+            events += self._events(found, running.t1, end, stamp)
         return events
 
-    def _events(self, said: Snaps, samples: NDArray[np.integer], end: int, stamp: float) -> list[Snap]:
+    def _events(self, new: Snaps, samples: NDArray[np.integer], end: int, stamp: float) -> list[Snap]:
         def at(count: int) -> float:
             """Stamp of the latest of so many samples."""
             return stamp_before(stamp, end - count, self.dt)
 
         found = []
-        for which in zip(*np.nonzero(said.seen | said.published), strict=True):
-            sample, begin, release, fall = int(samples[which]), said.start[which], said.release[which], said.fall[which]
-            published = at(sample) if said.published[which] else None
-            about = int(begin), at(int(begin) + 1), float(release), float(fall), at(int(said.when[which]))
+        for which in zip(*np.nonzero(new.seen | new.published), strict=True):
+            sample, begin, release, fall = int(samples[which]), new.start[which], new.release[which], new.fall[which]
+            published = at(sample) if new.published[which] else None
+            about = int(begin), at(int(begin) + 1), float(release), float(fall), at(int(new.when[which]))
             found.append(Snap(sample, at(sample), self.axes[which[1]], *about, published))
         return found
 

@@ -108,8 +108,8 @@ def _attrs(paths: Sequence[Path], taken: dict[str, int], tare_seconds: float) ->
         for path, attrs in zip(paths, every, strict=True)
     ]
     every = [{**attrs, "importer": importer_of(attrs)} for attrs in every]
-    said = {name: {str(attrs.get(name, "")) for attrs in every} for name in _KEPT}
-    same = {name: values.pop() for name, values in said.items() if len(values) == 1}
+    values_of = {name: {str(attrs.get(name, "")) for attrs in every} for name in _KEPT}
+    same = {name: values.pop() for name, values in values_of.items() if len(values) == 1}
     kept = {"importer": "joined", **{name: value for name, value in same.items() if value}}
     return {**kept, "joined": joined, "tare_s": tare_seconds}
 

@@ -102,7 +102,7 @@ class Broadcast:
             self._send(packet)
 
     def close(self) -> None:
-        """Signal the end of the stream to all viewers; nobody can join any more."""
+        """Signal the end of the stream to all viewers; no viewer can join any more."""
         with self._lock:
             self._closed = True
             self._send(None)

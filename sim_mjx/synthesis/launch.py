@@ -1,7 +1,7 @@
 """Start workers in other processes: of this machine, as Ray tasks, or as an array of Slurm jobs.
 
-A worker is ``rcbht simulate STORE ... --worker``, whoever starts it: claims in the work folder, which all workers must
-see under the same name, decide which shard it takes. The functions here only pass on these arguments.
+A worker is ``rcbht simulate STORE ... --worker``, however it is started: claims in the work folder, which all workers
+must see under the same name, decide which shard it takes. The functions here only pass on these arguments.
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ def task(shard: int) -> str:
 def remove(folder: Path) -> None:
     """Delete the shards, then the manifest: a kill leaves no shard without its manifest.
 
-    The caller holds the claim "join" meanwhile, so that nobody makes a deleted shard again.
+    The caller holds the claim "join" meanwhile, so that no worker makes a deleted shard again.
     """
     for entry in folder.iterdir():
         if entry.name not in (claims.FOLDER, MANIFEST):

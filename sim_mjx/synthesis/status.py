@@ -50,7 +50,7 @@ class SynthesisStatus:
     per_minute: float | None  # trials of the last ten minutes' shards; None = too few, or no active worker
     workers: list[Worker]
     failures: list[Failure]
-    killed: list[int]  # shards whose last worker died and that nobody has taken over
+    killed: list[int]  # shards whose last worker died and that no other has taken over
 
 
 def status_of(target: Path) -> SynthesisStatus:

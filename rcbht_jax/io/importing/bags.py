@@ -63,8 +63,8 @@ def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
                 left -= topics[connection.topic].add(message, received)
                 if left < 0:
                     raise InputError(f"{path} has more than {MAX_VALUES} numbers on {', '.join(topics)}; split it.")
-            elif isinstance(said := getattr(message, "data", None), str):
-                spoken.setdefault(connection.topic, []).append((received, said))
+            elif isinstance(text := getattr(message, "data", None), str):
+                spoken.setdefault(connection.topic, []).append((received, text))
             else:  # the file defines the type otherwise
                 problems.append(f"a text of {connection.topic} cannot be read")
     notes = tuple(dict.fromkeys(problem.split(" (")[0].replace(" ", "-") for problem in problems))

@@ -58,12 +58,12 @@ def isolated(decode: Decode, path: Path, name: str, *libraries: str) -> Iterator
             "decode": f"{decode.__module__}:{decode.__qualname__}", "path": os.path.abspath(path), "shown": str(path),
             "name": name, "out": folder, "libraries": libraries, "memory": memory, "seconds": seconds,
         }  # fmt: skip
-        said = _decoder(os.getpid()).ask(path, request, seconds)
-        if "missing" in said:
-            raise MissingPackage(*said["missing"])
-        if "error" in said:
-            raise InputError(said["error"])
-        for number, table in enumerate(said["tables"]):
+        answer = _decoder(os.getpid()).ask(path, request, seconds)
+        if "missing" in answer:
+            raise MissingPackage(*answer["missing"])
+        if "error" in answer:
+            raise InputError(answer["error"])
+        for number, table in enumerate(answer["tables"]):
             files = {key: Path(folder, f"{number}-{k}.npy") for k, key in enumerate(table["columns"])}
             columns = {key: np.load(file, allow_pickle=False) for key, file in files.items()}
             intervals = tuple(map(tuple, table["intervals"]))
