@@ -7,8 +7,8 @@ A page has a table between two lines, ``<!-- table NAME: python -m experiments.p
 
 FORMAT is one of Python's for numbers (``.3f``, ``.0%``, ``,``), or ``s`` for text; ``.1f/1e9`` divides by 1e9 first.
 RESULT is a file in experiments/results; the keys lead to one value of its "result", and count from 0 in lists. A line
-may end wherever there is a space inside a mark, but none may begin with one: that would end the paragraph. What stands
-between is replaced. A test fails when a page differs.
+may end wherever there is a space inside a mark, but none may begin with one: that would end the paragraph. The text
+between the marks is replaced. A test fails when a page differs.
 
 Run: python -m experiments.pages
 """
@@ -102,7 +102,7 @@ def replaced(page: Path) -> str:
 
 
 def by_hand(page: Path) -> str:
-    """What is written by hand: no table, no generated number, no code, no address of a link."""
+    """The text written by hand: without tables, generated numbers, code and addresses of links."""
     text = _NUMBER.sub("", _TABLE.sub("", page.read_text(encoding="utf-8")))
     return re.sub(r"```.*?```|\]\([^)]*\)", "", text, flags=re.S)
 

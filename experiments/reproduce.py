@@ -1,12 +1,12 @@
-"""Every experiment, one after the other: what is there and complete is skipped, what was interrupted goes on.
+"""Every experiment, one after the other: complete results are skipped, interrupted ones resumed.
 
 Run: make reproduce [FORCE=1] [LONG=1] [RESULTS=FOLDER] [JOBS=2], or
 python -m experiments.reproduce WORK [--force] [--long] [--jobs 2]
-WORK keeps what experiments share (the imported trials, simulated sets, a model), what each said, and the minutes each
+WORK keeps what experiments share (the imported trials, simulated sets, a model), their output, and the minutes each
 took (reproduce.json). A result that is there, of this version and complete is not made again, unless --force is given.
 With RESULTS (RCBHT_RESULTS) results go to another folder, from nothing, and are compared with the committed ones at the
-end. What takes hours runs in a shorter form, whose results stay in WORK/shorter and are held against the committed
-intervals; --long runs it whole.
+end. Experiments that take hours run in a shorter form, whose results stay in WORK/shorter and are compared with the
+committed intervals; --long runs them whole.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Spent:
-    """What a process took."""
+    """Resources that a process used."""
 
     status: int
     minutes: float  # of the clock
@@ -110,7 +110,7 @@ def call(
     out: IO[str] | None = None,
     err: IO[str] | None = None,
 ) -> Spent:
-    """Run a process to its end; its own share of time is told even when others run beside it.
+    """Run a process to its end; measures its own processor time even when others run at the same time.
 
     Its memory is at least that of this process, which must be small.
     """
@@ -128,7 +128,7 @@ def call(
 
 
 def prepare(chosen: list[Form], work: Path) -> None:
-    """Make what the chosen experiments share and is not there; each tells for itself what it then lacks."""
+    """Make the missing inputs that the chosen experiments share; each experiment reports what it still lacks."""
     for target, command in SHARED.items():
         users = (STORE, MODEL) if target == STORE else (MODEL,)  # the model is made from the store
         wanted = any(user in form.experiment.options for form in chosen for user in users)
@@ -137,7 +137,7 @@ def prepare(chosen: list[Form], work: Path) -> None:
 
 
 def run(form: Form, peers: Path | None, force: bool, quiet: bool) -> Spent:
-    """Run one experiment; what it prints goes to WORK, its progress to the terminal unless ``quiet``."""
+    """Run one experiment; its output goes to WORK, its progress to the terminal unless ``quiet``."""
     python = str(peers) if "peers" in form.experiment.needs else sys.executable
     if force and not form.begun.exists():
         for name in form.experiment.names:
@@ -152,7 +152,7 @@ def run(form: Form, peers: Path | None, force: bool, quiet: bool) -> Spent:
 
 
 def note(form: Form, spent: Spent) -> None:
-    """Keep what an experiment took in WORK/reproduce.json."""
+    """Record the resources of an experiment in WORK/reproduce.json."""
     path = form.work / "reproduce.json"
     entry = {
         "options": " ".join(form.options),
@@ -169,7 +169,7 @@ def note(form: Form, spent: Spent) -> None:
 
 
 def compare(forms: list[Form]) -> list[str]:
-    """How far results in another folder, and those of shorter forms, are from the committed ones: lines."""
+    """Lines on the differences of results in another folder, and of shorter forms, from the committed ones."""
     lines = []
     if RESULTS != COMMITTED:
         for path in sorted(RESULTS.glob("*.json")):
@@ -185,7 +185,7 @@ def compare(forms: list[Form]) -> list[str]:
 
 
 def choose(args: argparse.Namespace) -> list[Form]:
-    """What is to be run, said for each that is not."""
+    """The experiments to run; prints why for each that is left out."""
     todo = []
     for experiment in (e for e in EXPERIMENTS if not args.only or e.name in args.only):
         whole = Form(experiment, False, args.work)
@@ -200,7 +200,7 @@ def choose(args: argparse.Namespace) -> list[Form]:
 
 
 def run_all(todo: list[Form], args: argparse.Namespace) -> tuple[list[str], float]:
-    """Run what is to be run; names of what failed, and CPU minutes."""
+    """Run the experiments; returns the names of those that failed, and CPU minutes."""
     failed: list[str] = []
     cpu: list[float] = []
 

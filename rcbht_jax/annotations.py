@@ -1,4 +1,4 @@
-"""Labelled intervals of recordings on named tracks: sub-tasks, skills, contacts, whatever somebody marked."""
+"""Labelled intervals of recordings on named tracks, such as sub-tasks, skills or contacts."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def stamp_before(stamp: float, samples: int, dt: float) -> float:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that was known after ``sample`` samples."""
+    """An event that is known after ``sample`` samples."""
 
     sample: int  # samples received when it was known
     time: float  # s, the time stamp of the latest of them (samples x period where the source has none)
@@ -50,7 +50,7 @@ class SubtaskStarted(Event):
 
     begin: int  # sample
     detected: bool
-    label: str = ""  # its name; "" = nobody has said it
+    label: str = ""  # its name; "" = not known
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class AnomalyCleared(Event):
 
 @dataclass(frozen=True)
 class FailureType(Event):
-    """The likeliest kind of failure while an anomaly stands; repeated whenever the kind or its level changes."""
+    """The likeliest type of failure while an anomaly lasts; repeated whenever the type or its level changes."""
 
     label: str
     probability: float
@@ -159,7 +159,7 @@ class EventHub:
         self.dropped = 0  # events that a slow iterator lost, oldest first
 
     def subscribe(self, callback: Callback, *kinds: type[Event]) -> Callable[[], None]:
-        """Call ``callback`` with every event of these kinds (none = all); returns a function that unsubscribes."""
+        """Call ``callback`` with every event of these types (none = all); returns a function that unsubscribes."""
         entry = (callback, kinds or (Event,))
         self._callbacks.append(entry)
 
@@ -191,7 +191,7 @@ class EventHub:
             self._put(queue, None)
 
     def events(self, *kinds: type[Event]) -> AsyncIterator[Event]:
-        """Events of these kinds (none = all) from now on; ends with :meth:`close`."""
+        """Events of these types (none = all) from now on; ends with :meth:`close`."""
         if self._backlog < 1:
             raise InputError(f"a backlog of {self._backlog} events cannot be iterated; at least one is needed.")
         queue: asyncio.Queue[Event | None] = asyncio.Queue(self._backlog)

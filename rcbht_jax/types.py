@@ -1,6 +1,6 @@
 """Frozen pytree dataclasses that all packages share; each field states its shape and unit.
 
-Axes are usually Fx Fy Fz Mx My Mz, forces in N, moments in Nm, times in seconds unless a field says samples.
+Axes are usually Fx Fy Fz Mx My Mz, forces in N, moments in Nm, times in seconds unless a field states samples.
 Padding is stated per class. Shapes are checked under pytest, by jaxtyping.
 """
 
@@ -37,7 +37,7 @@ class Segment:
 
     Sums are kept instead of means so that merging only adds: no product feeds an addition, hence no
     compiler may contract one into a fused multiply-add, hence streaming and batch agree bit for bit.
-    An empty slot has label 0; its other fields mean nothing.
+    An empty slot has label 0; its other fields are undefined.
     """
 
     label: Int[Array, "*lanes"]  # int32, code of rcbht_jax.labels
@@ -225,7 +225,7 @@ def padded(parts: Sequence[NDArray[np.floating]]) -> tuple[NDArray[np.floating],
 
 
 def axis_names(count: int) -> tuple[str, ...]:
-    """Names of axes that nobody named: those of a wrench if there are six, else axis0, axis1, ..."""
+    """Default names of axes: those of a wrench if there are six, else axis0, axis1, ..."""
     return labels.AXES if count == len(labels.AXES) else tuple(f"axis{number}" for number in range(count))
 
 
@@ -371,8 +371,8 @@ class Recordings:
         periods = sorted({part.dt for part in parts})
         if len(periods) != 1:
             raise InputError(f"data sets to be joined need one sampling period, these have {periods or 'none'}.")
-        if len({(part.axes, part.units) for part in parts}) > 1:
-            raise InputError("data sets to be joined need the same axes in the same units.")
+        if len(axes := {(part.axes, part.units) for part in parts}) > 1:
+            raise InputError(f"data sets to be joined need the same axes in the same units, these have {sorted(axes)}.")
         longest = max(part.wrench.shape[1] for part in parts)
         wide = [np.pad(part.wrench, ((0, 0), (0, longest - part.wrench.shape[1]), (0, 0))) for part in parts]
         texts: dict[str, Any] = {

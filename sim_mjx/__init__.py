@@ -1,1 +1,1 @@
-"""HIRO's snap assembly in simulation: robot, parts, controllers, sensor and engines; trials with their truth."""
+"""HIRO's snap assembly in simulation: robot, parts, controllers, sensor and engines; trials with their ground truth."""

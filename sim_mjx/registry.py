@@ -98,7 +98,7 @@ def get_scenario(name: str) -> Scenario:
 
 
 def _halves(name: str) -> tuple[str, ...]:
-    """Assembly and robot of ASSEMBLY@ROBOT, none of another name; a path before the "@" may have one itself."""
+    """Assembly and robot of ASSEMBLY@ROBOT, () of another name; a path before the "@" may have one itself."""
     found = re.fullmatch(r"(.*?\.py:[^@]+|[^@]*)@(.*)", name)
     return found.groups() if found else ()
 
@@ -108,21 +108,23 @@ def _paired(assembly: str, robot: str) -> Scenario:
     """An assembly on a robot."""
     if assembly == SNAP:
         if robot != HIRO:
-            raise InputError(f"{SNAP} is simulated with the robot {HIRO}, and only with it.")
+            raise InputError(f"{SNAP} cannot use the robot {robot!r}; expected {HIRO!r}, or another assembly.")
         return get_scenario(DEFAULT)
     return pair(named(assembly, ASSEMBLIES, Assembly, "assembly"), named(robot, ROBOTS, Robot, "robot"))
 
 
 @cache
 def pair(assembly: Assembly, robot: Robot) -> Scenario:
-    """What is simulated of an assembly on a robot.
+    """The scenario of an assembly on a robot.
 
     Raises:
-        InputError: it names some of its marks as tabs, not all, or two of its phases alike.
+        InputError: the assembly names tabs for some of its marks only, or has no phase or two of one name.
     """
     states = tuple(phase.name for phase in assembly.phases)
     if len(set(states)) < max(len(states), 1):
-        raise InputError(f"The phases of {assembly.name} are {', '.join(states) or 'none'}; each has its own name.")
+        raise InputError(
+            f"{assembly.name} has the phases {', '.join(states) or 'none'}; expected one or more of different names."
+        )
     if assembly.tabs and len(assembly.tabs) != len(assembly.marks):
         raise InputError(
             f"{assembly.name} names {len(assembly.tabs)} tabs and {len(assembly.marks)} marks; expected a tab for each "
@@ -140,10 +142,10 @@ def pair(assembly: Assembly, robot: Robot) -> Scenario:
 
 
 def named(name: str, known: dict[str, Any], kind: type, what: str) -> Any:
-    """One of the known ones, or the object NAME of a file for "FILE.py:NAME".
+    """A known object by its name, or the object NAME of a file for "FILE.py:NAME".
 
     Raises:
-        InputError: there is none of that name, or it is of another kind.
+        InputError: there is none of that name, or it has another type.
     """
     if name in known:
         return known[name]
@@ -171,7 +173,7 @@ def _module(path: str) -> Any:
     sys.path.append(folder)  # it may import its neighbours
     try:
         spec.loader.exec_module(module)
-    except InputError:  # says itself what is wrong
+    except InputError:  # its message already says what is wrong
         raise
     except Exception as error:
         raise InputError(f"{path} cannot be imported: {error}.") from error

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-_ABOUT = ("second", "minute", "time", "libraries", "complete")  # what two runs need not share
+_ABOUT = ("second", "minute", "time", "libraries", "complete")  # keys whose values may differ between runs
 
 
 def numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
-    """Every number of a result, and where it is."""
+    """Every number of a result, with its place."""
     if isinstance(value, dict | list):
         parts = value.items() if isinstance(value, dict) else enumerate(value)
         for key, part in parts:
@@ -45,7 +45,7 @@ def largest_difference(first: Any, second: Any) -> tuple[float, str]:
 
 
 def inside(repeated: Any, committed: Any) -> tuple[int, list[str]]:
-    """How many scores of a result the committed one has an interval for, and a line for each that lies outside."""
+    """Number of scores for which the committed result has an interval, and a line for each that lies outside."""
     scores = {place: score for place, score, _, _ in intervals(repeated)}
     known = [one for one in intervals(committed) if one[0] in scores]
     margin = 5e-4  # results are rounded
@@ -58,13 +58,13 @@ def inside(repeated: Any, committed: Any) -> tuple[int, list[str]]:
 
 
 def whole(name: str, repeated: Any, committed: Any) -> str:
-    """What there is to say of a result made in the same way."""
+    """A sentence on a result made in the same way."""
     difference, place = largest_difference(repeated, committed)
     return f"{name}: largest difference from the committed result {difference:g} {place}".rstrip()
 
 
 def shorter(name: str, repeated: Any, committed: Any, options: str) -> str:
-    """What there is to say of a shorter form of a result."""
+    """A sentence on a shorter form of a result."""
     count, out = inside(repeated, committed)
     if count:
         text = f"{count - len(out)} of {count} scores lie in the committed 95 % intervals"

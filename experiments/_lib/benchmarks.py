@@ -25,7 +25,7 @@ REAL, SIM1 = "REAL_HIRO_ONE_SA_SUCCESS", "SIM_HIRO_ONE_SA_SUCCESS"
 SIM2, FAILURES = "SIM_HIRO_TWO_SA_SUCCESS", "SIM_HIRO_ONE_SA_ERROR_CHARAC_Prob"
 REAL_FAILURES = "REAL_HIRO_ONE_SA_ERROR_CHARAC"
 
-# What is known about the authors' recordings, beyond what rcbht_jax.learning.confounds finds in any data.
+# Confounds of the authors' recordings, in addition to those that rcbht_jax.learning.confounds finds in any data.
 CONFOUNDS = {
     "states": (
         "The states differ in length, and in sessions B and C the recorded rotation is one 5 ms sample: read the score "
@@ -71,7 +71,7 @@ class Benchmark:
         return rounded(scores) | {"seconds": round(time.perf_counter() - began, 1)}
 
     def about(self, items: LabelledIntervals) -> dict[str, Any]:
-        """What must be known to read a score."""
+        """Facts that are needed to interpret a score."""
         across = f"{' '.join(self.train_on)} to {' '.join(self.test_on)}"
         return {
             "classes": list(items.classes),

@@ -19,7 +19,7 @@ SHARED = {
 
 @dataclass(frozen=True)
 class Experiment:
-    """A module that writes results, and what it takes; minutes are about those of an idle CPU core."""
+    """A module that writes results, and its cost; minutes are about those of an idle CPU core."""
 
     name: str  # also that of its result
     module: str  # below experiments

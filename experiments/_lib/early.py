@@ -1,9 +1,9 @@
-"""When to decide: rules that stop on the beliefs of classifiers of growing prefixes, and what a decision is worth.
+"""Rules of early classification: when to stop on the beliefs of classifiers of growing prefixes, and their scores.
 
 ECONOMY-gamma (Achenchabe, Bondu, Cornuejols and Dachraoui 2021, Machine Learning 110, section 4.2, with the largest
 probability as the confidence of several classes) and CALIMERA (Bilski and Jastrzebska 2023, Information Processing and
 Management 60), written from the papers. The cost of a decision is weight * error + (1 - weight) * delay. A fitted rule
-is a function of beliefs ``[time, item, class]``, none of which it looks at before their time.
+is a function of beliefs ``[time, item, class]`` that uses none of them before their time.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def economy(
 ) -> Rule:
     """ECONOMY-gamma: stop where no later time has a smaller expected cost.
 
-    At each time the items are dealt into groups by quantiles of their confidence. What is expected later follows from
-    the errors of later groups and a Markov chain between the groups of consecutive times.
+    At each time the items are divided into groups by quantiles of their confidence. Later costs are estimated from the
+    errors of later groups and a Markov chain between the groups of consecutive times.
 
     Args:
         beliefs, y: of items that the classifiers behind the beliefs were not trained on.
@@ -73,7 +73,7 @@ def economy(
 
 
 def calimera(beliefs: Beliefs, delay: Float[np.ndarray, " time"], weight: float) -> Rule:
-    """CALIMERA: stop where a regression says that waiting costs no less than deciding now.
+    """CALIMERA: stop where a regression predicts that waiting costs no less than deciding now.
 
     The cost now is estimated by the belief itself. From the last time backwards a kernel ridge regression learns the
     difference between the cost of going on, by the rule of the later times, and of deciding now.

@@ -22,13 +22,13 @@ SHARE = 0.02  # seconds in which a fault begins
 LONGEST = 20  # s that a fault lasts at most
 
 
-def readings(seconds: int, seed: int, told: Counter[str]) -> Iterator[list[Sample]]:
+def readings(seconds: int, seed: int, counts: Counter[str]) -> Iterator[list[Sample]]:
     """Readings of one second after the other.
 
     Args:
         seconds: of the stream, drop-outs included.
         seed: of noise and faults.
-        told: counts faults by name, and as "bad readings" and "stamps twice, readings" what must be left out.
+        counts: counts faults by name, and as "bad readings" and "stamps twice, readings" what must be left out.
     """
     rng, cycle = np.random.default_rng(seed), _cycle()
     clock, kind, left = 1.7e9, "", 0
@@ -40,13 +40,13 @@ def readings(seconds: int, seed: int, told: Counter[str]) -> Iterator[list[Sampl
         if not left and rng.random() < SHARE:
             kind = FAULTS[rng.integers(len(FAULTS))]
             left = int(rng.integers(1, LONGEST)) if kind in ("drop-out", "saturation") and rng.random() < 0.5 else 1
-            told[kind] += 1
+            counts[kind] += 1
             if kind.startswith("clock"):
                 clock += _jump(kind, rng)
         elif not left:
             kind = ""
         left = max(left - 1, 0)
-        values, times = _spoilt(kind, values, times, rng, told)
+        values, times = _spoilt(kind, values, times, rng, counts)
         yield [Sample(tuple(row), time) for row, time in zip(values.tolist(), times.tolist(), strict=True)]
 
 
@@ -68,7 +68,7 @@ def _jump(kind: str, rng: np.random.Generator) -> float:
 
 
 def _spoilt(
-    kind: str, values: NDArray[np.float64], times: NDArray[np.float64], rng: np.random.Generator, told: Counter[str]
+    kind: str, values: NDArray[np.float64], times: NDArray[np.float64], rng: np.random.Generator, counts: Counter[str]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A second of readings as a fault leaves them."""
     first = int(rng.integers(HERTZ - 1))
@@ -78,12 +78,12 @@ def _spoilt(
     if kind in ("NaN burst", "absurd values"):
         bad = (np.nan, np.inf, -np.inf) if kind == "NaN burst" else (1e7, -1e30, 1e300)
         values[some, rng.integers(6)] = rng.choice(bad)
-        told["bad readings"] += len(values[some])
+        counts["bad readings"] += len(values[some])
     elif kind == "saturation":
         values = np.clip(20 * values, -RANGE, RANGE)
     elif kind == "stamps twice":
         values, times = np.repeat(values, 2, 0), np.repeat(times, 2)
-        told["stamps twice, readings"] += HERTZ
+        counts["stamps twice, readings"] += HERTZ
     elif kind == "jitter":
         times = times + rng.uniform(0, 0.4, HERTZ) / HERTZ
     return values, times

@@ -18,7 +18,7 @@ Track = Literal["none", "at rest", "median"]
 MEMORY = 1.0  # s, over which noise is averaged
 _SECOND_DIFFERENCE = 6.0  # variance of a second difference of white noise of variance 1
 _NORMAL_MAD = 0.6745  # median of |x| of a standard normal variable
-_REST = 3  # samples of a run whose slope says whether it rests
+_REST = 3  # samples of a run whose slope decides whether it rests
 
 
 class Sums:
@@ -40,9 +40,9 @@ class Sums:
 
 @dataclass(frozen=True)
 class Variant:
-    """What is changed."""
+    """A change to the fit rule."""
 
-    shared: float = 0.0  # one decision for all axes, by the sum of what each saves: so many thresholds of one; 0 = none
+    shared: float = 0.0  # one decision for all axes, at so many thresholds of one axis; 0 = none
     track: Track = "none"  # where noise is measured while the stream runs
     wider: float = 1.0  # factor on the given tolerance
     factor: float = 2.0  # on its deviation: the default's, 20 variances by 5 samples of evidence

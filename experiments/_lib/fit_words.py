@@ -52,5 +52,5 @@ def learned_tolerance(recordings: Recordings) -> Float[np.ndarray, " axis"]:
 
 def tolerances(recordings: Recordings) -> dict[str, Float[np.ndarray, " axis"]]:
     """Of the robot from session A alone, of the authors' simulation from its own trials; by data set."""
-    taught = {REAL: (recordings.source == REAL) & (recordings.session == "A"), SIM1: recordings.source == SIM1}
-    return {source: learned_tolerance(recordings.take(rows)) for source, rows in taught.items() if rows.any()}
+    training = {REAL: (recordings.source == REAL) & (recordings.session == "A"), SIM1: recordings.source == SIM1}
+    return {source: learned_tolerance(recordings.take(rows)) for source, rows in training.items() if rows.any()}

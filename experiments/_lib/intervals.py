@@ -1,4 +1,4 @@
-"""95 % intervals that are never of zero width: a score without a mistake says only how rare mistakes are."""
+"""95 % intervals that are never of zero width: a score without a mistake only bounds how frequent mistakes are."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Viewers of the live page for measurements: python -m experiments._lib.page_clients URL COUNT; ends with the stream.
 
-A process of its own, so that viewers cost the page nothing. Prints what they saw, as JSON.
+It runs in a separate process, so that viewers cost the page nothing, and prints their counts as JSON.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import time
 from urllib.parse import urlsplit
 
 
-def look(host: str, port: int, seen: dict[str, int], lock: threading.Lock) -> None:
-    """Follow the frames; whoever finds no place asks for the page once a second, until it is gone."""
+def follow(host: str, port: int, seen: dict[str, int], lock: threading.Lock) -> None:
+    """Follow the frames; a viewer that finds no free place requests the page once a second until it is closed."""
     own = {"frames": 0, "bytes": 0, "no place": 0, "pages": 0, "ends": 0}
     try:
         while not own["ends"]:
@@ -41,7 +41,7 @@ def look(host: str, port: int, seen: dict[str, int], lock: threading.Lock) -> No
 def main() -> None:
     url, seen, lock = urlsplit(sys.argv[1]), dict[str, int](), threading.Lock()
     viewers = [
-        threading.Thread(target=look, args=(url.hostname, url.port, seen, lock)) for _ in range(int(sys.argv[2]))
+        threading.Thread(target=follow, args=(url.hostname, url.port, seen, lock)) for _ in range(int(sys.argv[2]))
     ]
     for viewer in viewers:
         viewer.start()

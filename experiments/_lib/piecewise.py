@@ -1,7 +1,7 @@
-"""Straight lines for a signal: filters that run while samples come, and the best lines that there are.
+"""Straight lines for a signal: filters that process samples as they arrive, and optimal lines.
 
 Every function takes one axis ``y [time]``. Breaks are the first samples of all pieces but the first, in order; a line
-is the least-squares one of its piece unless it is said otherwise. Programs for comparisons, not for streams.
+is the least-squares one of its piece unless stated otherwise. The functions are for comparisons, not for streams.
 
 Sources: sliding window and bottom-up, Keogh et al., "Segmenting time series", 2004; swing and slide filter, Elmeleegy
 et al., "Online piece-wise linear approximation of numerical streams with precision guarantees", 2009; the optimum by
@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Approximation:
-    """What words say about a signal, and how many they are."""
+    """The signal that words describe, and their number."""
 
     values: Floats  # [time]
     words: int

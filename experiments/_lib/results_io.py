@@ -22,7 +22,7 @@ _PICTURES = COMMITTED.parents[1] / "docs" / "images"
 
 
 def committed(name: str) -> Any:
-    """The numbers of a committed result, without what says how they were made."""
+    """The numbers of a committed result, without the record of how they were made."""
     record = json.loads((COMMITTED / f"{name}.json").read_text(encoding="utf-8"))
     return record.get("result", record)
 
@@ -35,7 +35,7 @@ def machine() -> str:
 
 
 def pictures() -> Path:
-    """Folder of the pictures that an experiment draws while it measures: beside its results, wherever they go."""
+    """Folder of the pictures that an experiment draws while it measures: beside its results."""
     folder = _PICTURES if RESULTS == COMMITTED else RESULTS / "images"
     folder.mkdir(parents=True, exist_ok=True)
     return folder
@@ -53,10 +53,10 @@ def write_result(name: str, command: str, result: Any, seed: int | None = None, 
     """Write ``<name>.json`` in ``RESULTS``, whole or not at all, and print it if ``show``.
 
     Raises:
-        ValueError: a number is NaN or infinite, which is not JSON; write None and say beside it why.
+        ValueError: a number is NaN or infinite, which is not JSON; write None, with the reason beside it.
     """
     if wrong := not_finite(result):
-        raise ValueError(f"{name}: {wrong}; write None, and say beside it why there is no number.")
+        raise ValueError(f"{name}: {wrong}; write None, with the reason beside it.")
     record = {
         "command": command,
         "date": datetime.now(UTC).date().isoformat(),

@@ -1,8 +1,8 @@
 """Symbolic representations of other libraries, turned back into a signal.
 
 Every function takes one axis ``y [time]``. Of SAX and 1d-SAX, which name all windows, a run of equal words counts as
-one word. SFA of aeon is left out: it divides every window by its own deviation, so that its words do not know how large
-the signal was.
+one word. SFA of aeon is left out: it divides every window by its own deviation, so that its words do not contain the
+size of the signal.
 
 Sources: SAX (Lin et al. 2007) and 1d-SAX (Malinowski et al. 2013) of tslearn; fABBA (Chen and Güttel 2022) of fABBA,
 its first step being that of ABBA (Elsworth and Güttel 2020).

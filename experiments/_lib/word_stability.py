@@ -1,4 +1,4 @@
-"""Do words stay when the same signal is recorded with other noise, or at another rate?"""
+"""Stability of words: do they stay when the same signal is recorded with other noise, or at another rate?"""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rcbht_jax.labels import Primitive
 from rcbht_jax.learning.segment_metrics import edit_distance
 from rcbht_jax.types import LabelTrack, Recordings, padded
 
-LONG = 0.1  # s: shorter words are not asked to stay
+LONG = 0.1  # s: shorter words are not counted
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def agreement(pairs: Iterable[tuple[Words, Words]], within: float) -> dict[str, 
         ``edit``: edit distance of the labels over the longer sequence, mean over pairs, 0 = equal; ``kept``: share of
         the words longer than 0.1 s, of both copies, that the other one has with the same label and both breaks;
         ``breaks``: the share that the other one has with both breaks, whatever its label; ``words``: how many words
-        were that long, without which both shares are None; ``time``: share of time in which both copies say the same.
+        were that long, without which both shares are None; ``time``: share of time in which both copies have one label.
     """
     edits, kept, breaks, count = [], 0, 0, 0
     same_time = all_time = 0.0
@@ -74,17 +74,17 @@ def agreement(pairs: Iterable[tuple[Words, Words]], within: float) -> dict[str, 
 
 
 def _same_time(first: Words, second: Words) -> tuple[float, float]:
-    """Seconds in which both say the same, and in which both say anything."""
+    """Seconds in which both have the same label, and in which both have any."""
     if not (len(first.label) and len(second.label)):
         return 0.0, 0.0
     edges = np.unique(np.concatenate([words.start for words in (first, second)] + [first.end, second.end]))
     middle, length = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
-    said = [_said(words, middle) for words in (first, second)]
-    both = (said[0] > 0) & (said[1] > 0)
-    return float(length[both & (said[0] == said[1])].sum()), float(length[both].sum())
+    labels = [_label_at(words, middle) for words in (first, second)]
+    both = (labels[0] > 0) & (labels[1] > 0)
+    return float(length[both & (labels[0] == labels[1])].sum()), float(length[both].sum())
 
 
-def _said(words: Words, time: Floats) -> Ints:
+def _label_at(words: Words, time: Floats) -> Ints:
     """The label at each time, 0 between words."""
     place = np.maximum(np.searchsorted(words.start, time, "right") - 1, 0)
     inside = (words.start[place] <= time) & (time < words.end[place])

@@ -1,4 +1,4 @@
-"""Simulated trials of which nothing was fitted to a recorded session, and recorded ones, tared, as one data set.
+"""Simulated trials that were fitted to no recorded session, and recorded ones, tared, as one data set.
 
 One part, that of the OpenHRP preset, which was fitted to the authors' own simulation; a sensor such as data sheets
 describe (unit gain, a low pass of 10 Hz, noise of a twentieth of a percent of 200 N and 10 Nm, moments about a point
@@ -22,7 +22,7 @@ from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
 
 TARE_SECONDS = 1.0  # of free space at the beginning of every trial
-# What another robot, part or day might bring, without looking at any: half to twice each physical unknown.
+# Variation between robots, parts and days, chosen without data: half to twice each unknown physical parameter.
 WIDE = DomainRandomization(
     nominal_share=1.0, shift=(-2e-3, 2e-3), turn=(-0.02, 0.02), stiffness=(0.5, 2.0), overlap=(0.8, 1.1),
     friction=(0.5, 2.0), mount=(0.6, 1.7), gain=(0.8, 1.25), goal=(0.7, 1.4), speed=(0.6, 1.6), lag=(3, 8),

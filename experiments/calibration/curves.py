@@ -87,7 +87,7 @@ def start_of(seed: int) -> GradientThresholds:
 
 
 def row(side: Side, seconds: np.ndarray, values: np.ndarray, limits: np.ndarray) -> dict[str, Any]:
-    """The best so far over time, and what it is worth on the held-out trials whenever it changes."""
+    """The best objective so far over time, and its scores on the held-out trials whenever it changes."""
     best = np.maximum.accumulate(values)
     news = np.flatnonzero(np.diff(best, prepend=-np.inf) > 0)
     points = []
@@ -115,7 +115,7 @@ def random_search(side: Side, seed: int, count: int) -> dict[str, Any]:
 
 
 def halving(side: Side, seed: int, count: int) -> dict[str, Any]:
-    """Successive halving over the trials, then CMA-ES around the best, replayed from what the search notes."""
+    """Successive halving over the trials, then CMA-ES around the best, replayed from the record of the search."""
     options = SearchOptions(space=SPACE, candidates=count, rungs=(0.25, 1.0), generations=16, seed=seed)
     side.values(np.asarray(SPACE.thresholds(options.points()[:128]).limits))
     search(side.inside, side.config, SearchOptions(space=SPACE, candidates=128, rungs=(0.25, 1.0), generations=1))
@@ -123,7 +123,7 @@ def halving(side: Side, seed: int, count: int) -> dict[str, Any]:
     start = time.process_time()
     result = search(side.inside, side.config, options, progress=lambda _: notes.append(time.process_time() - start))
     accuracy, loss = side.held_out(np.asarray(result.thresholds.limits))
-    share = notes[-1] / result.history[-1][1]  # processor seconds for a second of the clock
+    share = notes[-1] / result.history[-1][1]  # processor seconds per second of wall time
     points = [[round(s * share, 4), round(value, 4), None, None] for _, s, value in result.history]
     points[-1][2:] = [round(accuracy, 4), round(loss, 4)]
     return {
@@ -134,7 +134,7 @@ def halving(side: Side, seed: int, count: int) -> dict[str, Any]:
 
 
 def by_gradient(side: Side, seed: int, steps: int, loss: Literal["logistic", "fit"]) -> dict[str, Any]:
-    """Training from a start of its own; the objective on hard labels is taken afterwards, off the clock."""
+    """Training from a start of its own; the objective on hard labels is computed afterwards, outside the timing."""
     options = gradient.GradientOptions(steps=steps, rate=0.1, temperature=(0.7, 0.1), seed=seed, loss=loss)
     start = start_of(seed)
     gradient.calibrate(side.inside, side.config, start, replace(options, steps=1))

@@ -1,8 +1,8 @@
 """Is a calibrated fit rule better than its defaults? Limits from session A of the robot, scores on session B.
 
 The defaults are the preset's limits with the automatic tolerance of session A. Each method of ``rcbht calibrate --rule
-fit`` begins with them and sees session A alone, with harmonised states. Sub-tasks are then told apart by plain words
-(histogram, n-grams, attributes), as ranks, by an SVM that is trained and selected on session A. Settings and rows were
+fit`` begins with them and uses session A alone, with harmonised states. An SVM that is trained and selected on session
+A then classifies sub-tasks by plain words (histogram, n-grams, attributes), as ranks. Settings and rows were
 fixed before the first score.
 
 Run: python -m experiments.calibration.fit_rule --seed 0
@@ -48,7 +48,7 @@ WORDS = FeatureSpec(families=PLAIN, balance=True)
 
 
 class Experiment:
-    """The recordings of the robot, and what is calibrated on one session of them."""
+    """The recordings of the robot, and the limits that are calibrated on one session of them."""
 
     def __init__(self, seed: int) -> None:
         self.seed = seed
@@ -59,18 +59,18 @@ class Experiment:
     @cached_property
     def data(self) -> CalibrationData:
         """The sentences of the training session."""
-        taught = self.recordings.take(np.flatnonzero(self.recordings.session == SIDE))
-        return calibration_data(taught, labelled_intervals(taught, BENCHMARKS[BENCHMARK].task), self.config)
+        training = self.recordings.take(np.flatnonzero(self.recordings.session == SIDE))
+        return calibration_data(training, labelled_intervals(training, BENCHMARKS[BENCHMARK].task), self.config)
 
     @cached_property
-    def taught(self) -> Recordings:
+    def training(self) -> Recordings:
         """The recordings that these sentences are in."""
         return self.recordings.take(np.flatnonzero(np.isin(self.recordings.trial, self.data.trial)))
 
     @cached_property
     def rest(self) -> RestRuns:
         """Runs at rest, for the penalty."""
-        return RestRuns.of(self.taught, self.config)
+        return RestRuns.of(self.training, self.config)
 
     def limits(self, method: str) -> AnyLimits:
         """Those of a method, found once."""
@@ -79,11 +79,11 @@ class Experiment:
         return self.found[method]
 
     def _default(self) -> AnyLimits:
-        tolerance = auto_tolerance(self.taught.wrench, self.taught.length, self.config.needed)
+        tolerance = auto_tolerance(self.training.wrench, self.training.length, self.config.needed)
         return FitLimits(np.asarray(preset().limits), tolerance)
 
     def _rest(self) -> AnyLimits:
-        return fit_rest_limits(self.taught, self.config).limits
+        return fit_rest_limits(self.training, self.config).limits
 
     def _search(self) -> AnyLimits:
         space = SearchSpace(self.limits("default"), GROUPS)
@@ -97,8 +97,8 @@ class Experiment:
         return training.calibrate(self.data, self.config, self.limits("default"), options, rest=self.rest).thresholds
 
     def calibrated(self, method: str) -> dict[str, Any]:
-        """Limits of a method, and what they do on the session that chose them."""
-        limits, data = self.limits(method), self.taught
+        """Limits of a method, and their scores on the session that chose them."""
+        limits, data = self.limits(method), self.training
         stacked = checked_limits(self.config, limits)
         tracks = encode_batch(self.config, limits, data.wrench, data.length)
         rest = rest_thresholds(data, WINDOW).rest

@@ -72,7 +72,7 @@ def words(recordings: Recordings, items: LabelledIntervals, limits: Floats) -> N
 
 
 def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Floats]:
-    """Accuracy ``[candidate]`` of states learnt on one simulated session and told on another one."""
+    """Accuracy ``[candidate]`` of states learned on one simulated session and predicted on another one."""
     parts = {}
     for name in SIMULATED:
         make(folder, "mild", name)

@@ -57,7 +57,7 @@ GRID = Grid(kernels=("linear",), costs=(0.01, 0.1, 1.0), scalings=(True,))
 
 @dataclass
 class Run:
-    """What the parts hand on."""
+    """The data that the parts pass on."""
 
     given: argparse.Namespace
     result: dict[str, Any]
@@ -76,7 +76,7 @@ def _rows(data: CalibrationData, span: slice) -> CalibrationData:
 
 
 def unseen(work: Callable[[], Any], direction: Any) -> tuple[Any, str]:
-    """Run under a guard that forbids implicit copies; where it strikes, once more without it, and say so."""
+    """Run under a guard that forbids implicit copies; if it raises, run again without it, and report that."""
     try:
         with direction("disallow"):
             return work(), "none"
@@ -197,14 +197,14 @@ def trained(run: Run) -> dict[str, Any]:
 
 
 def stored(run: Run) -> dict[str, Any]:
-    """The completed trials with the labels of every method, as a store; context speaks here, from the host."""
+    """The completed trials with the labels of every method, as a store; the method context runs here, on the host."""
     run.recordings, copied = seconds_of(lambda: _recordings(run.data, run.given.preset))
-    said: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
     if run.given.task == "states":  # the rule reads rotation and insertion, which a failure need not have
         rows = np.arange(run.training)[: run.given.svm_trials]
         found, spent = seconds_of(lambda: contextual.calibrate(run.recordings, rows, CONFIG, copy=contextual.OWN))
         run.limits["context"] = np.asarray(found.thresholds.limits)
-        said = {"trials": found.trials.tolist(), "seconds": round(spent, 2)}
+        summary = {"trials": found.trials.tolist(), "seconds": round(spent, 2)}
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         path = run.given.store or Path(folder) / "simulated.zarr"
@@ -216,7 +216,7 @@ def stored(run: Run) -> dict[str, Any]:
         size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     return {
         "trials": len(run.recordings), "seconds to copy them to the host": round(copied, 2),
-        "context (states only)": said,
+        "context (states only)": summary,
         "seconds to store them with the labels of each method": round(time.perf_counter() - start, 2),
         "GB": round(size / 1e9, 3),
     }  # fmt: skip
@@ -241,7 +241,7 @@ def _recordings(data: CalibrationData, name: str) -> Recordings:
 
 
 def svm(run: Run) -> dict[str, Any]:
-    """Support vector machines on the words of each method, on as many trials as one can wait for."""
+    """Support vector machines on the words of each method, on as many trials as is affordable."""
     count = run.given.svm_trials
     some = np.r_[np.arange(run.training)[:count], np.arange(run.training, len(run.data))[:count]]
     recordings = run.recordings.take(some)
@@ -300,7 +300,7 @@ def main() -> None:
         start = time.perf_counter()
         try:
             run.result[name] = part(run)
-        except Exception:  # a rented machine: what the other parts can still do counts
+        except Exception:  # on a rented machine the other parts should still run
             run.result[name] = {"failed": traceback.format_exc()[-1500:]}
         run.result[name]["seconds of this part"] = round(time.perf_counter() - start, 1)
         write_result(name_of_result, f"python -m experiments.calibration.on_device {options}", run.result, seed=SEED)

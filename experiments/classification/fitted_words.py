@@ -1,10 +1,10 @@
 """Do better lines make better sentences? The fit rule and the paper's rule on the same folds, families and grids.
 
-Plain words (histogram, n-grams, attributes) and richer words tell sub-tasks apart, within sets and from one session of
-the robot to another. Labels of the fit rule weigh as those of the paper's (by time and count), or by time and change of
-value. Gradient limits are the preset's; in the rows with a choice, the inner folds choose between these limits, a
-quarter and a sixteenth of them. Tolerances are learned without labels: of the robot from session A, of the simulation
-from its own trials.
+Sub-tasks are classified by plain words (histogram, n-grams, attributes) and by richer words, within sets and from one
+session of the robot to another. Labels of the fit rule weigh as those of the paper's (by time and count), or by time
+and change of value. Gradient limits are the preset's; in the rows with a choice, the inner folds choose between these
+limits, a quarter and a sixteenth of them. Tolerances are learned without labels: of the robot from session A, of the
+simulation from its own trials.
 
 Run: python -m experiments.classification.fitted_words --repeats 2 --seed 0
 Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
@@ -43,7 +43,7 @@ FINER = (2, 4, 8)
 
 @dataclass(frozen=True)
 class Sentence:
-    """What one row makes of the labels."""
+    """The features of one row."""
 
     rule: str
     families: tuple[str, ...]
@@ -74,7 +74,7 @@ SENTENCES = {
     **_rows("plain words, mean and deviation", PLAIN, ranks=False),
     **_rows("plain words", PLAIN),
     **_rows("richer words", RICHER),
-    # Is what the paper's words say more than lines do below the tolerance? Added after the rows above were seen.
+    # Do the paper's words contain more than lines below the tolerance? Added after the rows above were seen.
     **{f"plain words, fit, tolerance / {part}": Sentence("fit", PLAIN, tolerance=1 / part) for part in FINER},
 }
 

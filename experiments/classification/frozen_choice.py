@@ -91,7 +91,7 @@ class Experiment:
 
     @cache  # noqa: B019
     def answers(self, task: str, grammar: str, families: str) -> list[Answer]:
-        """What one candidate says in every split, and how it fared in the inner folds."""
+        """The predictions of one candidate in every split, and its score in the inner folds."""
         items = self.items(task)
         tracks = {name: self.tracks(name) for name in GRAMMARS[grammar]}
         spec = FeatureSpec(FAMILIES[families], balance=True)

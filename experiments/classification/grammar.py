@@ -48,7 +48,7 @@ PAPER = Grid(kernels=KERNELS, costs=COSTS, scalings=(False,))
 
 @dataclass(frozen=True)
 class Method:
-    """What one row makes of the labels; the inner folds choose the grammar."""
+    """The features of one row; the inner folds choose the grammar."""
 
     families: tuple[str, ...]
     grammars: tuple[str, ...] = ("preset",)
@@ -57,7 +57,7 @@ class Method:
 
     @property
     def spec(self) -> FeatureSpec:
-        """Where the force is and how it moves weigh the same in all rows that hold both."""
+        """Features of level and of movement weigh the same in all rows that have both."""
         return FeatureSpec(families=self.families, balance=True)
 
 

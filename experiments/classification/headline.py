@@ -1,6 +1,6 @@
-"""The headline: one frozen method on every benchmark, beside what a simpler thing reaches.
+"""The headline: one frozen method on every benchmark, compared with simpler methods.
 
-The method is read from ``experiments/frozen_method.json``; its digest stands in the result. Each benchmark has four
+The method is read from ``experiments/frozen_method.json``; the result has its digest. Each benchmark has four
 rows on the same folds: the method, the same without what an offset or a duration changes, the duration alone, and a
 random forest on statistics of the raw wrench. Intervals are corrected for the overlap of folds or, from one session to
 another and where no mistake was made, Wilson's by trial; then the result also says how large a share of trials with a
@@ -119,12 +119,12 @@ def _task(name: str) -> str:
 
 
 def measure_of(name: str) -> str:
-    """Success and failure are of different number: mean recall."""
+    """Mean recall for success and failure, whose numbers differ."""
     return "balanced_accuracy" if name in (OUTCOME, HELD_OUT) else "accuracy"
 
 
 def noting(learner: validation.Estimator, items: LabelledIntervals, wrong: set[str]) -> validation.Estimator:
-    """The same learner, which also notes the trials of which it got an item wrong."""
+    """The same learner, which also records the trials with a misclassified item."""
 
     def learn(train: Ints, test: Ints, seed: int) -> validation.Prediction:
         predicted, choice = learner(train, test, seed)

@@ -1,7 +1,7 @@
 """Other methods for time series compared with words, on the same trials and the same grouped folds.
 
 The peers use the raw wrench of the segments, in N and Nm; see experiments._lib.raw_learners for the features of each.
-None has the duration of a segment. The ridge classifiers select their penalty by leave-one-out among the training rows.
+None uses the duration of a segment. The ridge classifiers select their penalty by leave-one-out in the training rows.
 Our rows are the words of the online encoder (window 5, preset thresholds) with a nested SVM.
 
 Run: make peers, or python -m experiments.classification.peers --repeats 10 --seed 0 where aeon and torch are installed
@@ -53,7 +53,7 @@ HEAVY = ("failure types", "MultiRocketHydra + ridge")
 
 
 class Experiment:
-    """The data, read once, and what makes each row."""
+    """The data, read once, and the functions that make each row."""
 
     def __init__(self, repeats: int, seed: int) -> None:
         self.repeats, self.seed = repeats, seed

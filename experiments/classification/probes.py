@@ -34,7 +34,7 @@ GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scal
 
 @dataclass(frozen=True)
 class Question:
-    """Two groups of sessions to be told apart, by whole records."""
+    """Two groups of sessions to be classified, by whole records."""
 
     classes: tuple[tuple[str, ...], tuple[str, ...]]
     hold_out: bool = False  # train on one session of the second group, test on the other

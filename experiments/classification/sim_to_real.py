@@ -77,7 +77,7 @@ class Pool:
 
 
 class Experiment:
-    """The sets, and what makes each row."""
+    """The sets, and the functions that make each row."""
 
     def __init__(self, folder: Path) -> None:
         self.sets = Sets(folder, recorded())
@@ -87,7 +87,7 @@ class Experiment:
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def measure(self, spec: Row, boundaries: str) -> dict[str, Any]:
-        """Accuracy on every test set, of a learner that saw the training sets only."""
+        """Accuracy on every test set, of a learner trained on the training sets only."""
         how = Labelling(spec.window, spec.tare, self.limits(spec), self.tolerance(spec), spec.weighing)
         pool = self.pool(spec, how, boundaries)
         train = pool.rows(spec.train)
@@ -159,7 +159,7 @@ class Experiment:
 
     @cache  # noqa: B019
     def tolerance(self, spec: Row) -> tuple[float, ...]:
-        """Tolerances of the fit rule, told by training trials without their labels; none for the paper's rule."""
+        """Tolerances of the fit rule, from training trials without their labels; none for the paper's rule."""
         if spec.rule == "paper":
             return ()
         return tuple((spec.factor * learned_tolerance(self.training(spec)[0])).tolist())
@@ -211,7 +211,7 @@ def some_trials(pool: Pool, rows: Ints, most: int, draw: int) -> NDArray[np.str_
 def choose(pool: Pool) -> tuple[SvmSpec, float | None]:
     """The grid's best choice for sets that are not trained on, and its mean accuracy there.
 
-    With a single set, by grouped folds inside it; its score says nothing of other sets and is not given.
+    With a single set, by grouped folds inside it; its score does not hold for other sets and is not given.
     """
     places = np.unique(pool.place)
     if len(places) == 1:
@@ -229,7 +229,7 @@ def choose(pool: Pool) -> tuple[SvmSpec, float | None]:
 
 
 def scored(pool: Pool, test: Ints, predicted: Ints) -> dict[str, Any]:
-    """Accuracy with its interval by resampling trials, and who was taken for whom."""
+    """Accuracy with its interval by resampling trials, and the confusion of classes."""
     right = pool.y[test] == predicted
     low, high = bootstrap(right, pool.trial[test], SEED)
     wrong = Counter(

@@ -21,13 +21,13 @@ CANDIDATES = {
     "all": (*UNTIMED, "duration"),
 }
 CHOICE = tuple(name for name in CANDIDATES if name != "all")  # duration is a confound
-FIXED = ("all but duration",)  # where a single set is trained on, which cannot tell what carries over
+FIXED = ("all but duration",)  # where a single set trains, which cannot show what transfers
 EVERY = 10_000  # trials: all
 
 
 @dataclass(frozen=True)
 class Row:
-    """Who is trained on what and tested on what."""
+    """The training and test sets and the options of one row."""
 
     train: tuple[str, ...]  # names of sets
     test: tuple[str, ...] = ("A", "B", "C")

@@ -66,7 +66,7 @@ Learn = Callable[[NDArray[np.int64]], validation.Estimator]  # from the rows of 
 
 @dataclass(frozen=True)
 class Row:
-    """What is classified, in which set, and what the paper has (min, mean, max)."""
+    """The classes, the set, and the scores of the paper (min, mean, max)."""
 
     sources: tuple[str, ...]  # data sets of the authors, or one of SIMULATED
     task: TaskSpec

@@ -100,7 +100,7 @@ def run(golden: Path, row: str, grid: Grid, grouped: bool, count: int, seed: int
 
 
 def measure(golden: Path, row: str, count: int, seed: int) -> dict[str, Any]:
-    """All cells of a row beside their targets."""
+    """All cells of a row, with their targets."""
     cells = {"repeated": run(golden, row, FIXED, False, count, seed)}
     if row.endswith("states"):
         cells["grouped"] = run(golden, row, FIXED, True, count, seed)

@@ -1,13 +1,13 @@
-"""Failure types of a batch that did not train: what carries over from contact on, and what stops it.
+"""Failure types of a batch that did not train: what transfers from contact on, and what prevents it.
 
 The records of one batch of the authors' simulated failures end a tenth of a second after contact in most trials, those
-of the other go on for nearly three seconds. A method that sees whole records learns another thing in each. Here a
-record is what follows its contact: the wrench since then, less what it was just before, for a short time that both
+of the other go on for nearly three seconds. A method that uses whole records learns something else in each. Here a
+record is what follows its contact: the wrench since then, less its value just before, for a short time that both
 batches have. Neither level, nor drift, nor the time of contact, nor the length of the record is left, and contact is
 found in each trial by itself, without labels and without the other trials.
 
-The time that is seen was chosen on simulated types of ours alone (``sim_mjx``, preset openhrp, faults of pose; types as
-in the authors' batches), from narrowly varied trials to widely varied ones (placement, stiffness, friction, gains,
+The length of that time was chosen on our own simulated types alone (``sim_mjx``, preset openhrp, faults of pose; types
+as in the authors' batches), from narrowly varied trials to widely varied ones (placement, stiffness, friction, gains,
 set-points, speed) and back. Then each of the authors' batches trains for the other: alone, with our simulated types
 beside it at the same total weight, mirrored in y as well, and our simulated types without any of theirs. "Ranks of each
 batch" needs all trials of the tested batch, though not their labels (transductive). Rows with some labelled trials of
@@ -15,7 +15,7 @@ the tested batch, and five folds within a batch, are ceilings and no answer to t
 
 Run: python -m experiments.classification.types_across --folder types --seed 0
 Simulated trials and finished rows are kept; run it again to go on where it was interrupted. Reads the recorded trials
-(RCBHT_DATA). The authors' scores for 0.1, 0.5 and 1 s had been looked at before the choice was made on simulated ones.
+(RCBHT_DATA). The scores on the authors' trials for 0.1, 0.5 and 1 s were known before the choice on simulated ones.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Batch:
     dt: float
 
     def mirrored(self, classes: tuple[str, ...]) -> Batch:
-        """In the plane y = 0, where what becomes of the type is one of the classes."""
+        """The records mirrored in the plane y = 0 whose mirrored type is one of the classes."""
         names = [mirror_name(classes[k]) for k in self.y.tolist()]
         rows = [row for row, name in enumerate(names) if name in classes]
         y = np.array([classes.index(names[row]) for row in rows], np.int64)
@@ -106,7 +106,7 @@ def contact(wrench: NDArray[np.float32], dt: float) -> int:
 
 
 def described(batch: Batch, seen: float) -> Floats:
-    """What follows contact, less what was before ``[trial, number]``; a shorter record keeps its last value."""
+    """The wrench after contact, less that before it ``[trial, number]``; a shorter record keeps its last value."""
     rows, dt = [], batch.dt
     for wrench in batch.wrench:
         at = contact(wrench, dt)
@@ -147,7 +147,7 @@ def simulated(folder: Path, name: str) -> Batch:
     return Batch([data.wrench[row, : data.length[row]] for row in rows], y, data.dt)
 
 
-def said(x: Floats, y: Ints, test: Floats, seed: int, weight: Floats | None = None) -> Ints:
+def predict(x: Floats, y: Ints, test: Floats, seed: int, weight: Floats | None = None) -> Ints:
     """The type ``[trial]`` by a forest of extremely random trees."""
     trees = ExtraTreesClassifier(TREES, class_weight="balanced", random_state=seed)
     return np.asarray(trees.fit(x, y, sample_weight=weight).predict(test), np.int64)
@@ -159,8 +159,8 @@ def scored(predicted: Ints, y: Ints) -> dict[str, Any]:
     score = by_trial(float((predicted == y).mean()), len(y))
     table = confusion(y, predicted, len(classes))
     recall = dict(zip(classes, (table.diagonal() / table.sum(1)).tolist(), strict=True))
-    said_of = dict(zip(classes, table.tolist(), strict=True))
-    return rounded({"score": score, "trials tested": len(y), "recall": recall, "true and said": said_of})
+    predicted_of = dict(zip(classes, table.tolist(), strict=True))
+    return rounded({"score": score, "trials tested": len(y), "recall": recall, "true and said": predicted_of})
 
 
 @cache
@@ -170,7 +170,7 @@ def choice(folder: Path, seen: float, seed: int) -> dict[str, float]:
     found = {}
     for a, b in (("narrow", "wide"), ("wide", "narrow")):
         y = simulated(folder, b).y
-        found[f"{a} to {b}"] = float((said(x[a], simulated(folder, a).y, x[b], seed) == y).mean())
+        found[f"{a} to {b}"] = float((predict(x[a], simulated(folder, a).y, x[b], seed) == y).mean())
     return rounded(found | {"mean": float(np.mean(list(found.values())))})
 
 
@@ -199,7 +199,7 @@ def across(folder: Path, ways: tuple[str, str], kind: str, seed: int) -> dict[st
         x, y, weight = (part[weight > 0] for part in (x, y, weight))
     if "ranks" in kind:
         x, z = rankdata(x, axis=0) / len(x), rankdata(z, axis=0) / len(z)
-    return scored(said(x, y, z, seed, weight), test.y)
+    return scored(predict(x, y, z, seed, weight), test.y)
 
 
 def with_shots(folder: Path, ways: tuple[str, str], shots: int, seed: int) -> dict[str, Any]:
@@ -214,7 +214,7 @@ def with_shots(folder: Path, ways: tuple[str, str], shots: int, seed: int) -> di
         left = np.setdiff1d(np.arange(len(test.y)), few)
         inside, known = np.concatenate([x, z[few]]), np.concatenate([train.y, test.y[few]])
         heavier = np.concatenate([np.ones(len(x)), np.full(len(few), len(x) / len(few))])
-        right.append(float((said(inside, known, z[left], seed + draw, heavier) == test.y[left]).mean()))
+        right.append(float((predict(inside, known, z[left], seed + draw, heavier) == test.y[left]).mean()))
     return rounded({"score": by_trial(float(np.mean(right)), len(left))})
 
 
@@ -223,12 +223,12 @@ def within(folder: Path, name: str, seed: int) -> dict[str, Any]:
     batch, seen = authors()[1][name], chosen(folder, seed)
     x, predicted = described(batch, seen), np.zeros(len(batch.y), np.int64)
     for train, test in repeated_folds(batch.y, np.arange(len(batch.y)), FOLDS, 1, seed)[0]:
-        predicted[test] = said(x[train], batch.y[train], x[test], seed)
+        predicted[test] = predict(x[train], batch.y[train], x[test], seed)
     return scored(predicted, batch.y)
 
 
 def facts(name: str) -> dict[str, Any]:
-    """What a batch has after contact."""
+    """The lengths of a batch's records after contact."""
     batch = authors()[1][name]
     after = [(len(wrench) - contact(wrench, batch.dt)) * batch.dt for wrench in batch.wrench]
     ends = np.quantile(after, [0.1, 0.5, 0.9]).round(2).tolist()

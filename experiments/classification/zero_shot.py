@@ -81,8 +81,8 @@ class Experiment:
             tested = len(np.unique(items.trial[test][mine]))
             out["+".join(sessions)] = by_trial(float(right[mine].mean()), tested) | {"trials": tested}
         wrong = Counter(
-            f"{items.classes[true]} as {items.classes[said]}"
-            for true, said in zip(items.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)
+            f"{items.classes[true]} as {items.classes[guess]}"
+            for true, guess in zip(items.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)
         )
         chosen = {key: choice[key] for key in ("features", "kernel", "cost") if key in choice}
         return rounded(out) | {"wrong": dict(wrong), "chosen": chosen, "method": self.method.sha256}

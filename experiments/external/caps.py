@@ -1,6 +1,6 @@
-"""Segmentation of screwed caps: every sample of runs that a model has not seen, wrench only.
+"""Segmentation of screwed caps: every sample of runs that did not train the model, from the wrench alone.
 
-Runs of about 8 s at 40 Hz with six labels, made by hand. Peers see the same samples: one ensemble of trees on the
+Runs of about 8 s at 40 Hz with six labels, made by hand. Peers use the same samples: one ensemble of trees on the
 wrench without words and without the second ensemble, and, offline, changes found by ClaSP and CLaP with segments
 labelled by the one method (experiments.external.change_points).
 

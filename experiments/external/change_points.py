@@ -48,7 +48,7 @@ DETECTORS = {"ClaSP, number of changes from other runs": clasp, "CLaP, its own n
 
 
 def cut(items: LabelledIntervals, recordings: Recordings, marks: list[NDArray[np.int64]]) -> LabelledIntervals:
-    """The segments between the marks of each run, with a class that means nothing."""
+    """The segments between the marks of each run, with a placeholder class."""
     edges = [np.concatenate([[0], at, [n]]) for at, n in zip(marks, recordings.length.tolist(), strict=True)]
     row = np.repeat(np.arange(len(edges)), [len(edge) - 1 for edge in edges])
     intervals = Intervals(

@@ -1,9 +1,9 @@
-"""Early classification of robot execution failures: how right after how many samples, and rules of when to stop.
+"""Early classification of robot execution failures: accuracy after the first samples, and rules of when to stop.
 
 The one method is trained on the first 2 to 15 samples. Rules decide when its belief is acted on: the package's level of
 certainty; ECONOMY-gamma and CALIMERA, whose weight of an error (and number of groups) is the one with the largest
-harmonic mean on the training rows, of beliefs by classifiers that had not seen them. TEASER is that of the library
-aeon, on forests of statistics, with its own choice of the number of consecutive safe beliefs. Folds are those of
+harmonic mean on the training rows, by beliefs of classifiers not trained on them. TEASER is that of the library aeon,
+on forests of statistics, with its own choice of the number of consecutive safe beliefs. Folds are those of
 experiments.external.failures.
 
 Run: python -m experiments.external.early --repeats 2 --seed 0
@@ -69,7 +69,7 @@ class Experiment:
         self.source = failures.Experiment(repeats, seed)
 
     def believe(self, name: str, samples: int, train: Ints, test: Ints, seed: int) -> NDArray[np.float64]:
-        """Probabilities of the one method after so many samples."""
+        """Probabilities of the one method after ``samples`` samples."""
         y = self.source.data(name)[1].y
         return method.believe(**self.source.described(name, samples), y=y, train=train, test=test, seed=seed)
 

@@ -37,7 +37,7 @@ Make = Callable[[str], validation.Estimator]
 
 
 class Experiment:
-    """The data sets, read once, and what makes each row."""
+    """The data sets, read once, and the functions that make each row."""
 
     def __init__(self, repeats: int, seed: int) -> None:
         self.repeats, self.seed = repeats, seed

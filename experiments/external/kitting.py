@@ -10,10 +10,10 @@ a failed execution was recorded until about 3 s after the anomaly. The robot sto
 and are no evidence of what the disturbance does to the contact. So the contact (force, torque, tactile) is the main
 set of channels.
 
-The design was chosen by reasoning, on HIRO's trials and on skills 3 and 4 ("nearest nominal"). What was chosen after
-skills 5 and 7 were looked at is named in the result: comparing levels of the tactile signals ("and tactile levels"),
-and doing so only where three days teach ("levels by the number of days"), because what differs between days can be
-learned only from several of them.
+The design was chosen by reasoning, on HIRO's trials and on skills 3 and 4 ("nearest nominal"). The result names what
+was chosen after the scores on skills 5 and 7 were known: comparing levels of the tactile signals ("and tactile
+levels"), and doing so only where three days train ("levels by the number of days"), because differences between days
+can be learned only from several of them.
 
 Run: python -m experiments.external.kitting
 Reads the executions (RCBHT_EXTERNAL).
@@ -94,7 +94,7 @@ def of_skill(recordings: Recordings, skill: str) -> Executions:
 
 
 def methods(rate: float, channels: str) -> dict[str, Monitor]:
-    """Those of a set of channels; what takes long only on the contact."""
+    """The monitors for a set of channels; slow ones only for the contact."""
     nearest = NominalMonitor(rate=rate, score_rate=SCORE_RATE)
     if channels == "words":
         return {NEAREST: nearest.set_params(score_rate=SCORE_RATE / 2, levels=tuple(range(len(WORDS) * 2)))}
@@ -170,7 +170,7 @@ def _false_alarms(skills: dict[str, Any]) -> float:
 
 
 def by_days(rows: dict[str, Any], executions: dict[str, Executions]) -> dict[str, Any]:
-    """Of each skill the row with levels where enough days teach, whichever is held out, else the one without."""
+    """For each skill the row with levels if enough days train, whichever is held out, else the row without."""
     days = {skill: len(np.unique(one.day[one.nominal])) - 1 for skill, one in executions.items()}
     chosen = {skill: WITH_LEVELS if count >= LEVEL_DAYS else NEAREST for skill, count in days.items()}
     skills = {skill: rows[name]["skills"][skill] for skill, name in chosen.items()}
@@ -184,8 +184,8 @@ def main(seed: int = 0, skill: tuple[str, ...] = SKILLS, show: bool = True) -> N
     sets = {name: [CHANNELS.index(channel) for channel in channels] for name, channels in SETS.items()}
     sets["words"] = list(range(2 * len(WORDS)))
     for name, columns in tqdm(sets.items(), file=sys.stderr, disable=None):
-        told = in_words(recordings) if name == "words" else recordings
-        of = {number: of_skill(told, number) for number in skill}
+        inputs = in_words(recordings) if name == "words" else recordings
+        of = {number: of_skill(inputs, number) for number in skill}
         rows[name] = {
             method: measure(monitor.set_params(random_state=seed), of, columns, rng)
             for method, monitor in methods(1 / recordings.dt, name).items()

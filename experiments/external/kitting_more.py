@@ -4,10 +4,10 @@ The band (scikit-learn's GaussianProcessRegressor over time, channel by channel)
 experiments.external.kitting are, on the contact channels.
 
 Types: the one method (experiments.external.method), as it was frozen, on anomalous executions of all skills; each day
-is held out in turn. Type and day are confounded, so that folds across days ("random folds") show the day and not the
-type; they are given to show by how much. Before the anomaly nothing of it can be known: the rows of the samples until
-then are a control. A type that occurred on one day only cannot be told when that day is held out; the rows "types of
-several days" leave these out.
+is held out in turn. Type and day are confounded, so that folds across days ("random folds") measure the day and not the
+type; they show by how much. Before an anomaly its type cannot be known: the rows of the samples until then are a
+control. A type that occurred on one day only cannot be recognised when that day is held out; the rows "types of several
+days" leave these out.
 
 Run: python -m experiments.external.kitting_more --seed 0
 Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL.
@@ -114,7 +114,7 @@ def ours(recordings: Recordings, items: LabelledIntervals) -> validation.Estimat
 
 
 def skill_alone(recordings: Recordings, items: LabelledIntervals) -> validation.Estimator:
-    """The commonest type of the skill: what is known without any sensor."""
+    """The commonest type of the skill, a baseline without any sensor."""
     skill = recordings.columns["skill"].astype(str)[items.intervals[0].recording]
     return validation.forest(np.stack([skill == name for name in np.unique(skill)], 1).astype(float), items.y)
 

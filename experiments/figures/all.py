@@ -140,7 +140,7 @@ def confidence() -> Figure:
 
 
 def table1() -> Figure:
-    """Table I of the paper on our labels, beside what duration alone reaches and what the paper prints."""
+    """Table I of the paper on our labels, with the scores of duration alone and those printed in the paper."""
     result = committed("table1_ours")
     rows, printed = {}, {}
     for name, scores in of_table1(result).items():
@@ -152,12 +152,12 @@ def table1() -> Figure:
 
 
 def probes() -> Figure:
-    """What tells failure, success and session without any assembly."""
+    """Scores of probes that separate failure, success and session without any assembly."""
     return dots.draw(of_probes(committed("probes")), "balanced accuracy")
 
 
 def failure_types() -> Figure:
-    """What each kind of the authors' failures is taken for by the best of the streamed heads."""
+    """Confusion of the authors' failure types by the best of the streamed heads."""
     result = committed("failure_types_online")
     at = "at 100%, votes of pairs"
     name, row = max(result["rows"].items(), key=lambda item: item[1][at]["mean"])

@@ -20,7 +20,7 @@ CURVE = "curve (seconds, objective, held-out accuracy, held-out log-loss)"
 
 
 def draw(rows: dict[str, Any]) -> Figure:
-    """Left: the best objective so far on the training trials. Right: what it is worth on the held-out trials.
+    """Left: the best objective so far on the training trials. Right: its log-loss on the held-out trials.
 
     Thin lines are seeds, the thick one is their median; every line goes on to the end of its run.
     """

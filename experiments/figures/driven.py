@@ -12,17 +12,17 @@ from experiments.figures.style import DPI, OURS, PEER, plain
 from rcbht_jax.plots.canvas import new_figure
 
 PERIOD = 0.1  # s, of a point
-LABELS = {"load": "load, mm forward"}  # of what is no axis
+LABELS = {"load": "load, mm forward"}  # of quantities other than axes
 
 
 def draw(result: dict[str, Any]) -> Figure:
-    """Of the fit to a part of mating."""
+    """Figure of the fit to a part of mating."""
     curves = {"presets": "presets", "fitted": "fitted to motion"}
     return _columns(result["traces"], curves, (10.0, 6.0))
 
 
 def loads(result: dict[str, Any]) -> Figure:
-    """Of the fit to all of mating, with the place where the hand is loaded."""
+    """Figure of the fit to all of mating, with the place of the hand's load."""
     names = {"at once": "the load moves at mating", "later": "the load moves later"}
     trials = {names[title]: curves for title, curves in result["traces"].items()}
     return _columns(trials, {"presets": "presets", "from many starts": "best of many starts"}, (10.0, 8.0))
@@ -43,7 +43,7 @@ def _columns(trials: dict[str, Any], simulated: dict[str, str], size: tuple[floa
                 ax.plot(time, values, color=colour, linewidth=1.1, label=f"simulated, {label}")
             ax.set_ylabel(LABELS.get(axis, f"{axis}, {'N' if axis.startswith('F') else 'Nm'}"))
             if axis == "load":
-                ax.set_ylim(-45.0, 45.0)  # beyond the part several forces act
+                ax.set_ylim(-45.0, 45.0)  # a load outside the part is due to several forces
             plain(ax)
         grid[0][column].set_title(f"{title}: {curves['trial'][-2:]}", fontsize=10)
         grid[-1][column].set_xlabel("time, s; touch at 0.6 s")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from experiments.figures.style import DPI, plain
 from rcbht_jax.plots.canvas import new_figure
 
-# Colours that people with any colour vision tell apart; what is wrong is warm.
+# Colours that are distinct for any colour vision; errors have warm ones.
 PARTS = {
     "seats, no alarm": "#cfd8dc",
     "seats, alarm": "#E69F00",
@@ -69,7 +69,7 @@ def bars(ax: Axes, names: list[str], counts: Any) -> None:
 
 
 def failure_types(classes: list[str], counts: list[list[int]], title: str) -> Figure:
-    """What each kind of failure is taken for: shares of the true kind."""
+    """Confusion of failure types, as shares of the true type."""
     table = np.array(counts, float)
     shares = table / table.sum(1, keepdims=True)
     figure = new_figure((6.6, 6.0), DPI)

@@ -1,4 +1,4 @@
-"""A snap hook on the bench: its geometry, its curves, and theory beside measurement."""
+"""A snap hook on the bench: its geometry, its curves, and measured against computed forces."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def geometry(ax: Axes, hook: Hook) -> None:
 
 
 def one_tab(ax: Axes, result: dict[str, Any]) -> None:
-    """Press and pull of the camera's tab, new and worn, and what theory says of their peaks."""
+    """Press and pull of the camera's tab, new and worn, and the computed peaks."""
     for name, style in (("one tab", "-"), ("one tab, worn", "--")):
         curves, row = result["curves"][name], result["parts"][name]
         for kind, color, theory in (

@@ -18,12 +18,12 @@ def sets_of(rows: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def numbers(values: Any) -> np.ndarray:
-    """A table of a result, with NaN where it holds nothing."""
+    """A table of a result, with NaN in place of None."""
     return np.array(values, dtype=float)
 
 
 def reliability(rows: dict[str, Any]) -> Figure:
-    """How often a belief of some probability is right, and how many beliefs there are of it, one panel per set."""
+    """Accuracy and share of beliefs over their probability, one panel per set."""
     sets = sets_of(rows)
     figure = new_figure((3.4 * len(sets), 3.6), DPI)
     for number, (name, row) in enumerate(sets.items()):
@@ -43,7 +43,7 @@ def reliability(rows: dict[str, Any]) -> Figure:
 
 
 def early(rows: dict[str, Any]) -> Figure:
-    """How much of a sub-task must have passed until its name is right, one panel per set."""
+    """Accuracy over the elapsed part of a sub-task, one panel per set."""
     sets = sets_of(rows)
     figure = new_figure((3.4 * len(sets), 3.6), DPI)
     for number, (name, row) in enumerate(sets.items()):
@@ -58,7 +58,7 @@ def early(rows: dict[str, Any]) -> Figure:
 
 
 def curves(ax: Axes, accuracy: np.ndarray, classes: list[str]) -> None:
-    """A line per class; parts that hold no look are bridged."""
+    """A line per class; parts without a snapshot are bridged."""
     part = (np.arange(accuracy.shape[1]) + 1) / accuracy.shape[1]
     for color, name, line in zip(LINES, classes, accuracy, strict=False):
         there = np.isfinite(line)

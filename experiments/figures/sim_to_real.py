@@ -20,7 +20,7 @@ TITLES_OF_ROWS = {
     "mating | each preset's own time": "mating: nominal duration of each preset",
     "mating | own time, without A and B": "mating: nominal duration, without A and B",
 }
-# What moved the score: the main rows, what others would do, and each choice where no preset was fitted to A or B.
+# Effects on the score: the main rows, the baselines, and each choice where no preset was fitted to A or B.
 FAR = "without A and B"
 STORY = ("main |", "baseline |", f"randomisation | none, {FAR}", f"randomisation | mild, {FAR}",
          f"randomisation | wide, {FAR}", f"mating | own time, {FAR}", f"mating | 1 to 20 s, {FAR}", "amount |",
@@ -28,7 +28,7 @@ STORY = ("main |", "baseline |", f"randomisation | none, {FAR}", f"randomisation
 
 
 def lines(rows: dict[str, Any], begins: tuple[str, ...] = ("",)) -> dict[str, list[dict[str, Any]]]:
-    """Name as shown -> rows behind it, several where the same was done with several draws of trials.
+    """Name as shown -> its rows, several where several sets of trials were drawn.
 
     Only rows whose name begins with one of ``begins``.
     """

@@ -1,4 +1,4 @@
-"""Picture of the snaps in the recorded session B: read afterwards, and seen as the trial went on."""
+"""Picture of the snaps in the recorded session B: found afterwards in the whole trial, and detected in the stream."""
 
 from __future__ import annotations
 

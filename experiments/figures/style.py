@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 DPI = 110
-# Colours that people with any colour vision tell apart (Okabe and Ito).
+# Colours that are distinct for any colour vision (Okabe and Ito).
 OURS, PEER, PROBE = "#0072B2", "#E69F00", "#999999"
 LINES = ("#D55E00", "#0072B2", "#999999", "#009E73")
 

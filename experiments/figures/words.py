@@ -39,7 +39,7 @@ TICKS = (0.05, 0.2, 0.5, 1, 2, 5, 10, 20, 50)  # words per second
 
 
 def rate_distortion(result: dict[str, Any]) -> Figure:
-    """A panel for each set: what every method leaves, over its words per second."""
+    """A panel for each set: the residual of every method over its words per second."""
     figure = new_figure((12.0, 7.6), DPI)
     for number, name in enumerate(result["sets"]):
         ax = figure.add_subplot(2, -(-len(result["sets"]) // 2), number + 1)

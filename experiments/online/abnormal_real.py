@@ -1,4 +1,4 @@
-"""Success or failure of the real trials from the stream, with what confounds it.
+"""Success or failure of the real trials from the stream, and its confounds.
 
 Every real failure was recorded in session C and every success in A or B, so that "failure" and "another session" are
 the same question. Three rows show how much of the score is the session:
@@ -115,7 +115,7 @@ def evenly(snapshots: Snapshots) -> Flags:
 
 
 def score(w: Watched, x: Floats, y: NDArray[np.int64], train: Flags, test: Flags, seed: int) -> dict[str, Any]:
-    """One split. ``y`` is the class of every trial, ``train`` and ``test`` say which trials."""
+    """One split. ``y`` is the class of every trial, ``train`` and ``test`` select trials."""
     interval = w.snapshots.interval
     fitted, seen = train[interval] & evenly(w.snapshots), test[interval]
     groups = w.items.trial[interval]

@@ -1,4 +1,4 @@
-"""How often, in time, the online encoder says the same as the authors' online program.
+"""Share of time in which the online encoder and the authors' online program give the same label.
 
 Run: python -m experiments.online.agreement
 Reads the recorded output of the authors' program (RCBHT_GOLDEN) and their trials (RCBHT_DATA).

@@ -1,13 +1,13 @@
-"""Sub-tasks of a stream by the frozen method, with beginnings given and detected, beside simple baselines.
+"""Sub-tasks of a stream by the frozen method, with beginnings given and detected, compared with simple baselines.
 
 Where the beginnings are given (the protocol of the paper's Table II) counting them is enough. Otherwise a classifier of
-the whole trial so far and a filter over time detect them; only this is what a robot can have. Half of the
-trials train and the others are streamed, or one session trains and the other is streamed. Baselines see the time since
-the beginning (given) or since the start of the record (detected), alone or with the wrench of the last tenth of a
-second, in a random forest.
+the whole trial so far and a filter over time detect them; only this is possible on a robot. Half of the trials train
+and the others are streamed, or one session trains and the other is streamed. Baselines use the time since the beginning
+(given) or since the start of the record (detected), alone or with the wrench of the last tenth of a second, in a random
+forest.
 
-The last rows say what features without duration and offset know of the time since a sub-task began: a ridge regression
-of its logarithm on their ranks, within each class, trained on half of the trials and scored on the others.
+The last rows measure how well features without duration and offset predict the time since a sub-task began: a ridge
+regression of its logarithm on their ranks, within each class, trained on half of the trials and scored on the others.
 
 Run: python -m experiments.online.causal --repeats 3 --seed 0
 Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
@@ -50,7 +50,7 @@ from rcbht_jax.learning.scaling import fit_scale
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.types import Recordings
 
-LAST = 0.1  # s of wrench that the baseline sees
+LAST = 0.1  # s of wrench that the baseline uses
 TREES = 200
 SPLITS = {"REAL": ("REAL", ()), "A to B": ("REAL", ("A", "B")), "B to A": ("REAL", ("B", "A")), "SIM1": ("SIM1", ())}
 MEASURES = ("macro step accuracy", "full-sequence accuracy", "OverallPr")
@@ -69,16 +69,16 @@ class Stream:
         self.method, self.data = method, data
         self.items: LabelledIntervals = labelled_intervals(data, states(arms="R", **filters))
         every = round(1 / (method.streamed["rate"] * self.data.dt))
-        self.training, self.told = training_snapshots(self.items, every), regular_snapshots(self.items, every)
-        self.order = np.lexsort((self.told.now, self.told.recording))
-        self.trial = since_trial_start(self.told)
+        self.training, self.regular = training_snapshots(self.items, every), regular_snapshots(self.items, every)
+        self.order = np.lexsort((self.regular.now, self.regular.recording))
+        self.trial = since_trial_start(self.regular)
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def x(self, which: str) -> NDArray[np.float32]:
-        """Features of the training, told or trial snapshots, all families."""
+        """Features of the training, regular or trial snapshots, all families."""
         chosen = {
             "training": self.training,
-            "told": self.told,
+            "regular": self.regular,
             "trial": self.trial,
             "trial training": since_trial_start(self.training),
         }[which]
@@ -91,7 +91,7 @@ class Stream:
         )
 
     def columns(self, head: str, relative: bool) -> Flags:
-        """Which columns of :meth:`x` a head sees."""
+        """Which columns of :meth:`x` a head uses."""
         family = [name.split(".")[0] for name in names(self.method.stream_spec(head, False))]
         return np.isin(family, self.method.stream_spec(head, relative).families)
 
@@ -128,12 +128,14 @@ def inside_of(stream: Stream, sessions: tuple[str, ...], seed: int) -> Flags:
     return np.isin(stream.items.session, sessions[0].split("+")) if sessions else halves(stream.items, seed)
 
 
-def told(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, float]:
+def given_starts(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, float]:
     """The method where each beginning is given."""
-    rows = np.flatnonzero(~inside[stream.told.interval])
+    rows = np.flatnonzero(~inside[stream.regular.interval])
     machine = stream.trained("state", relative, inside, seed)
-    x = stream.x("told")[rows][:, stream.columns("state", relative)].astype(np.float64)
-    return measures(machine.probability(x), stream.items.y[stream.told.interval[rows]], stream.told.complete[rows])
+    x = stream.x("regular")[rows][:, stream.columns("state", relative)].astype(np.float64)
+    return measures(
+        machine.probability(x), stream.items.y[stream.regular.interval[rows]], stream.regular.complete[rows]
+    )
 
 
 def unaided(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, dict[str, float]]:
@@ -172,18 +174,18 @@ def followed(p: Floats, time: Floats, classes: tuple[str, ...]) -> Floats:
 
 def counted(stream: Stream, inside: Flags) -> dict[str, float]:
     """The class is the number of beginnings given so far."""
-    rows = np.flatnonzero(~inside[stream.told.interval])
+    rows = np.flatnonzero(~inside[stream.regular.interval])
     place = np.zeros(len(stream.items.y), np.int64)
     for trial in np.unique(stream.items.trial):
         mine = np.flatnonzero(stream.items.trial == trial)
         place[mine[np.argsort(stream.items.intervals[0].start[mine])]] = np.arange(len(mine))
-    p = np.eye(len(stream.items.classes))[place[stream.told.interval[rows]]]
-    return measures(p, stream.items.y[stream.told.interval[rows]], stream.told.complete[rows])
+    p = np.eye(len(stream.items.classes))[place[stream.regular.interval[rows]]]
+    return measures(p, stream.items.y[stream.regular.interval[rows]], stream.regular.complete[rows])
 
 
 def little(stream: Stream, inside: Flags, seed: int, from_trial: bool, wrench: bool) -> dict[str, float]:
     """A forest on the time that has passed, with or without the wrench of the last tenth of a second."""
-    train, test = stream.training, stream.told
+    train, test = stream.training, stream.regular
     if from_trial:
         train, test = since_trial_start(train), stream.trial
     a, b = np.flatnonzero(inside[train.interval]), np.flatnonzero(~inside[test.interval])
@@ -202,7 +204,7 @@ def split(stream: Stream, sessions: tuple[str, ...], seed: int) -> dict[str, dic
         out[f"told | {name}"] = little(stream, inside, seed, from_trial=False, wrench=wrench)
         out[f"noticed | {name}"] = little(stream, inside, seed, from_trial=True, wrench=wrench)
     for name, relative in KINDS.items():
-        out[f"told | {name}"] = told(stream, relative, inside, seed)
+        out[f"told | {name}"] = given_starts(stream, relative, inside, seed)
         for belief, scores in unaided(stream, relative, inside, seed).items():
             out[f"noticed | {name}, {belief}"] = scores
     return out
@@ -229,9 +231,9 @@ def with_ends(scores: list[float], tested: int) -> dict[str, Any]:
 def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
     """R^2 of the logarithm of elapsed time within each class, from features without duration and offset."""
     made = stream()
-    snapshots, columns = made.told, made.columns("state", True)
+    snapshots, columns = made.regular, made.columns("state", True)
     elapsed = np.log((snapshots.now - snapshots.begin) * made.data.dt)
-    x, y = made.x("told")[:, columns].astype(np.float64), made.items.y[snapshots.interval]
+    x, y = made.x("regular")[:, columns].astype(np.float64), made.items.y[snapshots.interval]
     found: dict[str, list[float]] = {name: [] for name in made.items.classes}
     for seed in seeds:
         inside = halves(made.items, seed)[snapshots.interval]

@@ -52,7 +52,7 @@ def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[
 
 
 def held(snapshots: Snapshots, p: np.ndarray, interval: int, length: int) -> np.ndarray:
-    """The belief that stands at each moment of one interval; NaN before the first."""
+    """The latest belief at each moment of one interval; NaN before the first."""
     mine = snapshots.interval == interval
     moments = (np.arange(PARTS) + 0.5) / PARTS
     last = np.searchsorted((snapshots.now[mine] - snapshots.begin[mine]) / length, moments, side="right") - 1

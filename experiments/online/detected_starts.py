@@ -1,4 +1,4 @@
-"""Sub-tasks that nobody announces: when they are noticed, and what the beliefs lose by it.
+"""Sub-tasks that the controller does not announce: when they are detected, and the effect on the beliefs.
 
 A classifier "phase" estimates the present state from the features of the whole trial; a filter over time, whose states
 only follow each other, detects when the next one begins. Half of the trials train, the other half is streamed at 10 Hz.

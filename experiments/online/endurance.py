@@ -2,12 +2,12 @@
 
 * stream: readings of :mod:`experiments._lib.faulty_stream` through resampler, encoder and classifier, one by one, as
   "rcbht stream" feeds them; memory each simulated minute, time by quarter, and whether every reading that must be left
-  out was told. The result is written each simulated hour, so that an interrupted run keeps what it has;
+  out was reported. The result is written each simulated hour, so that an interrupted run keeps it;
 * messages: hostile lines through the reader of streams and the chain;
 * page: an hour of the same stream on the live page, as fast as it goes, before viewers in another process.
 
 Run: python -m experiments.online.endurance
-Memory is what counts. Times are those of this machine, and mean little where something else runs beside.
+Memory is the result. Times are those of this machine, and mean little if other programs run.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ RATE = 10.0  # beliefs per second of stream
 HOUR, MINUTE = 3600, 60
 QUARTERS = 4
 QUANTILES = {"median": 0.5, "p99": 0.99}
-WARM = 60  # minutes of stream after which memory must stand still
+WARM = 60  # minutes of stream after which memory must not grow
 
 
 def model() -> IntrospectionModel:
-    """A classifier of two classes, trained on random features: what it believes does not matter here."""
+    """A classifier of two classes, trained on random features: its beliefs are not used."""
     spec, rng = FeatureSpec(families=("histogram",)), np.random.default_rng(0)
     x, y = rng.normal(size=(200, len(names(spec, 6)))), np.arange(200) % 2
     machine = ProbabilisticSvm(fit(x + y[:, None], y, ("a", "b"), SvmSpec("rbf", 1.0, True)), np.array([[-1.0, 0.0]]))
@@ -66,8 +66,8 @@ class Day:
     """A stream through the chain, and what is measured of it."""
 
     def __init__(self, seconds: int, seed: int) -> None:
-        self._told: Counter[str] = Counter()
-        self._stream = readings(seconds, seed, self._told)
+        self._faults: Counter[str] = Counter()
+        self._stream = readings(seconds, seed, self._faults)
         self.session = Session(Introspector(model(), rate=RATE))
         self.session.introspector.warm_up()
         self.memory = [megabytes()]  # after each minute
@@ -77,7 +77,7 @@ class Day:
         self.readings = self.beliefs = self.wrong = self.done = 0
 
     def minute(self) -> bool:
-        """Feed a minute; whether there was one."""
+        """Feed one minute; returns whether there was one."""
         start = time.process_time()
         for second in range(MINUTE):
             block = next(self._stream, None)
@@ -101,23 +101,26 @@ class Day:
 
     def result(self) -> dict[str, Any]:
         """Everything measured so far."""
-        counts, told = self.session.counts, self._told
+        counts, faults = self.session.counts, self._faults
         return {
             "simulated hours": round(self.done / HOUR, 3),
             "readings": self.readings,
-            "faults": {name: told[name] for name in sorted(told) if "readings" not in name},
+            "faults": {name: faults[name] for name in sorted(faults) if "readings" not in name},
             "beliefs": self.beliefs,
             "beliefs that are no probabilities": self.wrong,
-            "readings left out as not finite, and those that were": [counts["not-finite"], told["bad readings"]],
-            "readings left out as repeated, and those that were": [counts["repeated"], told["stamps twice, readings"]],
+            "readings left out as not finite, and those that were": [counts["not-finite"], faults["bad readings"]],
+            "readings left out as repeated, and those that were": [
+                counts["repeated"],
+                faults["stamps twice, readings"],
+            ],
             "notices": {name: counts[name] for name in ("gap", "late", "jitter", "malformed")},
-            "memory, MB": memory_told(self.memory),
+            "memory, MB": memory_summary(self.memory),
             "processor seconds per simulated minute, median by quarter": _quarters(self.processor),
             "one reading, ms": [_latency(part) for part in np.array_split(self.latency, QUARTERS)],
         }
 
 
-def memory_told(memory: list[float]) -> dict[str, Any]:
+def memory_summary(memory: list[float]) -> dict[str, Any]:
     """Memory by quarter, and its slope once the stream is warm, with the interval of 95 % of a straight line."""
     warm = np.array(memory[min(WARM, len(memory) // 4) :])
     hours = np.arange(len(warm)) / 60
@@ -154,7 +157,7 @@ def page(seconds: int, clients: int, seed: int) -> dict[str, Any]:
         frames = Frames(session, server.broadcast)
         command = [sys.executable, "-m", "experiments._lib.page_clients", server.url, str(clients)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as viewers:
-            time.sleep(2)  # until they look
+            time.sleep(2)  # until they have connected
             for second, block in enumerate(readings(seconds, seed, Counter())):
                 for reading in block:
                     frames.feed(reading)
@@ -166,13 +169,13 @@ def page(seconds: int, clients: int, seed: int) -> dict[str, Any]:
             time.sleep(2)  # until they have read the end
             server.shutdown()
             server.server_close()
-            said, _ = viewers.communicate(timeout=120)
+            printed, _ = viewers.communicate(timeout=120)
     return {
         "simulated seconds": seconds,
         "took, s": round(took),
         "clients": clients,
-        "of them all": json.loads(said),
-        "memory, MB": memory_told(memory),
+        "of them all": json.loads(printed),
+        "memory, MB": memory_summary(memory),
     }
 
 

@@ -51,14 +51,14 @@ FOLDS = 5
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the record
 GRID = replace(TRIAL_GRID, kernels=("rbf",), costs=(1.0, 10.0))
 RANKS = replace(GRID, costs=(1.0,), ranks=True)  # with ranks all costs from here on are much the same
-ENDS = 20  # snapshots that a complete record counts for: until the parts touch, a record says nothing of its failure
+ENDS = 20  # snapshots that a complete record counts for: before contact a record has no information on its failure
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Method:
-    """What one row makes of the stream."""
+    """The encoder and features of one row."""
 
     families: tuple[str, ...]
     window: int = 5

@@ -2,8 +2,8 @@
 
 The grades run from a deviation with which the parts still seat to one with which they never do, so that some trials
 lie at the boundary of success. Every record goes on for a while after the planned end of its trial, as by a logger
-that knows nothing of a fault: after mating, and after an early stop, the robot keeps still. A tail that says nothing
-is therefore no sign of a fault. Stores are kept in a folder and made once; an interrupted run goes on.
+without knowledge of faults: after mating, and after an early stop, the robot keeps still. Such a tail is therefore no
+sign of a fault. Stores are kept in a folder and made once; an interrupted run goes on.
 """
 
 from __future__ import annotations

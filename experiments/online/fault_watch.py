@@ -1,7 +1,7 @@
 """The monitors of the experiments on simulated faults: sub-tasks, features, and what counts as a detection in training.
 
-The words are watched in the insertion, in mating, and in mating that has settled; the clock is watched in the approach
-and in the insertion. See :mod:`rcbht_jax.introspection.fault_monitor`.
+The words are monitored in the insertion, in mating, and in mating that has settled; the clock in the approach and in
+the insertion. See :mod:`rcbht_jax.introspection.fault_monitor`.
 """
 
 from __future__ import annotations

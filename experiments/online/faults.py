@@ -1,12 +1,11 @@
 """Faults in simulation, recognised from the stream: detection, false alarms and delay by kind and severity.
 
 Half of the failures and two thirds of the nominal trials train, the others are streamed, several times with other
-halves. A failure is detected if an alarm is raised while it can still be helped: after
-contact or after the robot stopped, and before the sub-task in which the trial failed ends. Mating ends when the
-controller planned it; a sub-task that never ends is waited for until the mating would have ended as planned. Every
-record goes on for three seconds after that, and an alarm in a nominal trial is a false one whenever it comes, there as
-well. A trial with a fault that seats nevertheless is a success: alarms about those are counted apart. So are faults
-without contact.
+halves. A failure is detected if an alarm is raised while the trial can still be saved: after contact or after the robot
+stopped, and before the sub-task in which the trial failed ends. Mating ends when the controller planned it; a sub-task
+that never ends counts until the planned end of mating. Every record goes on for three seconds after that, and an alarm
+in a nominal trial is a false one whenever it comes, there as well. A trial with a fault that seats nevertheless is a
+success: alarms about those are counted apart. So are faults without contact.
 
 Run: python -m experiments.online.faults --folder faults --repeats 5 --seed 2 [--engine warp] [--jobs 5]
 Simulated trials and their features are kept in the folder; run it again to go on where it was interrupted.
@@ -40,7 +39,7 @@ NOMINAL_SHARE = 2 / 3  # of the nominal trials train: levels for few false alarm
 
 @dataclass(frozen=True)
 class Streamed:
-    """What was heard of the trials that were streamed, in one repeat."""
+    """The alarms of the trials that were streamed, in one repeat."""
 
     inside: NDArray[np.bool_]  # [trial] trains, and is not streamed
     first: dict[str, NDArray[np.float64]]  # time of the first alarm [trial], s, of the words and of the clock
@@ -83,7 +82,7 @@ def in_time(those: Trials, alarm: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def cell(those: Trials, runs: Sequence[Streamed], rows: NDArray[np.bool_]) -> dict[str, Any]:
-    """What happened to some trials whenever they were streamed."""
+    """Counts of alarms and outcomes of some trials, over all repeats that streamed them."""
     failed = [rows & ~run.inside & those.failed for run in runs]
     seated = [rows & ~run.inside & ~those.failed for run in runs]
     helped = [{name: np.where(in_time(those, t), t, np.inf) for name, t in run.first.items()} for run in runs]
@@ -121,8 +120,8 @@ def _share(counts: list[Any], totals: list[Any], test_to_train: float) -> dict[s
     shares = np.array([count / total for count, total in zip(counts, totals, strict=True) if total])
     if len(shares) == 0:
         return None
-    said = corrected_interval(shares, test_to_train) if len(shares) > 1 else (float(shares[0]),)
-    return {name: round(value, 4) for name, value in zip(("mean", "low", "high"), said, strict=False)}
+    interval = corrected_interval(shares, test_to_train) if len(shares) > 1 else (float(shares[0]),)
+    return {name: round(value, 4) for name, value in zip(("mean", "low", "high"), interval, strict=False)}
 
 
 def _median(values: list[NDArray[np.float64]]) -> float | None:
@@ -155,8 +154,8 @@ def table(those: Trials, runs: list[Run]) -> dict[str, Any]:
             },
             "without contact": cell(those, runs, mine & ~those.contact),
             "by grade": {
-                said[0]: cell(those, runs, mine & (those.grade == number))
-                for number, said in enumerate(grades) if len(grades) > 1
+                named[0]: cell(those, runs, mine & (those.grade == number))
+                for number, named in enumerate(grades) if len(grades) > 1
             },
             "by cause": {
                 str(cause): cell(those, runs, mine & (those.cause == cause))
@@ -200,7 +199,7 @@ def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
 
 def measure(w: Watched, repeats: int, seed: int, jobs: int = 1) -> dict[str, Any]:
     """All numbers of a preset."""
-    with ThreadPoolExecutor(jobs) as pool:  # the machines learn outside of Python's lock
+    with ThreadPoolExecutor(jobs) as pool:  # training releases Python's lock
         made = pool.map(partial(run, w), range(seed, seed + repeats))
         runs = list(tqdm(made, total=repeats, file=sys.stderr, disable=None))
     return {
@@ -220,7 +219,7 @@ def measure(w: Watched, repeats: int, seed: int, jobs: int = 1) -> dict[str, Any
 
 
 def arguments(about: str | None) -> argparse.ArgumentParser:
-    """What both experiments on simulated faults are told."""
+    """Options of both experiments on simulated faults."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--preset", nargs="+", default=["hooked-B", "hooked-C", "hooked-A"])

@@ -1,4 +1,4 @@
-"""What a monitor must have seen: faults of other sessions, or of other kinds, before it notices those of this one.
+"""Transfer of fault monitors: trained on faults of other sessions, or of other kinds, than those to be detected.
 
 Four ways to learn, tried on the same streamed trials of a session, half of its failures and a third of its nominal
 trials (see ``experiments.online.faults``, whose first way is repeated here):
@@ -6,7 +6,7 @@ trials (see ``experiments.online.faults``, whose first way is repeated here):
 * "own": its own faults and nominal trials.
 * "kind never seen": the same without the kind of fault that is streamed.
 * "others, own calm": faults and nominal trials of other sessions, and its own nominal trials, which alone set alarm
-  levels and time limits. So one would begin on a robot: a simulation, and trials that went well.
+  levels and time limits. On a robot one would begin in this way, with a simulation and trials that succeeded.
 * "others": faults and nominal trials of other sessions.
 
 Each learns from about as many faults. The last takes 900 nominal ones of a session: its alarm levels after mating has
@@ -40,7 +40,7 @@ from rcbht_jax.types import Recordings
 Rows = NDArray[np.bool_]
 WAYS = OWN, UNSEEN, CALM, OTHERS = "own", "kind never seen", "others, own calm", "others"
 WATCHERS = ("words", "clock")
-EVERY = "every kind"  # of fault: what the one monitor of a way watches for
+EVERY = "every kind"  # of fault: the name of a way's only monitor
 SHOWN = ("failures streamed", "detected", "share detected")
 WHAT = "failures with contact noticed in the stream of simulated trials, by what the monitor learned from"
 
@@ -75,10 +75,10 @@ def some(those: Trials, rows: Rows, share: float, seed: int) -> Rows:
 
 
 def from_others(w: Watched, inside: Rows, others: list[Watched], seed: int, calm: bool) -> FaultMonitor:
-    """A monitor that saw the other sessions, with ``calm`` also nominal trials of this one, which set the levels.
+    """A monitor trained on the other sessions, with ``calm`` also on nominal trials of this one, which set the levels.
 
-    It learns from about as many faults as one of the session's own. Without nominal trials of the others beside its own
-    it would learn to tell the sessions apart.
+    It learns from about as many faults as a monitor of the session's own. Without nominal trials of the others it would
+    learn to distinguish the sessions.
     """
     seen = [chosen(other, some(other.trials, parts(other.trials, seed), 1 / len(others), seed)) for other in others]
     mine = [chosen(w, inside & w.trials.nominal)] if calm else []
@@ -95,12 +95,12 @@ def learned(w: Watched, inside: Rows, others: list[Watched], seed: int, way: str
     return {EVERY: one}
 
 
-def heard(w: Watched, others: list[Watched], seed: int, way: str, path: Path) -> dict[str, Streamed]:
-    """One repeat of one way: monitor -> what it said of the streamed trials; kept in a file, and read from it."""
+def alarms_of(w: Watched, others: list[Watched], seed: int, way: str, path: Path) -> dict[str, Streamed]:
+    """One repeat of one way: monitor -> its alarms in the streamed trials; kept in a file, and read from it."""
     inside = parts(w.trials, seed)
     if not path.is_file():
-        said = {name: alarms(w, one, ~inside) for name, one in learned(w, inside, others, seed, way).items()}
-        found = {f"{name}/{watcher}": times for name, first in said.items() for watcher, times in first.items()}
+        first_alarms = {name: alarms(w, one, ~inside) for name, one in learned(w, inside, others, seed, way).items()}
+        found = {f"{name}/{watcher}": times for name, first in first_alarms.items() for watcher, times in first.items()}
         with atomic_write(path) as draft:
             np.savez(draft, allow_pickle=False, **found)
     with np.load(path, allow_pickle=False) as kept:
@@ -111,10 +111,10 @@ def heard(w: Watched, others: list[Watched], seed: int, way: str, path: Path) ->
 def measure(those: Trials, repeats: dict[str, list[dict[str, Streamed]]]) -> dict[str, Any]:
     """All numbers of a session: way -> false alarms, and detection by kind; from way -> repeat -> monitor."""
     out: dict[str, Any] = {}
-    for way, heard_of in repeats.items():
+    for way, repeated in repeats.items():
         out[way] = {"kinds": {}}
         for kind in GRADES:
-            runs = [one.get(kind) or one[EVERY] for one in heard_of]
+            runs = [one.get(kind) or one[EVERY] for one in repeated]
             found = cell(those, runs, (those.kind == kind) & those.contact)
             out[way]["kinds"][kind] = {name: found[name] for name in SHOWN}
             where = out[way]["kinds"][kind] if way == UNSEEN else out[way]  # that of its monitor
@@ -132,14 +132,14 @@ def main() -> None:
         others = [other for name, other in sets.items() if name != preset]
         name = way.replace(" ", "-").replace(",", "")
         path = args.folder / f"{''.join(args.preset)}-{preset}-{lot}-{name}-{seed}-alarms.npz"
-        found = heard(sets[preset], others, seed, way, path)
+        found = alarms_of(sets[preset], others, seed, way, path)
         bar.update()
         return found
 
     done: dict[str, Any] = {}
     with (
         tqdm(total=len(sets) * len(WAYS) * len(seeds), desc="learn", file=sys.stderr, disable=None) as bar,
-        ThreadPoolExecutor(args.jobs) as pool,  # the machines learn outside of Python's lock
+        ThreadPoolExecutor(args.jobs) as pool,  # training releases Python's lock
     ):
         for preset, w in sets.items():
             todo = {way: [pool.submit(one, preset, way, seed) for seed in seeds] for way in WAYS}

@@ -2,7 +2,7 @@
 
 The beginnings are not given (``experiments.online.causal``). Options are the families of the two heads, the recipes of
 ``rcbht train-online`` or richer words and levels, and which belief counts: that of the head "phase", of the filter over
-it, or of the head "state" with the beginnings that the filter notices. The best mean of the two step accuracies is
+it, or of the head "state" with the beginnings that the filter detects. The best mean of the two step accuracies is
 frozen.
 
 Run: python -m experiments.online.frozen_stream_choice
@@ -44,7 +44,7 @@ OPTIONS = {
 
 
 def heads(option: str) -> dict[str, Any]:
-    """What an option streams, whichever belief counts."""
+    """The heads that an option streams, whichever belief counts."""
     state, phase = OPTIONS[option]
     return {"encoder": "W5", "rate": RATE, "state": state, "phase": phase}
 

@@ -7,7 +7,7 @@ its kind is certain (or lets it end, if it never is), and goes on until an attem
 are nearly symmetric in y: on either side the same edge meets the hand, and the sign of that deviation hardly shows in
 the wrench. One belief about it may be wrong; so the planner sums the logarithms of the beliefs of all attempts, and the
 n-th approach anew is n steps against the direction that they favour, wherever earlier ones went. The truth (four tabs
-seated) is looked at only for the report, which says why each part was lost.
+seated) is used only for the report, which states why each part was lost.
 
 The step was chosen so that no deviation lies between two approaches: with other trials (seed 99) the hooks seat within
 1.5 mm.
@@ -53,7 +53,7 @@ ATTEMPTS = 6
 RATE, HOLD = 20.0, 1.0
 DOUBT = 0.05  # least probability that one attempt leaves to a direction
 FAULTY, IN_PLACE = 50, 10  # parts that are assembled
-# Why a part is not seated in the end, in the order in which the causes are looked for.
+# Why a part is not seated in the end, in the order in which the causes are checked.
 LOSSES = (
     "a seated part was approached anew",
     "failure not noticed",
@@ -118,9 +118,9 @@ class Planner:
         self._belief: Belief | None = None
         self._evidence = np.zeros(len(DIRECTIONS))
         self._moves = 0
-        hub.subscribe(self.told, AnomalyRaised, AnomalyCleared, FailureType, Belief)
+        hub.subscribe(self.receive, AnomalyRaised, AnomalyCleared, FailureType, Belief)
 
-    def told(self, event: Event) -> None:
+    def receive(self, event: Event) -> None:
         if isinstance(event, AnomalyRaised):
             self.anomaly = event
         elif isinstance(event, FailureType):
@@ -138,8 +138,8 @@ class Planner:
     def next_approach(self) -> None:
         """Move against the direction that all attempts together favour, one step farther than before."""
         if self._belief is not None:
-            said = dict(zip(self._belief.classes, self._belief.probabilities, strict=True))
-            self._evidence += np.log(np.maximum([said.get(direction, 0.0) for direction in DIRECTIONS], DOUBT))
+            belief = dict(zip(self._belief.classes, self._belief.probabilities, strict=True))
+            self._evidence += np.log(np.maximum([belief.get(direction, 0.0) for direction in DIRECTIONS], DOUBT))
         self._moves += 1
         self.correction = -STEP * self._moves * np.array(list(DIRECTIONS.values())[int(self._evidence.argmax())])
         self.anomaly = self.kind = self._belief = None
@@ -202,7 +202,7 @@ def parts_of(seed: int, faulty: int, in_place: int) -> list[tuple[str, float]]:
 
 
 def summed(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """How many parts seat with the planner and without, and what the others were lost by."""
+    """How many parts seat with the planner and without, and why the others were lost."""
     count = len(runs)
     return {
         "parts": count,

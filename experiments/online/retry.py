@@ -1,10 +1,10 @@
 """Stop and retry by beliefs that an environment observes.
 
 The classifiers of ``experiments.online.recovery`` (outcome, and direction of the deviation) are part of the observation
-of an environment of session C; all parts are assembled at once, the recorded controller alone at work. An attempt
+of an environment of session C; all parts are assembled at once, by the recorded controller alone. An attempt
 is stopped once the belief in a failure has stood above its level for a second; then the part is approached anew, moved
 against the direction that the beliefs of all attempts together favour, one step farther each time. A part whose attempt
-ends without that is believed done. Whether its four tabs are seated is looked at only for the report.
+ends without that is believed done. Whether its four tabs are seated is used only for the report.
 
 Run: python -m experiments.online.retry
 """
@@ -39,7 +39,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Attempt:
-    """What came of one attempt at every part."""
+    """Result of one attempt at every part."""
 
     stopped: Bools  # [part] because of beliefs
     seated: Bools  # [part] when it ended or was stopped
@@ -89,8 +89,8 @@ class Bench:
             doubt = np.where(seen[:, self.columns["outcome", "failure"]] > level, doubt + self.scene.dt, 0.0)
             stopped |= (doubt >= HOLD) & ~over
             over |= stopped | (done > 0.5)
-        told = np.stack([obs[:, self.columns[FAILURE_TYPE, kind]] for kind in DIRECTIONS], axis=1)
-        return Attempt(stopped, seated, seconds, np.log(np.maximum(told, DOUBT)))
+        beliefs = np.stack([obs[:, self.columns[FAILURE_TYPE, kind]] for kind in DIRECTIONS], axis=1)
+        return Attempt(stopped, seated, seconds, np.log(np.maximum(beliefs, DOUBT)))
 
 
 def assemble(bench: Bench, attempts: int) -> dict[str, Any]:

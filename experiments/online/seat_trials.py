@@ -4,8 +4,8 @@ The ranges were found with 32 or 48 trials of each kind and session (seeds 77 to
 that are scored were drawn afterwards. A missing tab is a worn one whose hook has nothing left: a continuous severity,
 of which the half that is below zero fails. The kind "no contact" stands apart: its parts never touch, all of it fails.
 
-Of every record only the first seconds are seen, the same number in all trials of a session, at least one second before
-the planned end of nearly all: neither the length of a record nor what follows says anything about the outcome.
+Of every record only the first seconds are used, the same number in all trials of a session, at least one second before
+the planned end of nearly all: neither the length of a record nor what follows can reveal the outcome.
 """
 
 from __future__ import annotations

@@ -94,8 +94,8 @@ def start_up(model: Path) -> dict[str, dict[str, float]]:
 
     def once(cache: str) -> dict[str, float]:
         command = [sys.executable, "-c", START, str(model), cache]
-        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-        return {"wall, s": round(float(said[0]), 2), "processor, s": round(float(said[1]), 2)}
+        output = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+        return {"wall, s": round(float(output[0]), 2), "processor, s": round(float(output[1]), 2)}
 
     with tempfile.TemporaryDirectory() as folder:
         return {"cold": once(""), "filling the cache": once(folder), "warm cache": once(folder)}
@@ -184,10 +184,10 @@ def fuzz_page(model: Path, count: int, seed: int) -> dict[str, Any]:
                 client.sendall(request)
                 client.shutdown(socket.SHUT_WR)
                 try:
-                    said = client.recv(12)
+                    reply = client.recv(12)
                 except ConnectionResetError:
-                    said = b"reset"
-            code = said[9:12].decode("ascii", "replace") if said.startswith(b"HTTP/") else "other"
+                    reply = b"reset"
+            code = reply[9:12].decode("ascii", "replace") if reply.startswith(b"HTTP/") else "other"
             answers[code] = answers.get(code, 0) + 1
             if number % max(1, count // 10) == 0:
                 memory.append(megabytes())

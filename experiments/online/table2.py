@@ -1,4 +1,4 @@
-"""Table II of the paper, honestly: beliefs while the sub-task runs, on trials that were not trained on.
+"""Table II of the paper on held-out trials: beliefs while the sub-task runs.
 
 Half of the trials train a classifier of the states, the other half is streamed; repeated with other halves. Kernel and
 cost are chosen inside the training half. A belief at a sample uses what a stream had at that sample: the labels
@@ -143,7 +143,7 @@ def repeat(x: dict[str, Any], items: LabelledIntervals, families: tuple[str, ...
 
 
 def together(runs: list[Any], seed: int) -> dict[str, float]:
-    """Calibration of full sequences over all repeats, and what so few of them score in one when nothing is wrong."""
+    """Calibration error of full sequences, repeats together, and that expected in one if beliefs were calibrated."""
     parts, rng = [run.pop(WHOLE) for run in runs], np.random.default_rng(seed)
     p, y_true = (np.concatenate(part) for part in zip(*parts, strict=True))
     drawn = [(one, (one.cumsum(1)[:, :-1] < rng.random((len(one), 1))).sum(1)) for one, _ in parts]
@@ -165,12 +165,12 @@ def summary(runs: list[Any]) -> Any:
         return with_interval(stacked, places=4)
     # Unbounded: None = never in most repeats. Undefined (an empty bin): None.
     middle = np.median(stacked, axis=0) if np.isinf(stacked).any() else _mean(stacked)
-    told: Any = np.where(np.isfinite(middle), middle.round(4), None)
-    return told.tolist()
+    rounded: Any = np.where(np.isfinite(middle), middle.round(4), None)
+    return rounded.tolist()
 
 
 def _mean(stacked: Floats) -> Floats:
-    """Mean over the first axis of the numbers there are; NaN where there are none."""
+    """Mean over the first axis, without NaN; NaN where there is no number."""
     there = ~np.isnan(stacked)
     total, count = np.where(there, stacked, 0).sum(0), there.sum(0)
     return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))

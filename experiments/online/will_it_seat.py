@@ -1,13 +1,13 @@
-"""Will it seat? A belief in the outcome, trained for it, beside one in any deviation, by kind of fault.
+"""Will it seat? A belief in the outcome, compared with one in any deviation, by kind of fault.
 
-A monitor of deviations raises the alarm about trials that seat all the same. Here a classifier learns the outcome, from
-the first seconds of the record, the same number in all trials (see ``experiments.online.seat_trials``): neither a
-duration nor the length of the record is among what it sees. As a command:
+A monitor of deviations also raises the alarm in trials that seat. Here a classifier learns the outcome, from the first
+seconds of the record, the same number in all trials (see ``experiments.online.seat_trials``): its features contain
+neither a duration nor the length of the record. As a command:
 ``rcbht train-online STORE --task outcome --families course edges offset --ranks --first-seconds SECONDS``.
 
-It trains on four moments of each training trial, and is asked at the last of them, at least about one second before
-the trial ends as planned, and at the earlier ones; "by moment" has a machine for each, which was better on trials of
-seed 5, but was tried only after the first had been scored on the others. Within a session: five folds of trials,
+It trains on four moments of each training trial, and is scored at the last of them, at least about one second before
+the planned end of the trial, and at the earlier ones; "by moment" has a classifier for each, which was better on trials
+of seed 5, but was tried only after the first had been scored on the others. Within a session: five folds of trials,
 repeated. From one session to the other: all trials of one train. "Own nominal" subtracts the median feature of a half
 of the tested session's nominal trials and divides by their deviation, as one would after some trials known to be good;
 these are not tested.
@@ -17,8 +17,8 @@ trials as the rarer outcome has, which is wide, and never zero. Families, ranks 
 (60 of each kind); those of seed 9, with hooks that catch in place of blocks, were drawn afterwards.
 
 Baselines: a forest on the wrench of the last tenth of a second, one on when the controller's sub-tasks began, one on
-the same features as the method; and the same method trained to tell faulty from nominal trials, asked for the outcome.
-The time that has passed, and the length of the record, are the same in all trials: they know nothing.
+the same features as the method; and the same method trained to separate faulty from nominal trials, scored by the
+outcome. The time that has passed, and the length of the record, are the same in all trials, and carry no information.
 
 Run: python -m experiments.online.will_it_seat --folder seat --per-kind 80 --repeats 2 --seed 9
 Simulated trials, features and finished rows are kept; run it again to go on where it was interrupted.
@@ -53,10 +53,10 @@ from rcbht_jax.learning.svm import SvmSpec
 from rcbht_jax.learning.validation import repeated_folds
 from rcbht_jax.robots.snap_assembly import RECORDED
 
-BEFORE = (8.0, 4.0, 2.0, 0.0)  # s before the end of what is seen
+BEFORE = (8.0, 4.0, 2.0, 0.0)  # s before the end of the used part
 FAMILIES = ("course", "edges", "offset")
 MACHINE = SvmSpec("rbf", 10.0, scaling=True, balanced=True, floor=0.1, ranks=True)
-LAST = 0.1  # s of wrench that a baseline sees
+LAST = 0.1  # s of wrench that a baseline uses
 TREES = 200
 FAILED = 1  # class
 TARGETS = {"area of each kind, within a session": 0.95, "area of each kind, from session to session": 0.90}
@@ -70,7 +70,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Seen:
-    """What can be known of each trial at each moment."""
+    """The data of each trial at each moment."""
 
     trials: SeatTrials
     x: Floats  # [moment, trial, feature]
@@ -108,7 +108,7 @@ def seen(folder: Path, session: str, per_kind: int, seed: int) -> Seen:
 
 
 def described(wrench: NDArray[np.float32], dt: float) -> NDArray[np.float32]:
-    """Features of records of one length: what a stream knows after so many samples."""
+    """Features of records of one length, as a stream has them after as many samples."""
     length = np.full(len(wrench), wrench.shape[1], np.int32)
     tracks = encode_batch(EncoderConfig(dt=dt), thresholds(), np.ascontiguousarray(wrench), length)
     spans = Intervals(np.arange(len(wrench)), np.zeros(len(wrench), np.int64), length.astype(np.int64), dt)
@@ -156,8 +156,8 @@ OUTCOME, DEVIATION = list(METHODS)[:2]
 WITHIN, ACROSS = SESSIONS, (SESSIONS, SESSIONS[::-1])
 
 
-def taught(s: Seen, name: str) -> Ints:
-    """What a method learns of each trial ``[trial]``."""
+def targets(s: Seen, name: str) -> Ints:
+    """Class of each trial ``[trial]`` that a method is trained to predict."""
     return (s.trials.kind != NOMINAL).astype(np.int64) if name == DEVIATION else s.y
 
 
@@ -180,7 +180,7 @@ def share(good: int, trials: int) -> dict[str, Any] | None:
 
 
 def scores(s: Seen, p: Floats, tested: Flags) -> dict[str, Any]:
-    """Of beliefs in failure ``[moment, trial]``: areas by kind and moment; what is said at the last one."""
+    """Scores of beliefs in failure ``[moment, trial]``: areas by kind and moment; decisions at the last one."""
     kind, y, last = s.trials.kind, s.y, p[-1]
     faulty = np.isin(kind, KINDS) & tested
     groups = {EVERY: faulty} | {name: faulty & (kind == name) for name in KINDS}
@@ -188,12 +188,12 @@ def scores(s: Seen, p: Floats, tested: Flags) -> dict[str, Any]:
     out["area, s earlier"] = {
         f"{before:g}": (area(q[faulty], y[faulty]) or {}).get("mean") for before, q in zip(BEFORE, p, strict=True)
     }
-    said = last > 0.5
+    believed = last > 0.5
     out["said at 0.5"] = {
         name: {
-            "sensitivity": share(int((said & rows & (y == 1)).sum()), int((rows & (y == 1)).sum())),
-            "specificity": share(int((~said & rows & (y == 0)).sum()), int((rows & (y == 0)).sum())),
-            "precision": share(int((said & rows & (y == 1)).sum()), int((said & rows).sum())),
+            "sensitivity": share(int((believed & rows & (y == 1)).sum()), int((rows & (y == 1)).sum())),
+            "specificity": share(int((~believed & rows & (y == 0)).sum()), int((rows & (y == 0)).sum())),
+            "precision": share(int((believed & rows & (y == 1)).sum()), int((believed & rows).sum())),
         }
         for name, rows in (groups | {NOMINAL: tested & (kind == NOMINAL), APART: tested & (kind == APART)}).items()
     }
@@ -204,7 +204,7 @@ def within(get: Callable[[str], Seen], session: str, name: str, repeats: int, se
     """A session's own trials, in folds; beliefs are averaged over the repeats."""
     s = get(session)
     matrix, learner = METHODS[name]
-    x, y, groups = matrix(s), taught(s, name), np.arange(len(s.y))
+    x, y, groups = matrix(s), targets(s, name), np.arange(len(s.y))
     p = np.zeros((len(BEFORE), len(y)))
     cells = np.unique(np.char.add(s.trials.kind, s.y.astype(str)), return_inverse=True)[1]
     if np.bincount(cells).min() < FOLDS:  # of a short run
@@ -223,7 +223,7 @@ def across(get: Callable[[str], Seen], ways: tuple[str, str], name: str, own: bo
     if own:
         first, _ = nominal_scaled(first, a.trials.kind, seed)
         second, tested = nominal_scaled(second, b.trials.kind, seed)
-    return scores(b, learner(first, taught(a, name), second, seed), tested)
+    return scores(b, learner(first, targets(a, name), second, seed), tested)
 
 
 def nominal_scaled(x: Floats, kind: NDArray[np.str_], seed: int) -> tuple[Floats, Flags]:
@@ -236,7 +236,7 @@ def nominal_scaled(x: Floats, kind: NDArray[np.str_], seed: int) -> tuple[Floats
 
 
 def shares(get: Callable[[str], Seen], session: str) -> dict[str, Any]:
-    """How many trials of each kind failed, and what they are."""
+    """How many trials of each kind failed, and facts about them."""
     s = get(session)
     touched = np.isfinite(s.trials.recordings.starts(RECORDED)[:, 1])
     return {

@@ -1,10 +1,10 @@
-"""Sub-tasks of recorded streams by the frozen method, learned from simulated trials that no recording shaped.
+"""Sub-tasks of recorded streams by the frozen method, trained on simulated trials fitted to no recording.
 
 The trials of ``experiments._lib.zero_shot_set``, tared by their first second as a robot tares before it starts, train
 alone, or beside those of one recorded session; the recorded trials that do not train are streamed, with beginnings
-given and detected, beside the baselines of ``experiments.online.causal`` on the same trials. The last rows show what
-the tare alone changes. Nothing is chosen here: the method is the frozen one, the simulated trials are the first of the
-set.
+given and detected, beside the baselines of ``experiments.online.causal`` on the same trials. The last rows show the
+effect of the tare alone. Nothing is chosen here: the method is the frozen one, the simulated trials are the first of
+the set.
 
 Run: python -m experiments.online.zero_shot_stream FOLDER
 FOLDER keeps the simulated set; it is made if it is missing. Finished rows are stored; the same command resumes an

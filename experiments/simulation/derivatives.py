@@ -1,4 +1,4 @@
-"""Forward derivatives of six wrench statistics by ten parameters of the parts, beside central differences.
+"""Forward derivatives of six wrench statistics by ten parameters of the parts, compared with central differences.
 
 In the smooth setting (see :mod:`sim_mjx.validation.sensitivity`) the hand follows the path of a nominal trial of
 session B, from before touch to its third second of mating, in a fifth of the time. The statistics are the means of the
@@ -34,7 +34,7 @@ STEPS = {
     "parts.mount_stiffness[2]": 2e-3, "parts.mount_damping[2]": 1e-3, "parts.position[0]": 1e-9,
     "parts.position[2]": 1e-9,
 }  # fmt: skip
-BEFORE, QUICKER = 0.4, 5.0  # s before touch; times as quick as the trial
+BEFORE, QUICKER = 0.4, 5.0  # s before touch; factor on the trial's speed
 LIMIT = 1e-2  # of the difference, relative
 
 

@@ -1,9 +1,9 @@
-"""One set of parts for sessions A and B from the hand's recorded motion: Gauss-Newton beside CMA-ES.
+"""One set of parts for sessions A and B from the hand's recorded motion: Gauss-Newton compared with CMA-ES.
 
-The hand is moved along the recorded joint angles, and the wrench compared with the recorded one. Seen are some trials
-of A and the white cells of B's grid; the rest of A, B's black cells and all of C, with the part as fitted, are
+The hand is moved along the recorded joint angles, and the wrench compared with the recorded one. The fit uses some
+trials of A and the white cells of B's grid; the rest of A, B's black cells and all of C, with the part as fitted, are
 predicted. Both methods begin at the presets and minimise one sum of squares. A candidate is one simulation of all
-trials that are seen; those of Gauss-Newton's differences count.
+fitted trials; those of Gauss-Newton's differences count.
 Run: python -m experiments.simulation.driven_fit --engine warp
 """
 
@@ -51,14 +51,14 @@ NAMES = ("hooked-A", "hooked-B", "hooked-C")
 
 @dataclass(frozen=True)
 class Trials:
-    """What is seen and what is predicted."""
+    """The fitted and the predicted trials."""
 
     seen: tuple[DrivenTrial, ...]
     held: dict[str, tuple[DrivenTrial, ...]]  # by what they are
 
 
 def trials(recordings: Recordings, folder: Path, of_a: int, after: float = driven_fit.AFTER) -> Trials:
-    """The recorded trials whose joint angles are there, with so many seconds of mating."""
+    """The recorded trials with joint angles, up to ``after`` seconds of mating."""
     rows = {name: sessions.recorded_rows(recordings, name) for name in NAMES}
     rows = {name: driven_fit.rows_with_angles(folder, recordings, those, HOOKED[name]) for name, those in rows.items()}
     made = {
@@ -93,7 +93,7 @@ def of_c(values: Values) -> Values:
 
 
 def scores(objective: DrivenObjective, values: Values) -> dict[str, Any]:
-    """What one candidate explains."""
+    """Explained variance of one candidate."""
     return scores_of(objective, *objective.simulate([values]))
 
 
@@ -151,7 +151,7 @@ def by_search(objective: DrivenObjective, how: Search, target: float, checkpoint
 def by_gauss_newton(
     data: Trials, objective: DrivenObjective, how: Search, iterations: int, step: float, begun: float
 ) -> dict[str, Any]:
-    """The fit, what its matrix says, and what presets and fit explain."""
+    """The fit, the identifiability of its parameters, and the explained variance of presets and fit."""
 
     def progress(at: Iteration, values: Values) -> None:
         took = time.perf_counter() - begun
@@ -159,14 +159,14 @@ def by_gauss_newton(
 
     found: LeastSquares = gauss_newton.fit(objective, how, iterations=iterations, step=step, progress=progress)
     windows = sum((len(t.path) - t.begin) // driven_fit.WINDOW for t in data.seen)
-    said = gauss_newton.identifiability(found.jacobian, list(how.bounds), found.loss, 6.0 * windows)
+    identifiable = gauss_newton.identifiability(found.jacobian, list(how.bounds), found.loss, 6.0 * windows)
     return {
         "start": how.start,
         "trials": {"seen": [t.name for t in data.seen], **{k: [t.name for t in v] for k, v in data.held.items()}},
         "gauss_newton": {
             "loss": found.loss, "candidates": found.candidates, "values": found.values, "at_bound": found.at_bound,
             "loss_by_candidates": [[at.candidates, round(at.loss, 4)] for at in found.iterations],
-            "identifiability": said,
+            "identifiability": identifiable,
         },
         "scores": {
             "presets": all_scores(data, objective, how.start), "fitted": all_scores(data, objective, found.values),
@@ -175,7 +175,7 @@ def by_gauss_newton(
 
 
 def alone(data: Trials, scene: Scene, engine: str, iterations: int, begun: float) -> dict[str, Any]:
-    """The same fit to one session at a time: what a part of its own would explain."""
+    """The same fit to one session at a time, as if each had its own part."""
     out = {}
     for name, held in (("hooked-A", "A"), ("hooked-B", "B, black cells")):
         seen = tuple(trial for trial in data.seen if trial.session == name)

@@ -175,7 +175,7 @@ def traces(
 
 
 def closed_loop(parts: PartParams, recordings: Recordings) -> dict[str, Any]:
-    """What the gate says of session B with these parts, moved by the recorded controller."""
+    """Measures of the gate for session B with these parts and the recorded controller."""
     preset = replace(HOOKED[SESSION], parts=parts)
     target = sessions.recorded(recordings, SESSION)
     run, _, _ = rerun(preset, seed=0)
@@ -193,7 +193,7 @@ def scored(
     best: Values,
     recordings: Recordings,
 ) -> dict[str, Any]:
-    """Presets, starts and the best fit, by what they explain, where they are loaded, and in the closed loop."""
+    """Presets, starts and the best fit: explained variance, place of the load, and the gate in the closed loop."""
     seen = objective.trials
     both = replace(objective, trials=seen + held, engine="native", load_weight=0.0)
     values = {"presets": joint.search((SESSION,)).start, "driven_fit": around[0].start}

@@ -44,7 +44,7 @@ from sim_mjx.validation.engine_parity import parity, reference
 SOLVERS = ((6, 4), (4, 4), (1, 1), (10, 6))  # most iterations, of its line search; the first cannot converge
 CONVERGED = (30, 20)
 COMPARED = 64  # trials
-SAMPLED = 1.0  # s between two looks at the memory in use
+SAMPLED = 1.0  # s between two readings of the memory in use
 
 
 def scene_of(options: argparse.Namespace) -> Scene:

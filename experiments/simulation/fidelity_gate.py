@@ -1,8 +1,8 @@
-"""The gate of simulated sessions: what it says of the presets, of recordings, and of models that are nonsense.
+"""The gate of simulated sessions, applied to the presets, to recordings, and to null models.
 
 For every session the preset, and the one with hooks that catch or with rigid contacts; the same without tabs, with soft
 springs, and with another session's parts; a constant for every state and axis; and the recorded mean with sensor noise.
-As a control, one half of the recordings against the other. Nonsense must fail, recordings must pass. Where a session
+As a control, one half of the recordings against the other. Null models must fail, recordings must pass. Where a session
 has a grid of placements, the trials are counted that seat, or do not, as recorded.
 Run: python -m experiments.simulation.fidelity_gate [--session A B C openhrp hooked-A hooked-B hooked-C rigid-openhrp]
 """
@@ -30,7 +30,7 @@ from sim_mjx.validation.gate import Check
 SEED = 0
 SESSIONS = ONE_ARM | HOOKED | {RIGID.name: RIGID}
 OTHER = {"A": "B", "B": "A", "C": "A", "openhrp": "A"}  # whose parts a session is given
-COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # all that was asked before: the similarity of session A to session B
+COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # limits of the former gate: the similarity of session A to session B
 SOFT = 0.01  # of the springs' stiffness
 
 
@@ -75,7 +75,7 @@ def row(
     events: tuple[Dynamics, Dynamics] | None = None,
     shares: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """What the gate says, and what the one before it said."""
+    """Measures of the gate, and the verdict of the former one."""
     if len(test) < gate.LEAST or preset.gate is None:
         return {"mated": len(test), "checks": {}, "passes": False, "passed before": False}
     found = gate.checks(preset.gate, reference, test, events, shares)

@@ -1,4 +1,4 @@
-"""Snap hooks on a bench, pressed and pulled: forces beside the formulas of design guides.
+"""Snap hooks on a bench, pressed and pulled: forces compared with the formulas of design guides.
 
 A grid of lead-in angles, frictions and overlaps; the camera's tab as its plastic and drawing give it, worn and broken;
 and a part of four such tabs, pressed straight and two after two, as the recorded assembly tilts it.
@@ -53,7 +53,7 @@ def errors(rows: list[dict[str, float]]) -> dict[str, float]:
 
 
 def part(hooks: Sequence[Hook], lower: Sequence[float] | None = None) -> dict[str, Any]:
-    """Peaks of a part, and what theory says of one of its tabs."""
+    """Peaks of a part, and the computed forces of one of its tabs."""
     pressed, pulled = press_and_pull(hooks, lower)
     return {
         "press": pressed.peak, "mating force of a tab": mating_force(hooks[0]),

@@ -62,7 +62,7 @@ SEEN = tuple(cell for cell in HOOKED["hooked-B"].placements if sum(cell) % 2 == 
 
 
 def shares(recordings: Recordings, names: tuple[str, ...]) -> dict[str, Share]:
-    """What the fit may see: all of a session, but of B only the white cells."""
+    """The trials to fit to: all of a session, but of B only the white cells."""
     out = {name: Share(sessions.recorded(recordings, name), (), TRIALS) for name in names if name != "hooked-B"}
     if "hooked-B" in names:
         rows = sessions.recorded_rows(recordings, "hooked-B")
@@ -116,7 +116,7 @@ def of_sessions(
 
 
 def present(session: str, name: str) -> float:
-    """What a session's preset has of a parameter."""
+    """Value of a parameter in a session's preset."""
     return overrides.value(HOOKED[session].parts, HOOKED[session].sensor, name)
 
 

@@ -1,7 +1,7 @@
 """Workers of a synthesis killed at random moments and replaced: the store must equal the uninterrupted one.
 
-Trials are cut short, because the physics is not under test. A shard that is begun is noted, so that it is seen what was
-simulated twice: no more than what the killed workers held.
+Trials are cut short, because the physics is not under test. Each start of a shard is logged, to check that no more was
+simulated twice than the killed workers held.
 
 Run: python -m experiments.simulation.kill_resume [--trials 5000] [--kills 20] [--workers 4]
 """

@@ -1,7 +1,7 @@
 """Stores of up to a million recordings: describing one, reading one trial, encoding and classifying all of them.
 
 Recordings of 2.5 s are random walks in two phases. Eight parts of a store are made and repeated, names included, each
-with files of its own; nothing that is measured asks whether names repeat. Memory is the largest of a command.
+with files of its own; no measurement depends on repeated names. Memory is the largest of a command.
 
 Run: python -m experiments.simulation.large_store WORK [--sizes 10000 100000 1000000] [--worked 4000 16000 64000]
 """
@@ -102,7 +102,7 @@ def rcbht(*words: str | Path) -> tuple[float, float]:
 
 
 def reading(path: Path) -> dict[str, Any]:
-    """What describing a store and reading single trials takes."""
+    """Times of describing a store and of reading single trials."""
     info = [rcbht("info", path) for _ in range(3)]
     found = subprocess.run([sys.executable, "-c", MEASURE, path, str(READ)], check=True, capture_output=True, text=True)
     seconds = json.loads(found.stdout)

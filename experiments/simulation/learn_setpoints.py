@@ -136,7 +136,7 @@ def learn(search: Search, generations: int, file: Path | None) -> dict[str, Any]
         tabs, seated = evaluate(search.engine, beside(LEARN, indices, search.seconds), candidates)
         score = (tabs + seated).mean(1)  # what an episode's reward sums up to
         best = np.argsort(-score)[: max(2, round(ELITE * search.population))]
-        if score[best].any():  # a generation without any seated tab teaches nothing
+        if score[best].any():  # a generation without any seated tab has no information
             middle, wide = weighted(candidates[best], score[best])
             state["mean"] = (KEPT * mean + (1 - KEPT) * middle).tolist()
             state["sd"] = (KEPT * sd + (1 - KEPT) * wide).tolist()

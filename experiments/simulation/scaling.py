@@ -43,7 +43,7 @@ from rcbht_jax.types import Array, LabelTracks
 from sim_mjx.synthesis import claims, launch, shards
 
 SEED = 0
-LOOK, QUANTILES = 0.2, (0.1, 0.5, 0.9, 1.0)  # s between two looks at a running command
+LOOK, QUANTILES = 0.2, (0.1, 0.5, 0.9, 1.0)  # s between two checks of a running command
 SIZES = ((32_768, 5), (32_768, 20))  # recordings of a device, and the window
 CALLS = (1, 16)  # one after another, none waited for
 Section = Literal["simulation", "search", "labels"]
@@ -71,7 +71,7 @@ def watched(command: subprocess.Popen[bytes], folder: Path) -> dict[str, Any]:
 
 
 def simulated(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
-    """Seconds of the command on some GPUs, and what became of the trials."""
+    """Seconds of the command on some GPUs, and counts of its trials."""
     target = folder / f"{trials}-on-{len(gpus)}.zarr"
     made = [sys.executable, "-m", "rcbht_jax.cli", *COMMAND, str(target), "--trials", str(trials)]
     made += ["--compile-cache", str(folder / "cache"), "--devices", str(len(gpus)), "--json"]

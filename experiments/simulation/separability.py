@@ -1,4 +1,4 @@
-"""How alike two sets of trials must be for a linear classifier not to tell them apart: what the gate's AUC asks.
+"""How similar two sets of trials must be for a linear classifier not to separate them: the meaning of the gate's AUC.
 
 One half of a session's recordings against the other, whose mean in every state and axis is moved, up or down by chance:
 by a share of its standard deviation between trials, or by the same force everywhere (moments by as much at 20 mm). Then
@@ -39,7 +39,7 @@ def moved(one: Profiles, other: Profiles, size: Float64[np.ndarray, "4 6"]) -> f
 
 
 def of_recordings(reference: Profiles) -> dict[str, Any]:
-    """What moves of one half do to the AUC, and how much the session's trials differ."""
+    """Effect on the AUC of moving one half, and the spread of the session's trials."""
     one, other = reference[::2], reference[1::2]
     spread = reference.mean(2).std(0, ddof=1)
     even = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])

@@ -31,12 +31,12 @@ REFERENCES = {"A": "real_A__harm__all", "B": "real_B__harm__all"}  # keys of the
 
 def similarity(reference: np.ndarray, run: Rollouts) -> dict[str, Any]:
     kept = sessions.profiles(run)
-    said = signature.compare(reference, kept)
+    distance = signature.compare(reference, kept)
     return {
         "trials": len(kept),
-        "coverage": round(said.coverage, 3),
-        "w1_over_sd": round(said.w1_over_sd, 3),
-        "dtw_over_sd": round(said.dtw_over_sd, 3),
+        "coverage": round(distance.coverage, 3),
+        "w1_over_sd": round(distance.w1_over_sd, 3),
+        "dtw_over_sd": round(distance.dtw_over_sd, 3),
     }
 
 

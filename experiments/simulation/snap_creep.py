@@ -56,7 +56,7 @@ FZ = 2
 class Gated(NamedTuple):
     """Whole trials on all placements, of one seed."""
 
-    measures: dict[str, float]  # what the gate says
+    measures: dict[str, float]  # of the gate
     last: list[float]  # when the last snap comes, s after mating began, of each trial that seated and has one
     colours: dict[str, tuple[int, int]]  # cells -> trials that seated, and of those with a snap as recorded
 
@@ -74,7 +74,7 @@ def changed(
 
 
 def candidates() -> dict[str, SessionPreset]:
-    """What the gate is asked about, with the physics step of the preset; and once with twice that."""
+    """The presets that are measured by the gate, with the physics step of the preset, and once with twice that."""
     return {
         "the preset": changed(),
         TWICE: changed(),
@@ -92,9 +92,9 @@ def sweep(impratio: float, cells: tuple[tuple[int, int], ...]) -> dict[str, Any]
     scene = changed(impratio).scene()
     recorder = Recorder(scene, len(batch.command_delay))
     run = native.simulate(scene, batch, watch=recorder.watch)
-    told = [passes(run, recorder, at) for at in range(len(run.length))]
+    passed = [passes(run, recorder, at) for at in range(len(run.length))]
     count = len(cells)
-    return {f"{overlap:g}": summary(told[at * count : (at + 1) * count]) for at, overlap in enumerate(OVERLAPS)}
+    return {f"{overlap:g}": summary(passed[at * count : (at + 1) * count]) for at, overlap in enumerate(OVERLAPS)}
 
 
 def last_snaps(found: dict[int, list[snaps.Snap]], mating: NDArray[np.float64]) -> list[float]:
@@ -105,7 +105,7 @@ def last_snaps(found: dict[int, list[snaps.Snap]], mating: NDArray[np.float64]) 
 
 
 def by_colour(found: dict[int, list[snaps.Snap]], cells: tuple[tuple[int, int], ...]) -> dict[str, tuple[int, int]]:
-    """Of the cells that the fit saw, and of the others: trials that seated, and those with a snap as recorded."""
+    """For the cells used by the fit, and for the others: trials that seated, and those with a snap as recorded."""
     out = {}
     for colour, seen in (("white", True), ("black", False)):
         each = [trial for at, trial in found.items() if (cells[at] in SEEN) is seen]
@@ -122,22 +122,22 @@ def gated(session: SessionPreset, scene: Scene, target: sessions.Target, seed: i
     found = find_snaps(run, recorder)
     shares = snap_shares(target, snaps.summary(list(found.values())))
     checks = row(session, target.profiles, sessions.profiles(run), pair, shares)["checks"]
-    told = {name: checks[name]["value"] for name in MEASURES}
-    told |= {"outcomes as recorded": sessions.agreement(session, run)}
-    return Gated(told, last_snaps(found, run.onset[:, 3]), by_colour(found, session.placements))
+    measures = {name: checks[name]["value"] for name in MEASURES}
+    measures |= {"outcomes as recorded": sessions.agreement(session, run)}
+    return Gated(measures, last_snaps(found, run.onset[:, 3]), by_colour(found, session.placements))
 
 
 def over_seeds(session: SessionPreset, scene: Scene, target: sessions.Target, seeds: int) -> dict[str, Any]:
     """Means over seeds, their lowest and highest values, quartiles of the last snaps of all, and snaps by colour."""
-    told = [gated(session, scene, target, seed) for seed in range(seeds)]
+    runs = [gated(session, scene, target, seed) for seed in range(seeds)]
     out: dict[str, Any] = {}
-    for name in told[0].measures:
-        values = [float(each.measures[name]) for each in told]
+    for name in runs[0].measures:
+        values = [float(each.measures[name]) for each in runs]
         out[name] = {"mean": float(np.mean(values)), "lowest": min(values), "highest": max(values)}
-    for colour in told[0].colours:
-        seated, snapped = (sum(counts) for counts in zip(*(each.colours[colour] for each in told), strict=True))
+    for colour in runs[0].colours:
+        seated, snapped = (sum(counts) for counts in zip(*(each.colours[colour] for each in runs), strict=True))
         out[f"{colour} cells"] = {"seated": seated, "with a snap as recorded": snapped}
-    return out | quartiles([time for each in told for time in each.last])
+    return out | quartiles([time for each in runs for time in each.last])
 
 
 def quartiles(last: list[float]) -> dict[str, Any]:
@@ -170,8 +170,8 @@ def changes(run: Rollouts, recorder: Recorder, other: Rollouts, watched: Recorde
     rows, both = range(len(run.length)), np.minimum(run.length, other.length)
     times = [(stays(run, at), stays(other, at)) for at in rows]
     moved = [abs(now[tab] - then[tab]) * 1e3 for then, now in times for tab in then.keys() & now.keys()]
-    told = [(passes(run, recorder, at), passes(other, watched, at)) for at in rows]
-    rear = np.array([np.abs(np.subtract(now, then)) for then, now in told if then and now]).reshape(-1, 3)
+    pairs = [(passes(run, recorder, at), passes(other, watched, at)) for at in rows]
+    rear = np.array([np.abs(np.subtract(now, then)) for then, now in pairs if then and now]).reshape(-1, 3)
     force = [np.abs(run.wrench[at, : both[at], FZ] - other.wrench[at, : both[at], FZ]) for at in rows]
     columns = {
         "pass, ms": np.array(moved),

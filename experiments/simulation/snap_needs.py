@@ -56,11 +56,11 @@ def passes(run: Rollouts, recorder: Recorder, row: int) -> list[float] | None:
 
 def summary(rows: list[list[float] | None]) -> dict[str, Any]:
     """Medians over the trials that seated, and how many fell like the recorded ones."""
-    told: NDArray[np.float64] = np.array([row for row in rows if row is not None]).reshape(-1, 3)
-    falls = (told[:, 2] >= snaps.DROP[0]) & (told[:, 0] > 0)
+    measured: NDArray[np.float64] = np.array([row for row in rows if row is not None]).reshape(-1, 3)
+    falls = (measured[:, 2] >= snaps.DROP[0]) & (measured[:, 0] > 0)
     names = ("s after mating began", "release, N", "fall, N")
-    medians = dict(zip(names, np.round(np.median(told, axis=0), 2).tolist(), strict=True)) if len(told) else {}
-    return {"trials": len(rows), "seated": len(told), "fall of 7 N in mating": int(falls.sum()), **medians}
+    medians = dict(zip(names, np.round(np.median(measured, axis=0), 2).tolist(), strict=True)) if len(measured) else {}
+    return {"trials": len(rows), "seated": len(measured), "fall of 7 N in mating": int(falls.sum()), **medians}
 
 
 def main(trials: int = len(CELLS)) -> None:

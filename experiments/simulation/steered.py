@@ -76,21 +76,21 @@ def act(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SteeredParams:
-    """A trial and who steers it; leaves of a batch lead with the trial."""
+    """A trial and its policy; leaves of a batch have a leading trial axis."""
 
     trial: Any  # of the steered program
     policy: Float[Array, "*batch 9"]
 
     @property
     def parts(self) -> Any:
-        """What the engine asks of every trial."""
+        """The parameters that the engine needs of every trial."""
         return self.trial.parts
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SteeredLoop:
-    """Loop of the steered program, and what the policy remembers."""
+    """State of the steered program and of the policy."""
 
     inner: Any
     shifts: Float[Array, "*batch delay 6"]  # rad, newest first
@@ -123,7 +123,7 @@ def steered(program: Program) -> Program:
 
 
 def clocks(trial: Any, tick: Array, touched: Array) -> tuple[Array, Array, Array]:
-    """How late it is, s since the contact, and whether there was one; ``touched`` = its control period or -1."""
+    """Seconds since the planned end of the approach; since contact (at period ``touched``, -1 = none); whether any."""
     now = tick.astype(jnp.float32) * CONTROL_PERIOD
     since = jnp.where(touched >= 0, (tick - touched).astype(jnp.float32) * CONTROL_PERIOD, 0.0)
     return now - trial.task.way_time[-1], since, touched >= 0

@@ -83,7 +83,7 @@ def trace(
 
 
 def kernels(events: list[dict[str, Any]], steps: int) -> dict[str, dict[str, float]]:
-    """Microseconds and launches of a step by kernel, the longest first; what the host does is left out."""
+    """Microseconds and launches of a step by kernel, the longest first; events of the host are left out."""
     named = [one for one in events if one.get("ph") == "M" and "name" in one["args"]]
     places = {one["pid"]: one["args"]["name"] for one in named if one["name"] == "process_name"}
     streams = {(one["pid"], one["tid"]): one["args"]["name"] for one in named if one["name"] == "thread_name"}

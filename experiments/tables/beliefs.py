@@ -44,7 +44,7 @@ def abnormal(result: dict[str, Any]) -> str:
     lines = []
     for name, title in names.items():
         scores = result["rows"][name]["all features"]
-        # Two sessions of successes contain nothing to raise an alarm about.
+        # Two sessions of successes contain no failure to raise an alarm about.
         blank = {"successes alarmed"} if name == "sessions" else set()
         cells = ("" if key in blank else format(scores[key]["mean"], form) for key, form in moments.items())
         lines.append((title, *cells))

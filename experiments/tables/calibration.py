@@ -81,7 +81,7 @@ def fit_calibration(result: dict[str, Any]) -> str:
 
 @table("calibration-time", "calibration_curves")
 def calibration_time(result: dict[str, Any]) -> str:
-    """Objective over processor seconds on the seeds that all methods have; what training does to held-out trials."""
+    """Objective over processor seconds on the seeds that all methods have; effect of training on held-out trials."""
     rows = result["rows"]
     methods = {
         "random": "random", "halving": "halving, then CMA-ES", "optuna": "Optuna's TPE, NumPy, one at a time",

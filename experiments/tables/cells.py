@@ -1,4 +1,4 @@
-"""What tables are made of: the register, lines of Markdown, means with their intervals."""
+"""Parts of tables: the register, lines of Markdown, means with their intervals."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def parity(gpu: Result, cpu: Result) -> str:
 
 @table("parity-floor", "parity_floor")
 def parity_floor(result: Result) -> str:
-    """C MuJoCo against itself when next to nothing changes."""
+    """C MuJoCo against itself after minimal changes."""
     lines = []
     for change, measured in result["rows"].items():
         words = " / ".join(f"{100 * share:.1f}" for share in measured["labels"].values())
@@ -51,7 +51,7 @@ def parity_floor(result: Result) -> str:
 
 @table("hook-forces", "hook_bench")
 def hook_forces(result: Result) -> str:
-    """Snap hooks on the bench: what they take and what they hold, beside the formulas."""
+    """Snap hooks on the bench: measured mating and separation forces, and those of the formulas."""
     lines = []
     for name, row in result["parts"].items():
         theory = (row["mating force of a tab"], row["separation force of a tab"])
@@ -65,14 +65,14 @@ def snap_needs(result: Result) -> str:
     medians = ("s after mating began", "release, N", "fall, N")
     lines = []
     for name, row in result["rows"].items():
-        told = (f"{row[key]:.2f}" if key in row else "–" for key in medians)
-        lines.append((name, str(row["trials"]), str(row["seated"]), str(row["fall of 7 N in mating"]), *told))
+        cells = (f"{row[key]:.2f}" if key in row else "–" for key in medians)
+        lines.append((name, str(row["trials"]), str(row["seated"]), str(row["fall of 7 N in mating"]), *cells))
     return markdown(("", "trials", "seated", "fall of 7 N in mating", *medians), lines)
 
 
 @table("driven-fit", "driven_fit")
 def driven_fit(result: Result) -> str:
-    """What parts explain of recorded wrenches along the recorded motion, before and after the fit."""
+    """Share of recorded wrenches that parts explain along the recorded motion, before and after the fit."""
     lines = []
     for name, fitted in result["scores"]["fitted"].items():
         before = result["scores"]["presets"][name]
@@ -86,7 +86,7 @@ def driven_fit(result: Result) -> str:
 
 @table("driven-starts", "driven_starts", "driven_starts_mating", "driven_starts_loads")
 def driven_starts(*searches: Result) -> str:
-    """What parts of session B explain along its recorded motion, and where they are loaded at mating."""
+    """Share of session B's wrenches that parts explain along its motion, and the place of their load at mating."""
     best = "from many starts"
     rows = [
         ("4 s", searches[0], {"presets": "presets", "driven_fit": "fitted from the presets", best: "best of 7 starts"}),
@@ -110,7 +110,7 @@ def _loads(load: Result) -> tuple[str, str]:
 
 @table("snap-creep", "snap_creep")
 def snap_creep(result: Result) -> str:
-    """Rear hooks of hooked-B by how little contacts creep and how far they reach: how long they hold out."""
+    """Time until the rear hooks of hooked-B pass, by the creep of contacts and by their overlap."""
     overlaps = tuple(next(iter(result["sweep"].values())))
     lines = []
     for impratio, row in result["sweep"].items():
@@ -145,7 +145,7 @@ GATE = ("coverage", "W1/sd", "DTW/sd", "AUC", "spread", "first impact", "snaps")
 
 @table("gate", "fidelity_gate")
 def fidelity_gate(result: Result) -> str:
-    """Presets, nonsense and recordings before the gate; what misses its limit is in bold."""
+    """Measures of the gate for presets, null models and recordings; those beyond their limits are in bold."""
     lines = []
     for session, rows in result["rows"].items():
         for name, row in rows.items():
@@ -188,7 +188,7 @@ SYNTHESIS = (  # measures and their digits
 
 @table("solver", *DEVICES)
 def solver(gpu: Result, cpu: Result) -> str:
-    """How far the solver of the device engines must go."""
+    """Effect of the number of iterations of the device engines' solver."""
     lines = []
     for engine, rows in _runs(gpu, cpu, "solver").items():
         for row in sorted(rows, key=lambda row: -row["steps_per_s"]):
@@ -245,7 +245,7 @@ def scaling(result: Result) -> str:
 
 
 def _shared(place: str, part: Result) -> list[tuple[str, ...]]:
-    """What the devices of one machine shared."""
+    """Rows of the work that the devices of one machine shared."""
     lines, shared = list[tuple[str, ...]](), []
     if simulated := part.get("simulation"):
         counts = [f"{simulated[which]['trials']:,}" for which in ("one", "all")]

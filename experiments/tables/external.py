@@ -55,7 +55,7 @@ def caps(result: dict[str, Any]) -> str:
 
 @table("external-kitting", "kitting", "kitting_more")
 def kitting(result: dict[str, Any], more: dict[str, Any]) -> str:
-    """AUROC of each skill, false alarms and delay of monitors that know nominal executions only."""
+    """AUROC of each skill, false alarms and delay of monitors trained on nominal executions only."""
     named = {
         f"{channels}: {name}": row for channels, methods in result["rows"].items() for name, row in methods.items()
     }
@@ -71,7 +71,7 @@ def kitting(result: dict[str, Any], more: dict[str, Any]) -> str:
 
 @table("external-kitting-types", "kitting_more")
 def kitting_types(result: dict[str, Any]) -> str:
-    """Which type of anomaly it was."""
+    """Accuracy of the types of anomalies."""
     lines = []
     for name, row in result["rows"].items():
         if " | " in name:

@@ -38,7 +38,7 @@ def will_it_seat(result: Result) -> str:
 
 @table("will-it-seat-said", "will_it_seat")
 def will_it_seat_said(result: Result) -> str:
-    """What the belief in the outcome says at one half: failures believed, seated trials not."""
+    """Sensitivity and specificity of the belief in the outcome at a threshold of one half."""
     lines = []
     titles = {**KINDS, EVERY: "every kind", "none": "no fault", "no contact": "no contact"}
     for session in result["severities"]:

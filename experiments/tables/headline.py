@@ -1,4 +1,4 @@
-"""The README's table, the choice of the frozen method, and streamed states with and without told beginnings."""
+"""The README's table, the choice of the frozen method, and streamed states with beginnings given and detected."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def causal(result: Result) -> str:
 
 @table("time-known", "causal")
 def time_known(result: Result) -> str:
-    """What relative features know of the time since a sub-task began."""
+    """How well relative features predict the time since a sub-task began."""
     rows = {name.split(", ")[1]: row for name, row in result["rows"].items() if name.startswith("time known")}
     states = list(next(iter(rows.values())))
     lines = [(name, *(f"{row[state]:.3f}" for state in states)) for name, row in rows.items()]

@@ -66,7 +66,7 @@ def table1(result: Result) -> str:
 
 @table("probes", "probes")
 def probes(result: Result) -> str:
-    """What separates failure, success and session without any assembly."""
+    """Scores of probes that separate failure, success and session without any assembly."""
     nested = of_probes(result)
     views = list(next(iter(nested.values())))
     lines = [(question, *(score(row[view]) for view in views)) for question, row in nested.items()]

@@ -42,7 +42,7 @@ MODULES = Path(__file__).resolve().parents[1]
 
 @table("ablations", NAME, links=True)
 def ablations(record: dict[str, Any], way: str) -> str:
-    """Scores of other methods, which no headline may take."""
+    """Scores of other methods, which are not the headline."""
     rows = record["rows"]
     lines = []
     for (group, what), title in ABLATIONS.items():
@@ -67,7 +67,7 @@ def _only(rows: list[dict[str, Any]], what: str) -> dict[str, Any]:
 
 @table("experiments", links=True)
 def experiments(way: str) -> str:
-    """What ``make reproduce`` runs, and what it cannot."""
+    """The experiments that ``make reproduce`` runs, and those that it cannot."""
     lines = []
     for experiment in EXPERIMENTS:
         text = (MODULES / f"{experiment.module.replace('.', '/')}.py").read_text(encoding="utf-8")
@@ -85,7 +85,7 @@ def experiments(way: str) -> str:
 
 @table("pictures", links=True)
 def pictures(way: str) -> str:
-    """What draws every picture of the documentation."""
+    """The command that draws each picture of the documentation."""
     drawn = dict.fromkeys(FIGURES, "python -m experiments.figures.all") | PICTURES
     folder = way.removesuffix("../experiments/results/") + "images/"  # seen from a page inside docs
     lines = [(f"[{name}]({folder}{name}.png)", f"`{command}`") for name, command in sorted(drawn.items())]

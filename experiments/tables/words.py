@@ -65,7 +65,7 @@ def latency(result: dict[str, Any]) -> str:
 
 @table("fit-running", "fit_latency")
 def running(result: dict[str, Any]) -> str:
-    """What is known of words that are not published yet: contacts seen in time, and labels that are revised."""
+    """Words before their publication: contacts detected in time, and revised labels."""
     rows = [
         (
             rule, str(row["contacts"]), f"{row['contacts_seen_within_50_ms']:.2f}",
@@ -81,7 +81,7 @@ def running(result: dict[str, Any]) -> str:
 
 @table("fit-provisional", "fit_latency")
 def provisional(result: dict[str, Any]) -> str:
-    """What is revised of provisional labels, and the share of the time in which they are right, by way of showing."""
+    """Share of provisional labels that are revised, and share of the time in which they are right, by method."""
     rows = [
         (
             name, way,

@@ -1,4 +1,4 @@
-"""Speed of the encoder on the default device, labels of many recordings, beside the scan it replaces on a GPU.
+"""Speed of the encoder on the default device, for many recordings, compared with the scan that it replaces on a GPU.
 
 A sample is one number of one axis. Recordings are in the device's memory before the clock starts; compilation apart;
 medians. Dense labels in the layout "time first", in which the kernel writes, and "row by row", JAX's default, which

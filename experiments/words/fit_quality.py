@@ -1,4 +1,4 @@
-"""Words that fit: what lines explain of the wrench, how many words that takes, and when they are published.
+"""Words that fit: the variance of the wrench that lines explain, the number of words, and their latency.
 
 Both rules label the same trials with windows of 5 samples (the fit rule also with 2) and the preset's limits; the fit
 rule takes its tolerances from the set. R2 is pooled over the trials of a set: one minus the squared distances of the

@@ -1,6 +1,6 @@
-"""Words while they run: what a stream knows of a change before its word is published, by both rules.
+"""Words while they run: what a stream shows of a change before its word is published, by both rules.
 
-After every window of 25 ms the encoder is asked for its provisional words, as the live page does. A contact is a step
+After every window of 25 ms the encoder gives its provisional words, as for the live page. A contact is a step
 of Fz by more than 5 N within 25 ms after 0.2 s within 2 N; it counts as seen at the first snapshot whose newest word of
 Fz began within 50 ms of the step and is not constant, or starts at another level by more than half of the step. Ages
 are seconds from the end of the newest published word of an axis to now, without provisional words, whose end always is
@@ -9,7 +9,7 @@ now.
 A word is revised if the label that it has in its second snapshot is not the one that is published. As that alone would
 reward words that are not shown, or shown under a label that is usual, each row also says how many published words were
 shown twice, and for how much of the time the newest label shown is that of the word which the newest sample turns out
-to be in. Two labels that know nothing of the run are held against them: always the constant one, and that of the
+to be in. Two labels that do not depend on the run are compared with them: always the constant one, and that of the
 word published last. How provisional labels look ahead was chosen on the even trials of session A of REAL alone.
 
 Run: python -m experiments.words.latency
@@ -46,7 +46,7 @@ COUNTS = ("revised", "twice", "published", "right", "windows", "right where it m
 
 
 class Trial(NamedTuple):
-    """What a stream of one recording says after each of its windows ``[window, axis, ...]``."""
+    """The labels of a stream of one recording after each of its windows ``[window, axis, ...]``."""
 
     published: LabelTracks
     held: LabelTracks  # provisional words
@@ -98,7 +98,7 @@ def contacts(force: NDArray[np.floating]) -> list[int]:
 
 
 def seen_after(step: int, force: NDArray[np.floating], held: LabelTracks, axis: int) -> int:
-    """Samples from a step to the first snapshot that tells of it; a large number if none does within a second."""
+    """Samples from a step to the first snapshot that shows it; a large number if none does within a second."""
     track = held.primitive
     height = abs(force[step + WINDOW] - force[step - 1])
     for index in range(step // WINDOW, min(step // WINDOW + 40, len(track.label))):
@@ -151,7 +151,7 @@ def counted(published: LabelTrack, shown: Shown, final: NDArray[np.int64], still
 
 
 def ways(trial: Trial, layer: str) -> dict[str, Shown]:
-    """What could be shown of a layer: what is, what would be published, and two labels that know nothing."""
+    """Labels to show of a layer: provisional ones, those published if the stream ended, and two baselines."""
     held, published = newest(getattr(trial.held, layer)), getattr(trial.published, layer)
     latest = np.maximum.accumulate(np.where(published.label > 0, np.arange(len(published.label))[:, None], 0), axis=0)
     return {
@@ -163,7 +163,7 @@ def ways(trial: Trial, layer: str) -> dict[str, Shown]:
 
 
 def labels_shown(trials: list[Trial]) -> dict[str, dict[str, dict[str, float]]]:
-    """Of each way and layer: what is revised, how many words are shown, and when the label is right."""
+    """For each way and layer: share of revised words, number of shown words, and share of time with the right label."""
     sums: dict[str, dict[str, Any]] = {}
     for trial in trials:
         for layer in LAYERS:

@@ -1,4 +1,4 @@
-"""Rate and distortion of words: what they leave of the wrench, at how many words per second, and how noise moves them.
+"""Rate and distortion of words: residual of the wrench over words per second, and stability under noise.
 
 Residuals are one minus R2 of each axis, pooled over the recordings of a set, mean over axes; words per second are those
 of one axis, mean over axes. Every method has one knob, which makes its curve: the tolerance of the fit rule and of the
@@ -36,7 +36,7 @@ TARGETS = (0.05, 0.01, 0.002)  # residuals at which curves are compared
 Curve = list[dict[str, Any]]
 Method = Callable[[Part], Curve]
 
-# How a method works: when it can say a word, and how many numbers a word has beside its length.
+# Properties of a method: when it can publish a word, and how many numbers a word has besides its length.
 KINDS = {
     "published rules": ("stream, may wait for long", 2),
     "fit": ("stream", 2),

@@ -1,4 +1,4 @@
-"""Small parts of every set, on which words are compared with other descriptions of a signal."""
+"""Small parts of every set, for comparing words with other descriptions of a signal."""
 
 from __future__ import annotations
 

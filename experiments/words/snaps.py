@@ -1,12 +1,12 @@
-"""Snaps on words, against the moments at which tabs pass their lips in simulation, and on the recorded session B.
+"""Snaps from words, compared with the passes of tabs in simulation, and with the recorded session B.
 
 Words are those of the fit rule on the axis of insertion (Fz). A pass counts as found if a snap is seen from 50 ms
 before to 100 ms after it, and as found in time if that is at most 50 ms after it; what is seen and matches no pass is a
-false event. Passes of worn hooks, which release next to no force, are told apart. Shares are by trial: of trials with a
-pass, those in which every pass is found in time; of trials in which something is seen, those in which nothing false is;
-with Wilson's intervals. Sizes were chosen on clip@panda, seed 1, and plug@panda, seeds 1 and 2; all else is another
-seed, which nobody had looked at, or another assembly, of which the pegs have nothing that could snap. The baseline is a
-fall of |F| within 50 ms, its level chosen on the same trials.
+false event. Passes of worn hooks, which release next to no force, are counted separately. Shares are by trial: of
+trials with a pass, those in which every pass is found in time; of trials with an event, those without a false one; with
+Wilson's intervals. Sizes were chosen on clip@panda, seed 1, and plug@panda, seeds 1 and 2; all else is another seed,
+unseen before, or another assembly, of which the pegs have nothing that could snap. The baseline is a fall of |F| within
+50 ms, its level chosen on the same trials.
 
 Run: python -m experiments.words.snaps
 Simulates with the native engine; reads the recorded trials (RCBHT_DATA).
@@ -52,7 +52,7 @@ AGREES = 0.15  # s between a snap that was read and one that is seen
 
 @dataclass(frozen=True)
 class Trials:
-    """A set with its truth."""
+    """A set with its ground truth."""
 
     wrench: NDArray[np.float32]  # [trial, time, 6]
     length: NDArray[np.int32]
@@ -66,7 +66,7 @@ def simulated(name: str, seed: int, count: int) -> Trials:
     params, faults = scenario.draw_batch(seed, range(count), scenario.spec(nominal_share=0.5))
     run = native.simulate(scenario.scene(), params)
     passes = passes_of(run.past, run.length)
-    # parts without tabs cannot snap: whatever is seen there is false
+    # parts without tabs cannot snap: every event there is false
     moments = [[start for _, start, end in rows if end and scenario.tabs] for rows in passes.tolist()]
     worn = np.array([fault.kind == "worn-hook" for fault in faults])
     return Trials(run.wrench, run.length, moments, worn)
@@ -154,9 +154,9 @@ def choose(sets: Sequence[Trials]) -> tuple[dict[str, Any], float, dict[str, Any
 
 
 def of_session(recordings: Recordings, session: str, least: float, config: SnapConfig) -> dict[str, Any]:
-    """Recorded trials that reached every state: what is seen, and where it agrees with the reading afterwards.
+    """Recorded trials that reached every state: detected snaps, and their agreement with those found afterwards.
 
-    The reading (:func:`sim_mjx.validation.snaps.find`) sees whole trials, with the sensor's filter inverted.
+    The latter (:func:`sim_mjx.validation.snaps.find`) are found in whole trials, with the sensor's filter inverted.
     """
     rows = sessions.recorded_rows(recordings, session)
     detector = SnapDetector(RATE, ["Fz"], least, config=config)

@@ -35,7 +35,7 @@ from rcbht_jax.types import Recordings
 
 FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # on the default tolerance
 OWN, SHARED, SIX = "breaks of its own", "shared breaks", "shared breaks, threshold of six axes"
-WIDER = "breaks of its own, tolerance x 2.4"  # so much must one axis be wrong alone to break all six
+WIDER = "breaks of its own, tolerance x 2.4"  # factor by which one axis alone must deviate to break all six
 REST, MEDIAN = "noise tracked at rest", "median noise of a second"
 CURVES = {OWN: Variant(), SHARED: Variant(shared=1), REST: Variant(track="at rest")}
 STABLE = {**CURVES, MEDIAN: Variant(track="median"), SIX: Variant(shared=6), WIDER: Variant(wider=6**0.5)}

@@ -38,7 +38,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # what ends a process t
 
 @contextmanager
 def targets(paths: Iterable[Path]) -> Iterator[None]:
-    """Note what is at some targets now: nothing that comes there during the block is replaced by the block.
+    """Record what is at some targets now: the block replaces nothing that appears there meanwhile.
 
     >>> with targets([Path("states.model")]), atomic_write(Path("states.model")) as draft:  # after an hour of training
     ...     draft.write_bytes(b"states")
@@ -64,8 +64,8 @@ def atomic_write(path: Path, *, keep: bool = False) -> Iterator[Path]:
 
     Args:
         path: file to create or replace.
-        keep: keep what an error or an interruption ends, too, if anything was written: for recordings, which cannot
-            be made again.
+        keep: also keep a file whose writing an error or an interruption ended, if anything was written: for recordings,
+            which cannot be made again.
 
     Raises:
         InputError: ``path`` is a folder, or something appeared there meanwhile; that is kept, and the sentence says
@@ -190,7 +190,7 @@ def is_stream(path: Path) -> bool:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delay Ctrl-C and its like until the block is done; outside the main thread, which receives them, do nothing.
+    """Delay signals such as Ctrl-C until the block ends; does nothing outside the main thread, which receives them.
 
     For libraries with background tasks (Zarr): interrupted, they would go on writing into a draft being removed.
     """
@@ -225,7 +225,7 @@ class _Later:
 
 
 def flush_all(entries: Iterable[Path]) -> None:
-    """Have files, and the names in folders, on disk; links are left out."""
+    """Flush files, and the names in folders, to disk; links are left out."""
     with ThreadPoolExecutor(_FLUSHES) as pool:  # each waits for the disk, which does many at once
         for _ in pool.map(_flush, (entry for entry in entries if not entry.is_symlink())):
             pass
@@ -256,7 +256,7 @@ def _followed(path: Path) -> Path:
 
 
 def _identity(path: Path) -> Identity:
-    """What shows whether a path still holds the same; a folder may change inside."""
+    """Identifies what is at a path, to detect a replacement; the content of a folder may change."""
     try:
         found = path.lstat()
     except (OSError, ValueError):
@@ -292,7 +292,7 @@ def _put(draft: Path, path: Path, before: Identity) -> None:
 
 
 def _noted(path: Path) -> None:
-    """What this process has written may be replaced by it again."""
+    """Record what this process has written, which it may replace again."""
     if path in (known := _BEFORE.get({})):
         known[path] = _identity(path)
 

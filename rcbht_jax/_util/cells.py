@@ -1,4 +1,4 @@
-"""Cells of tables as text: a name from somebody else's file must not be a formula that a spreadsheet runs."""
+"""Cells of tables as text: a name from an untrusted file must not be a formula that a spreadsheet runs."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def checked(devices: str) -> str:
 
 
 def wanted(devices: str, present: int) -> int:
-    """How many of the devices present such an option asks for.
+    """Number of devices that such an option selects.
 
     Raises:
         InputError: neither "all" nor a number, or more than there are.
@@ -35,7 +35,7 @@ def wanted(devices: str, present: int) -> int:
     """
     count = present if checked(devices) == "all" else int(devices)
     if count > max(1, present):
-        raise InputError(f"--devices is {count}; this machine has {present}.")
+        raise InputError(f"--devices is {count}; expected at most {present}, the number of GPUs here.")
     return count
 
 

@@ -34,7 +34,7 @@ def data_hash(recordings: Any, wrenches: Iterable[NDArray[Any]] | None = None, s
     """Digest of the wrenches, lengths, annotations, names and classes of a :class:`rcbht_jax.types.Recordings`.
 
     Args:
-        recordings: the data set; where ``wrenches`` are given, its own do not matter.
+        recordings: the data set; where ``wrenches`` are given, its own are not used.
         wrenches: of all recordings, in batches ``[recording, time, axis]``, where they are not in memory.
         samples: to which all batches are padded.
 

@@ -40,7 +40,7 @@ def spelled(name: object) -> str:
 
 
 def last_line(report: BufferedIOBase) -> str:
-    """What a process said last in a file that it wrote to; "" = nothing.
+    """The last line that a process wrote to a file; "" = nothing.
 
     >>> import io
     >>> last_line(io.BytesIO(b"begun\\nno space left\\n"))

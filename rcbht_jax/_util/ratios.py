@@ -54,7 +54,7 @@ def read_history(path: Path) -> list[dict[str, Any]]:
     try:
         records = load_json(path)
         if not all(isinstance(record["ratios"], dict) and set(SAME) <= set(record) for record in records):
-            raise ValueError("a record lacks its ratios or says not what was measured")
+            raise ValueError(f"a record lacks its ratios or one of {', '.join(SAME)}")
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); make it with --history {path}.") from error
     except (ValueError, TypeError, KeyError) as error:

@@ -126,16 +126,16 @@ def in_precision(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
 def check_axes(
     axes: Sequence[str], units: Sequence[str], learned: Sequence[str], learned_units: Sequence[str], where: str
 ) -> None:
-    """Refuse a signal whose values a model would take for others; ``where`` names it, and a unit "" is not stated.
+    """Raise an error if a signal's axes or units are not those of a model; ``where`` names it, "" = unit not stated.
 
     Raises:
         InputError: other axes than were learned, another order, or another unit where both are stated.
     """
     if tuple(axes) != tuple(learned):
         raise InputError(f"{where} has the axes {', '.join(axes)}; the model learned {', '.join(learned)}.")
-    for axis, here, taught in zip(axes, units, learned_units, strict=False):  # old files of monitors have no units
-        if here and taught and here != taught:
-            raise InputError(f"{where} has {axis} in {here}; the model learned it in {taught}.")
+    for axis, unit, known in zip(axes, units, learned_units, strict=False):  # old files of monitors have no units
+        if unit and known and unit != known:
+            raise InputError(f"{where} has {axis} in {unit}; the model learned it in {known}.")
 
 
 def _frame_values(frame: Any) -> NDArray[Any]:
@@ -182,14 +182,17 @@ def _unit_of_time(name: Any) -> float:
 
 
 def _check_time(time: Any, dt: float, unit: float = 1.0) -> None:
-    """Refuse a time ``[..., sample]`` of another rate, or with a gap; numbers are so many seconds each."""
+    """Raise an error for a time ``[..., sample]`` of another rate, or with a gap; numbers are so many seconds each."""
     seconds = _seconds(time, unit)
     steps = np.diff(seconds)
     if not steps.size:
         return
     step = float(np.median(steps))
     if not abs(step - dt) <= RATE_TOLERANCE * dt:
-        raise InputError(f"The time says {1 / step if step else 0:g} samples per second, the rate {1 / dt:g}.")
+        raise InputError(
+            f"The rate is {1 / dt:g}, but the time has {1 / step if step else 0:g} samples per second; "
+            "give the rate of the time."
+        )
     wrong = np.argwhere((steps > LONGEST_STEP * dt) | (steps < 0))
     if len(wrong):
         place = tuple(wrong[0])

@@ -1,6 +1,6 @@
-"""Files of strangers: the one place that opens them, with all limits of size and shape.
+"""Untrusted files: the one place that opens them, with all limits of size and shape.
 
-A file is looked at before it is read: it must be a regular one (a pipe or a device might never end), of a size that
+A file is checked before it is read: it must be a regular one (a pipe or a device might never end), of a size that
 fits in memory, and must not unpack to more than measured signals do. Numbers must be finite. Whatever is wrong is an
 ``InputError`` or another ValueError.
 """
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 
-# Bytes. Whoever has more splits the file.
+# Bytes. Larger files must be split.
 MAX_BYTES = 2**31  # of a file that is read whole, and of the arrays that it declares
 MAX_TEXT_BYTES = 2**29  # of a table as text
 MAX_JSON_BYTES = 2**26
@@ -35,7 +35,7 @@ MAX_CHUNK = 2**26  # of a chunk or record of a bag; recorders write chunks of 1 
 MAX_SCHEMA = 2**17  # of the description of a message in a bag; of the largest in use, some 50 kB
 MAX_LINE = 2**16  # of a line of a stream
 MAX_TABLE_LINE = 2**20  # of a line of a table
-SMALL = 2**26  # below this nobody asks how well a file is compressed
+SMALL = 2**26  # below this the ratio of compression is not checked
 MAX_RATIO = 200  # of bytes that a file declares to its own: far above what measured signals reach
 # Of a process that decodes what other libraries read (HDF5, MATLAB, Parquet).
 DECODER_SECONDS = 2.0  # of a processor, and one more for every DECODER_SPEED bytes that the file may unpack to
@@ -88,7 +88,7 @@ def check_file(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> int
 
 
 def check_inside(path: Path, root: Path) -> None:
-    """Refuse what a link leads out of the folder that was given to read: its content belongs to somebody else.
+    """Raise an error for a link that leads out of the folder that was given to read.
 
     A snapshot in a Hugging Face cache is made of links to the blobs of its repository, which belong to it.
 
@@ -96,7 +96,7 @@ def check_inside(path: Path, root: Path) -> None:
 
     Args:
         path: a file or a folder, with all that is in it.
-        root: the folder, which may be a link itself: whoever names it means it.
+        root: the folder, which may itself be a link, since the user named it.
 
     Raises:
         InputError: it, or something in it, is a link out of the folder.
@@ -128,7 +128,7 @@ def _blobs(folder: Path) -> list[Path]:
 
 
 def check_declared(path: Path, declared: int, size: int) -> None:
-    """Check how many bytes a file says that it unpacks to, before it is unpacked.
+    """Check how many bytes a file declares to unpack to, before it is unpacked.
 
     Args:
         path: the file.
@@ -279,9 +279,9 @@ def checked_fields(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
     known = {one.name for one in dataclasses.fields(kind)}
     for name, value in values.items():
         if name not in known:
-            raise InputError(f"{name} is nothing that a {kind.__name__} has")
+            raise InputError(f"{name} is not one of the fields of {kind.__name__}: {', '.join(sorted(known))}")
         if not _fits(value, hints[name]):
-            raise InputError(f"{name} is {str(value)[:40]!r}, which it cannot be")
+            raise InputError(f"{name} is {str(value)[:40]!r}, which is not of the type that {kind.__name__} has for it")
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
 
 
@@ -306,7 +306,7 @@ def checked_texts(what: str, values: Any, different: bool = False) -> tuple[str,
     ('a', 'b')
 
     Args:
-        what: what the sentence calls them.
+        what: their name in the error message.
         values: a JSON value.
         different: whether no two may be equal.
 

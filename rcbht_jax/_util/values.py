@@ -1,4 +1,4 @@
-"""Which numbers can be data."""
+"""Checks of numbers that are data or parameters."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def calibrate(
             those of a wrench.
     """
     if not len(rows):
-        raise InputError("There is no trial to calibrate on.")
+        raise InputError("rows is empty; there is no trial to calibrate on.")
     if recordings.axes != AXES:
         raise InputError(
             f"The authors' rule is for the axes {', '.join(AXES)}, not for {', '.join(recordings.axes)}; choose "

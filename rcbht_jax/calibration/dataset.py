@@ -69,7 +69,9 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: A
             have different numbers of sentences, or time between them.
     """
     if len(items.intervals) != 1:
-        raise InputError("Thresholds are calibrated on the sentences of one arm; choose the right or the left one.")
+        raise InputError(
+            f"The sentences are of {len(items.intervals)} arms; thresholds are calibrated on one: choose arm R or L."
+        )
     if len(recordings.axes) != AXES:
         raise InputError(
             f"Thresholds for classes are calibrated on the {AXES} axes of a wrench, not on {len(recordings.axes)}; the "
@@ -82,10 +84,18 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: A
     rows = rows[np.argsort(first)]
     shape = (len(rows), len(spans) // len(rows))
     if not np.array_equal(spans.recording, np.repeat(rows, shape[1])):
-        raise InputError("Thresholds are calibrated on recordings that all have the same number of intervals.")
+        counts = np.unique(spans.recording, return_counts=True)[1]
+        raise InputError(
+            f"Recordings have {counts.min()} to {counts.max()} intervals; thresholds are calibrated on recordings that "
+            "all have the same number, and whose intervals are listed in order."
+        )
     start, end = spans.start.reshape(shape), spans.end.reshape(shape)
-    if (start[:, 1:] != end[:, :-1]).any():
-        raise InputError("Thresholds are calibrated on intervals that follow each other; some of these do not.")
+    if len(gaps := np.argwhere(start[:, 1:] != end[:, :-1])):
+        row, before = gaps[0].tolist()
+        raise InputError(
+            f"Thresholds are calibrated on intervals that follow each other; in recording {rows[row]} interval "
+            f"{before + 1} begins at sample {start[row, before + 1]}, and the one before ends at {end[row, before]}."
+        )
     edges = np.concatenate([start, end[:, -1:]], axis=1).astype(np.int32)
     length = recordings.length[rows]
     wrench = recordings.wrench[rows, : length.max()]

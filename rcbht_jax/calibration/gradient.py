@@ -53,7 +53,10 @@ class GradientOptions:
 
     def __post_init__(self) -> None:
         if self.steps < 1 or self.batch < 0 or min(self.temperature) <= 0 or min(self.rate, self.rate_weights) <= 0:
-            raise InputError("Training needs steps, positive temperatures and positive rates.")
+            raise InputError(
+                f"Training has steps {self.steps}, batch {self.batch}, temperature {self.temperature}, rate "
+                f"{self.rate} and rate_weights {self.rate_weights}; expected positive numbers, of batch also 0."
+            )
         if self.loss not in ("logistic", "hinge", "fit"):
             raise InputError(f"The loss {self.loss!r} is not known; expected logistic, hinge or fit.")
 
@@ -160,8 +163,9 @@ def calibrate(
     """
     checked_limits(config, start)
     free = np.asarray(_free(start), np.float32)
-    if not np.isfinite(free).all():
-        raise InputError("Training starts from strictly ordered thresholds; two of the given limits are equal.")
+    if (wrong := ~np.isfinite(free).all(1)).any():
+        equal = np.asarray(gradients_of(start))[wrong][0].tolist()
+        raise InputError(f"Training starts from strictly ordered thresholds; those of an axis are {equal}.")
     parameters = _first(free, len(data.classes), options)
     # static arguments of a compiled step: the other options may change without compiling it again
     fixed = replace(options, steps=1, temperature=(1.0, 1.0), batch=min(options.batch, 1), seed=0)

@@ -268,7 +268,8 @@ def fit_windows(config: AnyConfig, wrench: NDArray[np.floating], length: NDArray
             "length for each recording."
         )
     if length.min() < 0 or length.max() > wrench.shape[1]:
-        raise InputError(f"A length is outside 0 ... {wrench.shape[1]} samples.")
+        wrong = int(length.min()) if length.min() < 0 else int(length.max())
+        raise InputError(f"A length is {wrong}; expected 0 to {wrench.shape[1]} samples.")
     count = -(-int(length.max()) // config.window)
     padded = np.zeros((len(length), count * config.window, AXES), wrench.dtype)
     for row, samples in enumerate(length):

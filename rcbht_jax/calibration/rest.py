@@ -1,4 +1,4 @@
-"""Gradient thresholds of an unknown robot, from its recordings alone: what rest does, and how contacts begin.
+"""Gradient thresholds of an unknown robot, from its recordings alone: slopes at rest and at the start of contacts.
 
 No annotation is needed. Recordings are cut into blocks of about half a second; on a logarithmic scale the steepness of
 blocks falls into two groups, rest and movement. The limit of a constant is what nearly all windows at rest stay below,
@@ -172,7 +172,7 @@ def window_slopes(
 def rest_not_constant(
     primitive: LabelTrack, rest: Bool[np.ndarray, "recording window axis"], window: int, constant: int
 ) -> Float[np.ndarray, " axis"]:
-    """Share of the time at rest ``[axis]`` that published labels do not call constant; 0 where there is no rest.
+    """Share of the time at rest ``[axis]`` whose published labels are not constant; 0 where there is no rest.
 
     Args:
         primitive: labels ``[recording, axis, slot]``.

@@ -1,4 +1,4 @@
-"""Limits and tolerances of the fit rule for an unknown robot: what its runs do at rest.
+"""Limits and tolerances of the fit rule for an unknown robot, from its runs at rest.
 
 Rest is found as for the paper's rule (:mod:`rcbht_jax.calibration.rest`), and so are the gradient limits. The tolerance
 begins where a break saves 20 variances of the noise, which is what straight lines through rest leave of the signal, and
@@ -34,7 +34,7 @@ class FitRestCalibration:
 
     Attributes:
         limits: gradient limits ``[axis, 4]`` and tolerances ``[axis]``.
-        constant: share of the time at rest that they call constant.
+        constant: share of the time at rest that is labelled constant.
     """
 
     limits: FitLimits
@@ -183,13 +183,13 @@ def _steepness(
     n = (t1 - t0).astype(np.float64)
     level = (slope * config.dt) ** 2 * (n**2 - 1) <= 12 * tolerance[axis] ** 2
     slope = np.where(level, 0.0, slope)
-    return np.stack([_quantiles(slope[axis == k], time[axis == k]) for k in range(axes)])
+    return np.stack([_quantiles(slope[axis == k], time[axis == k], k) for k in range(axes)])
 
 
-def _quantiles(values: NDArray[np.float64], weight: NDArray[np.integer]) -> Float[np.ndarray, " quantile"]:
-    """Weighted quantiles in the middles of equal parts."""
+def _quantiles(values: NDArray[np.float64], weight: NDArray[np.integer], axis: int) -> Float[np.ndarray, " quantile"]:
+    """Weighted quantiles in the middles of equal parts, of an axis."""
     if not weight.sum():
-        raise InputError("An axis is never at rest; record some rest, or calibrate by another method.")
+        raise InputError(f"Axis {axis}, from 0, is never at rest; record some rest, or calibrate by another method.")
     order = np.argsort(values, kind="stable")
     total = weight[order].cumsum()
     levels = (np.arange(QUANTILES) + 0.5) / QUANTILES * total[-1]
@@ -214,8 +214,9 @@ def _rest_noise(
     size = np.sqrt((left**2).mean(2))
     blocks = rest[:, : count * windows].reshape(len(recordings), count, windows, -1)
     calm = np.asarray(blocks.all(axis=2))
-    if not np.any(calm, axis=(0, 1)).all():
-        raise InputError(f"An axis is never at rest for {BLOCK} s; record some rest, or calibrate by another method.")
+    if len(never := np.flatnonzero(~calm.any((0, 1)))):
+        axis = recordings.axes[never[0]]
+        raise InputError(f"{axis} is never at rest for {BLOCK} s; record some rest, or calibrate by another method.")
     noise = np.array([np.quantile(size[..., k][calm[..., k]], CONSTANT) for k in range(size.shape[2])])
     # An axis of few digits may be without noise: begin far below what is usual.
     usual = auto_tolerance(recordings.wrench, recordings.length, config.needed)

@@ -19,7 +19,7 @@ SAMPLE_BYTES = 2**27  # of padded wrenches; calibrating on them takes ten times 
 
 @dataclass(frozen=True)
 class Sample:
-    """What a calibration looks at.
+    """The recordings of a store that a calibration uses.
 
     Attributes:
         recordings: all of the store, or of a large one those of some trials.
@@ -46,7 +46,9 @@ def read_sample(path: Path, spec: TaskSpec) -> Sample:
         return Sample(recordings, None, data_hash(recordings))
     chosen = np.flatnonzero(chosen_recordings(table, spec))
     if not len(chosen):
-        raise InputError("No recording passes the filters.")
+        raise InputError(
+            f"No recording of {path} has the chosen source, session and outcome; choose others, or leave a filter out."
+        )
     trial = _trials(table, chosen)
     arms = int(np.bincount(trial).max())
     room = max(1, SAMPLE_BYTES // (row * arms))

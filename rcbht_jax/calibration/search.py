@@ -72,7 +72,10 @@ class SearchSpace:
         if len(self.groups) != 6 or numbers != list(range(len(numbers))):
             raise InputError(f"The groups {self.groups} are not six numbers counted from 0, one for each axis.")
         if self.base_limits.shape != (6, 4) or not 0 < self.low < self.high:
-            raise InputError("A search needs base limits [6, 4] and factors with 0 < low < high.")
+            raise InputError(
+                f"The base has limits {self.base_limits.shape}, low is {self.low} and high {self.high}; expected "
+                "(6, 4) and 0 < low < high."
+            )
         validate(self.base_limits)
 
     @property
@@ -139,9 +142,12 @@ class SearchOptions:
     def __post_init__(self) -> None:
         rungs = self.rungs
         if not rungs or rungs[-1] != 1.0 or list(rungs) != sorted(set(rungs)) or rungs[0] <= 0:
-            raise InputError(f"The rungs {rungs} do not increase to 1.")
+            raise InputError(f"The rungs are {rungs}; expected positive fractions that increase to 1.")
         if self.candidates < 1 or self.generations < 0 or self.population < 4 or not 0 < self.keep <= 1:
-            raise InputError("A search needs candidates, a population of at least 4 and a fraction to keep in (0, 1].")
+            raise InputError(
+                f"The search has candidates {self.candidates}, generations {self.generations}, population "
+                f"{self.population} and keep {self.keep}; expected at least 1, 0 and 4, and a fraction in (0, 1]."
+            )
 
     def points(self) -> Float[np.ndarray, "candidate dimension"]:
         """The base, then scrambled Sobol points."""

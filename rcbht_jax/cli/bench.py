@@ -69,9 +69,11 @@ class Bench(Command):
 
         trials = self.trials if self.trials is not None else TRIALS_ON_DEVICE if self.device else TRIALS
         if trials < 1 or self.samples < 20:
-            raise InputError(f"{trials} trials of {self.samples} samples are too few; expected at least 1 trial of 20.")
+            raise InputError(f"--trials is {trials} and --samples {self.samples}; expected at least 1 and 20.")
         if trials * self.samples > MOST:
-            raise InputError(f"{trials} trials of {self.samples} samples are too many; expected at most {MOST} in all.")
+            raise InputError(
+                f"--trials is {trials} and --samples {self.samples}; expected at most {MOST} samples in all."
+            )
         device = _device(self.device)
         run = {"device": device.device_kind, "trials": trials, "samples": self.samples}
         old = None if self.check is None else latest(read_history(self.check), run)
@@ -80,7 +82,7 @@ class Bench(Command):
                 f"{self.check} has no run of {trials} trials of {self.samples} samples on {device.device_kind}; "
                 f"add one with --history {self.check}."
             )
-        if self.history is not None:  # what is none is said before the work
+        if self.history is not None:  # a wrong file is reported before the work
             check_place(self.history, None)
             if self.history.exists():
                 read_history(self.history)

@@ -59,7 +59,7 @@ _READ_BY = {  # options by the methods that read them; the others refuse them
 class _Given(NamedTuple):
     """What a method calibrates with."""
 
-    teachers: Recordings
+    training: Recordings
     data: CalibrationData
     config: AnyConfig
     base: AnyLimits
@@ -163,7 +163,7 @@ class Calibrate(RuleCommand):
                         f"--{name.replace('_', '-')} is for --method {' or '.join(methods)}; with {self.method} leave "
                         "it out."
                     )
-        self._chosen_devices()  # wrong ones are said before the work
+        self._chosen_devices()  # a wrong value is reported before the work
         if not self.out.parent.is_dir():
             raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
         compile_cache.use(self.compile_cache)
@@ -176,10 +176,10 @@ class Calibrate(RuleCommand):
         items = labelled_intervals(recordings, spec)
         data = calibration_data(recordings, items, config)
         start = time.perf_counter()
-        teachers = recordings.take(np.unique(items.intervals[0].recording))
-        base = self.limits(config, self.read_limits(teachers, self.store)[0], teachers)
-        rest = self._rest_of(teachers, config)
-        found: _Found = getattr(self, f"_{self.method}")(_Given(teachers, data, config, base, rest))
+        training = recordings.take(np.unique(items.intervals[0].recording))
+        base = self.limits(config, self.read_limits(training, self.store)[0], training)
+        rest = self._rest_of(training, config)
+        found: _Found = getattr(self, f"_{self.method}")(_Given(training, data, config, base, rest))
         seconds = time.perf_counter() - start
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
         pair = jax.tree.map(lambda *leaves: np.stack(leaves), base, found.limits)
@@ -217,15 +217,15 @@ class Calibrate(RuleCommand):
 
             new, old = (GradientThresholds(gradients_of(x)) for x in (found.limits, base))
             save(threshold_figure(data, config.window, new, old, recordings.axes, recordings.units), self.plot)
-        return self._said(found.limits, recordings, seconds) | result
+        return self._summary(found.limits, recordings, seconds) | result
 
-    def _said(self, limits: AnyLimits, recordings: Recordings, seconds: float) -> dict[str, Any]:
+    def _summary(self, limits: AnyLimits, recordings: Recordings, seconds: float) -> dict[str, Any]:
         from rcbht_jax.encoding.rules import gradients_of
         from rcbht_jax.encoding.tolerance import FitLimits
 
-        said = {"thresholds": str(self.out), "rule": self.rule, "axes": list(recordings.axes)}
+        summary = {"thresholds": str(self.out), "rule": self.rule, "axes": list(recordings.axes)}
         tolerance = {"tolerance": np.asarray(limits.tolerance).tolist()} if isinstance(limits, FitLimits) else {}
-        return {**said, "limits": np.asarray(gradients_of(limits)).tolist(), **tolerance, "seconds": seconds}
+        return {**summary, "limits": np.asarray(gradients_of(limits)).tolist(), **tolerance, "seconds": seconds}
 
     def text(self, result: dict[str, Any]) -> str:
         from rcbht_jax.encoding.thresholds import LIMITS, TOLERANCE
@@ -267,7 +267,7 @@ class Calibrate(RuleCommand):
         recordings = sample.recordings
         chosen = chosen_recordings(recordings, self._everything)
         if not chosen.any():
-            raise InputError("No recording passes the filters.")
+            raise InputError("No recording has such a --source and --session; rcbht info lists those of the store.")
         if self.tolerance:
             raise InputError("The method rest finds the tolerances; leave out --tolerance.")
         result: dict[str, Any] = {"method": "rest", "trials": len(np.unique(recordings.trial[chosen])), **_of(sample)}
@@ -282,9 +282,9 @@ class Calibrate(RuleCommand):
             limits = rest_thresholds(some, self.window).thresholds
         provenance = {**result, "window": self.window, "data_hash": sample.data_hash}
         write_limits(self.out, limits, provenance, recordings.axes)
-        return self._said(limits, recordings, time.perf_counter() - start) | result
+        return self._summary(limits, recordings, time.perf_counter() - start) | result
 
-    def _rest_of(self, teachers: Recordings, config: AnyConfig) -> RestSlopes | RestRuns | None:
+    def _rest_of(self, training: Recordings, config: AnyConfig) -> RestSlopes | RestRuns | None:
         from rcbht_jax.calibration.rest import RestSlopes
         from rcbht_jax.calibration.rest_runs import RestRuns
         from rcbht_jax.encoding.fit import FitConfig
@@ -292,8 +292,8 @@ class Calibrate(RuleCommand):
         if self.rest_weight == 0:
             return None
         if isinstance(config, FitConfig):
-            return RestRuns.of(teachers, config, self.rest_weight)
-        return RestSlopes.of(teachers, self.window, self.rest_weight)
+            return RestRuns.of(training, config, self.rest_weight)
+        return RestSlopes.of(training, self.window, self.rest_weight)
 
     def _context(self, given: _Given) -> _Found:
         from rcbht_jax.calibration import contextual
@@ -304,8 +304,8 @@ class Calibrate(RuleCommand):
         rest, config = given.rest, given.config
         least = np.quantile(rest.steep, QUIET, axis=1) if isinstance(rest, RestSlopes) else 0.0
         assert isinstance(config, EncoderConfig)  # run() refuses the fit rule
-        every = np.arange(len(given.teachers))
-        context = contextual.calibrate(given.teachers, every, config, given.base, copy, least)
+        every = np.arange(len(given.training))
+        context = contextual.calibrate(given.training, every, config, given.base, copy, least)
         return _Found(context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes})
 
     def _chosen_devices(self) -> list[jax.Device] | None:
@@ -318,7 +318,7 @@ class Calibrate(RuleCommand):
         from rcbht_jax.calibration.search import SearchOptions, SearchSpace, search
 
         options = SearchOptions(
-            space=SearchSpace(given.base, _groups(self.groups, given.teachers)),
+            space=SearchSpace(given.base, _groups(self.groups, given.training)),
             objective=Objective.of(dict.fromkeys(self.objective, 1.0)),
             candidates=self.candidates,
             rungs=self.rungs,

@@ -203,7 +203,7 @@ def _harms(output: Path, other: Path) -> bool:
         if output.exists() and other.exists() and output.samefile(other):
             return True
         here, there = output.resolve(), other.resolve()
-    except (OSError, ValueError, RuntimeError):  # no name of a file: what opens it says so
+    except (OSError, ValueError, RuntimeError):  # no name of a file: opening it reports that
         return False
     inside = (here == there, _is_whole(there) and there in here.parents, _is_whole(here) and here in there.parents)
     return any(inside)
@@ -302,12 +302,12 @@ class RuleCommand(EncodingCommand):
 
         return config_of(self.rule, self.window, dt)
 
-    def limits(self, config: AnyConfig, thresholds: AnyLimits, teachers: Recordings) -> AnyLimits:
+    def limits(self, config: AnyConfig, thresholds: AnyLimits, training: Recordings) -> AnyLimits:
         """The thresholds and, by the fit rule, the tolerances: those of the option, or of these recordings."""
         from rcbht_jax.encoding.rules import limits_for
 
-        tolerance = checked_tolerance(self.rule, self.tolerance, len(teachers.axes))
-        return limits_for(config, thresholds, tolerance, teachers.wrench, teachers.length)
+        tolerance = checked_tolerance(self.rule, self.tolerance, len(training.axes))
+        return limits_for(config, thresholds, tolerance, training.wrench, training.length)
 
 
 def checked_tolerance(rule: str, tolerance: tuple[float, ...], axes: int | None = None) -> tuple[float, ...] | None:

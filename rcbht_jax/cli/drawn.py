@@ -1,4 +1,4 @@
-"""Which words a picture shows: those of the fit rule, unless another rule is asked for."""
+"""The words that a picture shows: those of the fit rule, unless another rule is chosen."""
 
 from __future__ import annotations
 

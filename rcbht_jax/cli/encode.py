@@ -89,7 +89,7 @@ class Encode(RuleCommand):
             raise InputError(f"{self.store} has label tracks {name} already; choose another --name.")
         run = self._online() if self.mode == "online" else self._offline()
         write_batches(self.store, name, run.tracks(self.store), run.how)
-        restless = {} if run.teachers is None else _restless(run.teachers, run.labels_of_teachers(), self.window)
+        restless = {} if run.training is None else _restless(run.training, run.labels_of_training(), self.window)
         facts = {
             "labels": run.counts,
             "samples": run.samples,
@@ -140,10 +140,10 @@ class Encode(RuleCommand):
         from rcbht_jax.encoding.rules import made_by
         from rcbht_jax.io.store import read_lengths, read_sample
 
-        teachers, rows = read_sample(self.store)
-        thresholds, source = self.read_limits(teachers, self.store, self.scale)
-        config = self.config(teachers.dt)
-        limits = self.limits(config, thresholds, teachers)
+        training, rows = read_sample(self.store)
+        thresholds, source = self.read_limits(training, self.store, self.scale)
+        config = self.config(training.dt)
+        limits = self.limits(config, thresholds, training)
         how = {"semantics": "online", "window": self.window, **made_by(config, limits), "thresholds_from": source}
         total = int(read_lengths(self.store).sum())
         bar = progress_bar("encode", "samples", total, unit_scale=True)
@@ -151,7 +151,7 @@ class Encode(RuleCommand):
         def encode(batch: Recordings) -> LabelTracks:
             return encode_batch(config, limits, batch.wrench, batch.length, progress=bar.update)
 
-        return _Run(encode, how, bar, teachers, rows)
+        return _Run(encode, how, bar, training, rows)
 
     def config(self, dt: float) -> AnyConfig:
         from rcbht_jax.encoding.encoder import EncoderConfig
@@ -191,7 +191,7 @@ class _Run:
     encode: Callable[[Recordings], LabelTracks]
     how: dict[str, Any]
     bar: Any
-    teachers: Recordings | None = None  # that are asked whether rest is labelled constant
+    training: Recordings | None = None  # in which the share of rest that is constant is measured
     rows: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))  # their numbers
     samples: int = 0
     seconds: float = 0.0
@@ -220,8 +220,8 @@ class _Run:
                 first += len(batch)
                 yield tracks
 
-    def labels_of_teachers(self) -> LabelTracks:
-        """The label tracks of the teachers."""
+    def labels_of_training(self) -> LabelTracks:
+        """The label tracks of the training recordings."""
         from rcbht_jax.io.label_parts import joined
 
         return joined(self._kept)

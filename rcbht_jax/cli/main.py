@@ -50,7 +50,7 @@ class Ended(KeyboardInterrupt):
 
 @contextmanager
 def endings() -> Iterator[None]:
-    """End by SIGTERM and SIGHUP as by Ctrl-C, so that recordings are finished; where nobody set another way to end.
+    """Make SIGTERM and SIGHUP act as Ctrl-C, so that recordings are finished, unless another handler is set.
 
     Python discards what is raised in a destructor or in a callback of the garbage collector, of which JAX has one: a
     signal that came then is sent again.
@@ -132,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         detail = f" ({str(error).splitlines()[0]})" if str(error) else ""
         return _fail(f"The memory does not suffice{detail}; use fewer or shorter recordings, or a larger machine.", 2)
-    except UnicodeEncodeError as error:  # of somebody's names or remarks, on their way into a file
+    except UnicodeEncodeError as error:  # of a user's names or remarks that are written to a file
         return _fail(f"A text holds {error.object[error.start : error.end]!r}, which is not valid Unicode.", 2)
     except OSError as error:
         if error.errno in DISK_FULL:

@@ -115,7 +115,7 @@ class MonitorWatch(Command):
         check_axes(recordings.axes, recordings.units, file.axes, file.units, str(self.store))
         if not np.isclose(1 / recordings.dt, monitor.rate):
             raise InputError(
-                f"{self.store} has {1 / recordings.dt:g} samples per second; {self.monitor} learned {monitor.rate:g}."
+                f"{self.store} has {1 / recordings.dt:g} samples per second; {self.monitor} expects {monitor.rate:g}."
             )
         alarms, snaps = 0, detector_of(self.snap, monitor.rate)
         columns = [] if snaps is None else snaps.columns(recordings.axes, recordings.dt)

@@ -22,7 +22,7 @@ SnapSize = Annotated[
 
 
 def detector_of(sizes: tuple[str, ...], rate: float) -> SnapDetector | None:
-    """The detector that the option asks for; None = none.
+    """The detector that the option selects; None = none.
 
     Args:
         sizes: the option.

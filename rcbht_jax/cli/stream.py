@@ -112,9 +112,9 @@ class TrainOnline(RuleCommand):
             for number, task in enumerate([*tasks, *phases])
         )
         config = self.config(recordings.dt)
-        taught = np.flatnonzero(np.any([chosen_recordings(recordings, task) for task in tasks], axis=0))
-        teachers = recordings.take(taught) if len(taught) else recordings  # without any, training says why
-        limits = self.limits(config, self.read_limits(teachers, self.store)[0], teachers)
+        rows = np.flatnonzero(np.any([chosen_recordings(recordings, task) for task in tasks], axis=0))
+        training = recordings.take(rows) if len(rows) else recordings  # without any, training raises the error
+        limits = self.limits(config, self.read_limits(training, self.store)[0], training)
         with progress_bar("train", "snapshots") as bar:
 
             def progress(done: int, total: int) -> None:
@@ -187,7 +187,7 @@ class Stream(Source):
         session, messages = self.opened(self.words or self.provisional)
         window, revisions = session.introspector.config.window, Revisions()
         counts: Counter[str] = Counter()
-        # A wrong source is refused before a file is touched, and before programs are compiled where nobody waits.
+        # A wrong source is refused before a file is touched, and before programs are compiled.
         timed = self.source == "-" or self.pace > 0
         first = [] if timed else list(itertools.islice(messages, 1))
         session.introspector.warm_up()

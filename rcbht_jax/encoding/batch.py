@@ -126,7 +126,8 @@ def _checked(
             f"There are {length.size} lengths for {wrench.shape[0]} recordings; expected as many, at least one."
         )
     if length.min() < 0 or length.max() > wrench.shape[1]:
-        raise InputError(f"A length is outside 0 ... {wrench.shape[1]} samples.")
+        wrong = int(length.min()) if length.min() < 0 else int(length.max())
+        raise InputError(f"A length is {wrong}; expected 0 to {wrench.shape[1]} samples.")
     for index, samples in enumerate(length):
         if not usable(wrench[index, :samples]):
             raise InputError(
@@ -267,7 +268,7 @@ def begin_encoding(
     wrench: Float[Array, "recording time axis"],
     length: Int[Array, " recording"],
 ) -> Callable[[], LabelTracks]:
-    """:func:`encode_on_device` in two halves: this one asks for the labels, what it returns waits for them.
+    """:func:`encode_on_device` in two halves: this one starts the encoding, the function it returns waits for labels.
 
     How many slots there are is known only when the device has encoded; meanwhile the caller can give it other work. All
     recordings are scanned at once.

@@ -22,7 +22,7 @@ def check_choices(window: int, dt: float, **seconds: float | None) -> None:
         seconds: durations by name; None = without limit.
 
     Raises:
-        InputError: says which is out of range.
+        InputError: one of them is out of range.
 
     Example:
         >>> check_choices(5, 0.005, latency_cap=-1.0)

@@ -77,7 +77,7 @@ def push_composition(h: Segment, x: Segment, short: int) -> tuple[Segment, Segme
 
 
 def _composed(h: Segment, x: Segment, pair: Array, label: Array) -> tuple[Segment, Segment]:
-    """New H and output: the pair, or H alone, under a label; 0 = nothing to say yet."""
+    """New H and output: the pair, or H alone, under a label; 0 = no label yet."""
     word = once(label << 1 | pair.astype(jnp.int32), x.t0)
     pair, label = word & 1 > 0, word >> 1
     out = relabel(select(pair, merge(h, x, label), h), label)

@@ -3,8 +3,8 @@
 :func:`init`, :func:`step`, :func:`flush` and :func:`encode` are safe under ``jit``, ``vmap``, ``grad`` and ``scan``;
 the configuration is static. ``step`` has a fixed size and no loop; ``encode`` scans it. Lanes (axes, arms, trials)
 are trailing batch dimensions, so a window is ``[window, axis]``, and ``[window, trial, axis]`` works alike.
-Streaming and batch results are equal bit for bit: see :class:`rcbht_jax.types.Segment` for why. ``rcbht_jax.encode``
-and :class:`rcbht_jax.encoding.stream.Encoder` are these functions for people.
+Streaming and batch results are equal bit for bit: see :class:`rcbht_jax.types.Segment` for why. Their interfaces on
+host arrays are ``rcbht_jax.encode`` and :class:`rcbht_jax.encoding.stream.Encoder`.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ class EncoderConfig:
         make_plain(self)
         check_choices(self.window, self.dt, latency_cap=self.latency_cap, noise_below=self.noise_below)
         if self.pipe not in ("two-slot", "one-slot") or self.rule not in ("paper", "similar"):
-            raise InputError(f"Pipe {self.pipe!r} with rule {self.rule!r} is not known; see EncoderConfig.")
+            expected = "expected 'two-slot' or 'one-slot', and 'paper' or 'similar'"
+            raise InputError(f"The pipe is {self.pipe!r} and the rule {self.rule!r}; {expected}.")
 
     @property
     def short(self) -> int:

@@ -39,7 +39,7 @@ _RUN_INTS, _RUN_REALS = 3, 2  # t0, t1, samples of the line; its mean and slope,
 _INTS, REALS = _RUN_INTS + 3 * _ABOVE, _RUN_REALS + 4 * _ABOVE
 SHORTEST = 2  # samples of a word
 DRAIN_STEPS = 5  # the run, then each of the held segments in turn
-Rounds = list[list[Segment]]  # what the five stages say in each step of a drain
+Rounds = list[list[Segment]]  # the outputs of the five stages in each step of a drain
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ class FitConfig:
         make_plain(self)
         seconds = "latency_cap", "noise_below", "lead_below", "lookback", "evidence", "impulse_below"
         check_choices(self.window, self.dt, **{name: getattr(self, name) for name in seconds})
-        if not min(self.impulse_below, self.evidence, self.lookback) > 0:
-            raise InputError("The longest impulse, the evidence and the look-back of a break must be positive times.")
+        if wrong := [f"{name} is {getattr(self, name)} s" for name in seconds[3:] if not getattr(self, name) > 0]:
+            raise InputError(f"{'; '.join(wrong)}; expected a positive time.")
 
     @property
     def needed(self) -> int:
@@ -217,7 +217,7 @@ def scan_lanes(
 def scan_stages(
     config: FitConfig, limits: Float[Array, "5 lane"], samples: Float[Array, "time lane"], count: Int[Array, " lane"]
 ) -> tuple[Segment, ...]:
-    """What every stage says of whole recordings: primitives, pairs of them, compositions, pairs of them, behaviours.
+    """Outputs of every stage for whole recordings: primitives, their pairs, compositions, their pairs, behaviours.
 
     Arguments as of :func:`scan_lanes`; segments ``[slot, lane]`` in order of time, unused ones with the label 0.
     """
@@ -230,7 +230,7 @@ def scan_stages(
 def _scan(
     config: FitConfig, limits: Array, state: EncoderState, samples: Array, count: Array, kept_of: Callable[..., Any]
 ) -> tuple[EncoderState, Any]:
-    """A scan over windows; of what the five stages say in each, and of the time, ``kept_of`` chooses what to stack."""
+    """A scan over windows; ``kept_of`` chooses what to stack of the outputs of the five stages and of the time."""
     window, kept = config.window, config.kept
     samples, counts = whole_windows(samples, count.astype(jnp.int32), window)
     windows = len(counts)
@@ -303,7 +303,7 @@ def running(config: FitConfig, state: EncoderState) -> tuple[Array, Array, Line,
 def advance(
     config: FitConfig, limits: Array, state: EncoderState, samples: Array, after: Array, count: Array
 ) -> tuple[EncoderState, list[Segment]]:
-    """A window of ``count`` new samples: the run goes on, or ends at the break that saves most; what each stage says.
+    """State and each stage's output after ``count`` new samples: the run goes on, or ends at the break that saves most.
 
     Args:
         config: static configuration.
@@ -382,7 +382,7 @@ def _above(
 
 
 def _overdue(now: Array, late: Array, alone: Segment, x: Segment, h: Segment, out: Segment) -> tuple[Segment, Segment]:
-    """What a composer holds and says, once a late word does not wait for a partner any more."""
+    """State and output of a composer, in which a late word no longer waits for a partner."""
     leaves = late & (x.label == 0) & (alone.label > 0)
     word = pipe.once(pipe.packed(leaves) + 2 * jnp.where(leaves, alone.label, out.label), now)
     leaves = word & 1 > 0

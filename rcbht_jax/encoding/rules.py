@@ -1,4 +1,4 @@
-"""The rules by which words are made, as what batches and streams run: the paper's, and the one that fits lines."""
+"""The two rules by which words are made, the paper's and the fit rule, as functions that batches and streams run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ AUTO = "auto"  # a tolerance taken from recordings
 
 
 class Rule(NamedTuple):
-    """Pure functions of one rule; see :mod:`rcbht_jax.encoding.encoder` for what they take and give."""
+    """Pure functions of one rule; see :mod:`rcbht_jax.encoding.encoder` for arguments and results."""
 
     init: Callable[..., EncoderState]  # of (config, lanes, dtype)
     step: Callable[..., Any]
@@ -77,7 +77,7 @@ def limits_for(
     wrench: NDArray[np.floating],
     length: NDArray[np.integer],
 ) -> AnyLimits:
-    """What the encoder of a rule takes: the thresholds alone, or with a tolerance for every axis.
+    """Limits for the encoder of a rule: the thresholds alone, or with a tolerance for every axis.
 
     Args:
         config: its type chooses the rule.

@@ -25,8 +25,8 @@ Divide = Callable[[Array, Array], Array]
 def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Segment:
     """Least-squares line through the first ``count`` samples of each lane's window.
 
-    The result does not depend on how a compiler fuses this code: no rounded product meets a sum
-    unfenced, and divisors hide behind barriers, lest they become reciprocals.
+    The result does not depend on how a compiler fuses this code: fences keep products from being fused with sums, and
+    barriers keep divisors from becoming reciprocals.
 
     Args:
         samples: float ``[window, ...]``, N or Nm, window >= 2.
@@ -133,13 +133,13 @@ def soft_windows(slope: Array, limits: Array, temperature: Array | float) -> Arr
 
 
 def as_floating(wrench: Array) -> Float[Array, "..."]:
-    """A signal as encoders take it: float64 stays, as far as JAX has it, all else becomes float32."""
+    """A signal in a precision of the encoders: float64 stays in JAX's 64-bit mode, all else becomes float32."""
     wrench = jnp.asarray(wrench)
     return wrench if wrench.dtype == np.float64 else wrench.astype(jnp.float32)
 
 
 def varying_as(samples: Array, state: Any) -> Any:
-    """A state that a loop begins with, which shard_map takes to differ among devices as the samples do."""
+    """A loop's initial state, for shard_map varying over the same mesh axes as the samples."""
     return jax.tree.map(lambda leaf: leaf + jnp.zeros_like(samples, leaf.dtype, leaf.shape), state)
 
 

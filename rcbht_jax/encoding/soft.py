@@ -1,9 +1,9 @@
 """Soft labels: the streaming encoder as a differentiable function of its limits.
 
 By the paper's rule the label of every window is soft, by sigmoid boundaries on the logarithm of its slope. A merged
-segment says what those of its parts say that carry its label: what was absorbed does not vote. By the fit rule the
-breaks between runs are soft as well (:mod:`rcbht_jax.encoding.soft_runs`); a run of the hard encoder says what the soft
-runs say on average over its samples.
+segment has the mean distribution of those of its parts that carry its label: absorbed parts do not count. By the fit
+rule the breaks between runs are soft as well (:mod:`rcbht_jax.encoding.soft_runs`); a run of the hard encoder has the
+mean distribution of the soft runs over its samples.
 
 Pairs of the tables are soft by both rules: the expected label of two soft partners. What stays hard is which segments
 pair or merge, and by the paper's rule which windows form an item: the hard encoder decides that, and its decisions are
@@ -196,7 +196,7 @@ def _on_grid(spans: Segment, windows: int, window: int) -> _Spans:
 
 
 def _vote(soft: Array, voted: Array, spans: _Spans) -> Array:
-    """Distribution of each segment: the mean over those of its windows whose part says the item's own label."""
+    """Distribution of each segment: the mean over those of its windows whose part has the item's own label."""
     lanes, windows, _ = soft.shape
     core = ((voted == spans.label) & (spans.label > 0)).astype(soft.dtype)[..., None]
     segment = (jnp.arange(lanes, dtype=jnp.int32)[:, None] * windows + spans.start).reshape(-1)

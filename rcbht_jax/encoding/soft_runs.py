@@ -3,7 +3,7 @@
 After each window the hard rule breaks its run where the saving exceeds ``tolerance^2 * needed``. Here it breaks with
 the probability ``sigmoid(log(sqrt(saving / needed) / tolerance) / temperature)``, at the same place. A run is known by
 its first sample alone, whatever happened before, so what is known of the present run is a distribution over its first
-samples: candidates with weights, as many as ``init`` is asked for. Where a candidate breaks, its weight divides between
+samples: candidates with weights, as many as ``init`` makes. Where a candidate breaks, its weight divides between
 the old and the new first sample; equal first samples join; the lightest leave. A run that ends speaks for its samples
 with its weight and a soft label.
 
@@ -205,10 +205,10 @@ def soft_primitives(
     last = drain(config, limits, state, temperature)
     runs: SoftRuns = jax.tree.map(lambda some, one: jnp.concatenate([some, one[None]]), ended, last)
     # A run adds its label at its first sample and takes it back at its end; sums over time give what is in force.
-    said = runs.weight[..., None] * runs.label
+    weighted = runs.weight[..., None] * runs.label
     lane = jnp.broadcast_to(jnp.arange(lanes, dtype=jnp.int32)[None, None], runs.t0.shape)
-    change = jnp.zeros((lanes, total + 1, said.shape[-1]), said.dtype)
-    change = change.at[lane, runs.t0].add(said).at[lane, runs.t1].add(-said)
+    change = jnp.zeros((lanes, total + 1, weighted.shape[-1]), weighted.dtype)
+    change = change.at[lane, runs.t0].add(weighted).at[lane, runs.t1].add(-weighted)
     here = jnp.maximum(jnp.cumsum(change, axis=1)[:, :total], 0)
     on = (jnp.arange(total, dtype=jnp.int32)[None] < length[:, None])[..., None]
     sums = here.sum(-1, keepdims=True)

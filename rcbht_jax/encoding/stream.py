@@ -160,7 +160,7 @@ class Encoder:
         if dtype not in (np.float32, np.float64) or jax.dtypes.canonicalize_dtype(dtype) != dtype:
             raise InputError(f"A stream of {dtype} was asked for; expected float32, or float64 in JAX's 64-bit mode.")
         self._config = config
-        self._limits = jnp.array(limits, dtype)  # a copy, which nobody changes
+        self._limits = jnp.array(limits, dtype)  # a copy, which no caller can change
         self._axes = limits.shape[0]
         self._state: EncoderState = rule_of(config).init(config, (self._axes,), dtype)
         self._buffer = WindowBuffer(config.window, self._axes, dtype)

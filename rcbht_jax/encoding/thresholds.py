@@ -81,9 +81,15 @@ def validate(limits: NDArray[np.floating]) -> None:
     if limits.ndim < 2 or limits.shape[-1] != 4:
         raise InputError(f"Thresholds have shape {limits.shape}; expected [..., axis, 4].")
     if not positive(limits):
-        raise InputError("Thresholds must be positive numbers of 1.2e-38 to 3.4e38, which single precision holds.")
-    if not np.all(limits[..., :-1] >= limits[..., 1:]):
-        raise InputError("Thresholds must be ordered: impulse >= big >= medium >= small.")
+        raise InputError(
+            f"Thresholds are {limits.min():g} to {limits.max():g}; expected positive numbers of 1.2e-38 to 3.4e38, "
+            "which single precision holds."
+        )
+    if (wrong := (limits[..., :-1] < limits[..., 1:]).any(-1)).any():
+        raise InputError(
+            f"The thresholds of an axis are {limits[wrong][0].tolist()}; they must be ordered: impulse >= big >= "
+            "medium >= small."
+        )
 
 
 def preset(robot: str = "hiro", axes: Sequence[str] = AXES) -> GradientThresholds:
@@ -241,10 +247,10 @@ def _number(path: Path | str, rows: Mapping[str, Any], axis: str, name: str) -> 
 
 
 def check_rows(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path | str, axes: Sequence[str]) -> None:
-    """Refuse limits ``[axis, 4]`` of a file that are of another shape or out of order.
+    """Check the limits ``[axis, 4]`` of a file.
 
     Raises:
-        InputError: says which, with the name of the file.
+        InputError: limits of another shape, not positive or out of order; the message names the file.
     """
     if limits.shape != (len(axes), len(LIMITS)):
         raise InputError(f"Thresholds for {path} have shape {limits.shape}; expected [{len(axes)}, 4].")

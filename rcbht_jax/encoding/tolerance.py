@@ -55,7 +55,8 @@ class FitLimits:
             ) from None
         if not positive(tolerance):
             raise InputError(
-                "A tolerance must be a positive number of 1.2e-38 to 3.4e38, which single precision holds."
+                f"Tolerances are {tolerance.min():g} to {tolerance.max():g}; expected positive numbers of 1.2e-38 to "
+                "3.4e38, which single precision holds."
             )
         return np.concatenate([gradients, tolerance[..., None]], axis=-1)
 

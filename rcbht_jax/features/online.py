@@ -81,8 +81,8 @@ def check_online(spec: FeatureSpec) -> None:
     whole = [family for family in spec.families if family in WHOLE]
     if whole:
         raise InputError(
-            f"the family {whole[0]} looks at the whole past again at every step; choose from "
-            f"{', '.join(f for f in FAMILIES if f not in WHOLE)} for a stream."
+            f"the family {whole[0]} needs the whole interval at every step, which a stream does not keep; choose from "
+            f"{', '.join(f for f in FAMILIES if f not in WHOLE)}."
         )
 
 
@@ -200,7 +200,7 @@ def _values(words: LabelTrack) -> Array:
 def _edge_values(values: Values, before: Array, words: LabelTrack, used: Array) -> tuple[Array, Array]:
     """Value where the first label begins and where the latest ends, after labels some of which are not ``used``.
 
-    ``before`` ``[layer, axis]`` says where there have been labels already.
+    ``before`` ``[layer, axis]``: whether there was a label before.
     """
     rising, slots = words.grad > 0, used.shape[-1]
     begins = jnp.where(rising, words.vmin, words.vmax)

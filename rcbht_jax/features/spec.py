@@ -47,7 +47,7 @@ class FeatureSpec:
     one_hot: bool = False  # resampled labels as one column per slot and label instead of one code per slot
     ngram: int = 2  # labels in a run, 1 to 3
     # How labels weigh in histogram and ngram: count, time, change (of value), each with columns of its own; none = time
-    # and count in histogram, count in ngram. Long words of the fit rule say more by time and change.
+    # and count in histogram, count in ngram. Long words of the fit rule carry more information by time and change.
     weighing: tuple[str, ...] = ()
     balance: bool = False  # absolute families, elapsed time and all other families together weigh the same
 
@@ -141,7 +141,7 @@ def concatenate_features(parts: Mapping[str, Features]) -> Features:
     rows = {name: part.values.shape[0] for name, part in parts.items()}
     if len(set(rows.values())) != 1:
         counts = ", ".join(f"{name} {count}" for name, count in rows.items())
-        raise InputError(f"features of different intervals cannot be put side by side: {counts or 'none'} intervals.")
+        raise InputError(f"features of different intervals cannot be concatenated: {counts or 'none'} intervals.")
     if len(parts) == 1:
         return next(iter(parts.values()))
     return _side_by_side([_prefixed(part, name, name) for name, part in parts.items()])

@@ -73,7 +73,7 @@ def _delayed(x: Signal, steps: int) -> Signal:
 
 
 def running_totals(signal: Signal) -> Table:
-    """Largest absolute value so far, and the path travelled so far: both grow with what has been done.
+    """Largest absolute value so far, and length of the path so far; neither ever decreases.
 
     >>> running_totals(np.array([[1.0], [-2.0], [0.0]])).tolist()
     [[1.0, 0.0], [2.0, 3.0], [2.0, 5.0]]
@@ -94,7 +94,7 @@ def with_norms(wrench: Signal, units: Sequence[str]) -> Table:
 
 
 def latest_words(track: LabelTrack, times: Int[np.ndarray, " moment"]) -> Float[np.ndarray, "moment column"]:
-    """What the newest published word of each axis says at each moment: label, change of value, length and age.
+    """The newest published word of each axis at each moment: label, change of value, length and age.
 
     A word counts from the sample of its publication, so that nothing is known before its time. Zeros before the first.
 

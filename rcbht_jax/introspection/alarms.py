@@ -142,7 +142,7 @@ class Alarm:
         self.reset()
 
     def reset(self) -> None:
-        """Calm, as at the beginning."""
+        """Clear the alarm, as at the beginning."""
         self.raised = False
         self._since: float | None = None
 
@@ -161,7 +161,7 @@ class Alarm:
 
 
 class PhaseFilter:
-    """Which sub-task goes on, from beliefs alone: the forward filter of a left-to-right Markov chain.
+    """Finds the sub-task in progress from beliefs alone, with the forward filter of a left-to-right Markov chain.
 
     Sub-tasks follow each other in the order of the classes; one that passes unnoticed is skipped, none comes back. The
     next one begins when it is likelier than not that the present one is over.
@@ -177,12 +177,12 @@ class PhaseFilter:
 
     def __init__(self, classes: Sequence[str], stay: float = 1.0, memory: float = 0.1) -> None:
         if not (0 < stay < float("inf") and 0 < memory < float("inf")):
-            raise InputError(f"sub-tasks that last {stay} s with a memory of {memory} s: both have to be positive.")
+            raise InputError(f"stay is {stay} s and memory {memory} s; expected positive times.")
         self._count, self._stay, self._memory = len(classes), stay, memory
         self.reset()
 
     def reset(self) -> None:
-        """The first sub-task goes on."""
+        """Return to the first sub-task."""
         self.current, self._time = 0, 0.0
         self.filtered = np.eye(self._count)[0]  # probability of each sub-task, given all that was seen
 

@@ -41,7 +41,7 @@ Ints = Int[np.ndarray, " snapshot"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class StreamState:
-    """What a stream remembers, whatever its length."""
+    """State of a stream; its size does not depend on the stream's length."""
 
     encoder: EncoderState
     stats: tuple[RunningStats, ...]  # one per view: of the present sub-task, of the whole trial
@@ -49,14 +49,14 @@ class StreamState:
 
 @dataclass(frozen=True)
 class FeatureView:
-    """Which features of an interval a classifier sees."""
+    """The features of an interval that a classifier reads."""
 
     spec: FeatureSpec
     provisional: bool = True  # with the labels that are not published yet, see ``encoder.flush``
 
 
 def begin_stream(config: AnyConfig, views: tuple[FeatureView, ...], axes: int = len(AXES)) -> StreamState:
-    """The state before the first sample of so many axes."""
+    """The state before the first sample, for ``axes`` axes."""
     return StreamState(
         rule_of(config).init(config, (axes,)), tuple(empty(view.spec, jnp.int32(0), axes) for view in views)
     )
@@ -78,7 +78,7 @@ def step(
         views: features to make, each of its own interval.
         limits: of :func:`rcbht_jax.encoding.rules.checked_limits`.
         state: at the end of the last complete window.
-        window: samples since then, N and Nm; those from ``count`` on mean nothing.
+        window: samples since then, N and Nm; those from ``count`` on are ignored.
         count: samples in ``window``.
         begins: first sample of the present interval of each view.
 

@@ -156,11 +156,11 @@ def with_ringing(series: Sequence[Change]) -> list[Change | Ringing]:
     run: list[Change] = []
     for change in series:
         if run and not _goes_on([*run, change]):
-            out += _told(run)
+            out += _summarised(run)
             run = run[-1:] if len(run) < _SWINGS and _goes_on([run[-1], change]) else []
             out = out[:-1] if run else out
         run.append(change)
-    return out + _told(run)
+    return out + _summarised(run)
 
 
 def _goes_on(run: list[Change]) -> bool:
@@ -170,7 +170,7 @@ def _goes_on(run: list[Change]) -> bool:
     return bool(even and heights[0] <= _PUSH * heights[1] and (heights[1:] <= _PUSH * heights[:-1]).all())
 
 
-def _told(run: list[Change]) -> list[Change | Ringing]:
+def _summarised(run: list[Change]) -> list[Change | Ringing]:
     if len(run) < _SWINGS:
         return list(run)
     middles = [(change.start + change.end) / 2 for change in run]
@@ -301,7 +301,7 @@ def _snaps(
     columns = snaps.columns(recordings.axes, recordings.dt)
     events = snaps.push(wrench[:, columns], (len(wrench) - 1) * recordings.dt)
     sentences = []
-    for event in {(event.axis, event.seen): event for event in events}.values():  # the last that is said of each
+    for event in {(event.axis, event.seen): event for event in events}.values():  # the latest event of each snap
         unit = recordings.units[recordings.axes.index(event.axis)]
         end = "" if event.published is None else f", published at {event.published:.2f} s"
         force, load = (f"{_number(abs(size))}{unit and f' {unit}'}" for size in (event.fall, event.release))

@@ -73,7 +73,7 @@ class SubtaskSnapshots:
 def schedule_snapshots(
     begins: Int[np.ndarray, "trial subtask"], length: Int[np.ndarray, " trial"], every: int
 ) -> tuple[Int[np.ndarray, " snapshot"], ...]:
-    """When to look at each trial: every ``every`` samples since its sub-task began, and at the end of the sub-task.
+    """Times of the snapshots: every ``every`` samples since the sub-task began, and at the end of the sub-task.
 
     Args:
         begins: first sample of each sub-task, increasing; -1 where the trial did not reach it.
@@ -177,7 +177,7 @@ class FaultMonitor:
             here = snapshots.subtask == subtask
             rows = _training_rows(snapshots, np.flatnonzero(here & shown), cause, config)
             trained = snapshots.trial[rows]
-            if calm[trained].any() and not nominal[trained].all():  # else nothing says what is a false alarm there
+            if calm[trained].any() and not nominal[trained].all():  # else no trial sets the level
                 machines[subtask] = _classifier(snapshots, here, rows, cause, config.cost, seed, probability)
         if not machines:
             raise InputError(f"no sub-task shows {config.fewest} nominal trials and as many of a cause of failure.")

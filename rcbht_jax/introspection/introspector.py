@@ -42,7 +42,7 @@ PHASE, PHASE_IN_TRIAL = "phase", "phase in trial"
 
 @dataclass(frozen=True)
 class HeadShape:
-    """What must be known of a classifier when the chain is compiled."""
+    """The static properties of a classifier, with which the chain is compiled."""
 
     view: int  # which of the chain's views it sees
     kernel: str
@@ -92,7 +92,7 @@ def infer(
         limits: of :func:`rcbht_jax.encoding.rules.checked_limits`.
         heads: one per classifier.
         state: at the end of the last complete window.
-        window: samples since then, N and Nm; those from ``count`` on mean nothing.
+        window: samples since then, N and Nm; those from ``count`` on are ignored.
         count: samples in ``window``.
         begins: first sample of the present interval of each view.
 

@@ -112,7 +112,7 @@ def head_arrays(head: Head) -> HeadArrays:
 
 @dataclass(frozen=True)
 class IntrospectionModel:
-    """Everything between a wrench and beliefs.
+    """The encoder, its thresholds and the classifiers that turn a wrench into beliefs.
 
     Raises:
         InputError: thresholds of another shape or order, or classifiers without a name of their own.
@@ -132,7 +132,8 @@ class IntrospectionModel:
         if len(self.axes) != len(limits):
             raise InputError(f"a model has {len(self.axes)} names of axes and limits of {len(limits)}.")
         if not self.heads or len({head.name for head in self.heads}) < len(self.heads):
-            raise InputError("a model for introspection needs at least one head, each of its own name.")
+            found = ", ".join(head.name for head in self.heads) or "none"
+            raise InputError(f"an introspection model has the heads {found}; expected one or more of different names.")
         for head in self.heads:
             count, trained = len(names(head.view.spec, len(limits))), head.machine.svm.center.size
             if trained != count:
@@ -151,11 +152,11 @@ class IntrospectionModel:
         return tuple(self.extra.get("units", [UNIT_OF.get(axis, "") for axis in self.axes]))
 
     def check_axes(self, axes: Sequence[str], units: Sequence[str], where: str) -> None:
-        """Refuse a signal whose values the model would take for others: :func:`~rcbht_jax._util.signals.check_axes`."""
+        """Check a signal's axes and units against the model's; see :func:`~rcbht_jax._util.signals.check_axes`."""
         check_axes(axes, units, self.axes, self.units, where)
 
     def check_wrench(self, where: str) -> None:
-        """The same for a wrench by its place, Fx Fy Fz Mx My Mz in N and Nm; a model may have other names for these."""
+        """As :meth:`check_axes` for a wrench, Fx Fy Fz Mx My Mz in N and Nm; the model may name the axes otherwise."""
         named = len(self.axes) == len(AXES) and set(self.axes) != set(AXES)
         self.check_axes(self.axes if named else AXES, UNITS, where)
 

@@ -17,7 +17,7 @@ AROUND = 5  # moments before and after over which the usual distance is taken
 
 @dataclass(frozen=True)
 class Bank:
-    """Nominal recordings, described, and what is usual among them.
+    """Features of nominal recordings, and the usual distances between them.
 
     Padding: a recording that has ended stays as it ended; times before the beginning are infinite.
     """
@@ -38,11 +38,11 @@ def make_bank(
     drift: float,
     neighbours: int,
 ) -> Bank:
-    """What a monitor learns.
+    """The bank of nominal recordings that a monitor compares with.
 
     Args:
         described: nominal recordings ``[time, channel, kind]``.
-        groups: of each; what differs between groups is not compared. A single group = each recording by itself.
+        groups: of each; a feature is scaled by its differences between groups. A single group = one per recording.
         slack: moments by which a neighbour may be early or late.
         drift: the same, as a share of the elapsed time.
         neighbours: nearest recordings whose distance is averaged.
@@ -52,8 +52,8 @@ def make_bank(
     """
     if len(described) < 2 or neighbours < 1 or slack < 0 or drift < 0:
         raise InputError(
-            f"{len(described)} nominal recordings, {neighbours} neighbours, slack {slack:g}, drift {drift:g}; "
-            "it takes two recordings, one neighbour, and no negative times."
+            f"There are {len(described)} nominal recordings, neighbours is {neighbours}, slack {slack:g} and drift "
+            f"{drift:g}; expected at least two recordings, one neighbour, and no negative times."
         )
     groups = groups if len(np.unique(groups)) > 1 else np.arange(len(described))
     time = max(len(part) for part in described)

@@ -1,9 +1,9 @@
 """Monitors that learn from successes alone: an anomaly score at every sample, and a threshold with few false alarms.
 
-A monitor is trained on nominal recordings of one skill only. At time t its score says how far the last moments are from
-what nominal recordings show around t; it uses no later sample. The threshold is a conformal quantile (Vovk et al. 2005;
-Angelopoulos and Bates 2023, section 1) of the peak scores of nominal recordings that the score was not learned from, so
-false alarms are counted per recording and not per sample.
+A monitor is trained on nominal recordings of one skill only. At time t its score is the distance of the last moments
+from those of nominal recordings around t; it uses no later sample. The threshold is a conformal quantile (Vovk et al.
+2005; Angelopoulos and Bates 2023, section 1) of the peak scores of nominal recordings that the score was not learned
+from, so false alarms are counted per recording and not per sample.
 
 :class:`NominalMonitor` compares with the nearest nominal recordings, channel by channel; see
 :mod:`rcbht_jax.introspection.nominal_peers` for a band of quantiles and an isolation forest with the same interface.
@@ -36,7 +36,7 @@ FREEDOM = 3.0  # degrees of freedom of the Student t whose negative logarithm is
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class Monitor(BaseEstimator):  # type: ignore[misc]
-    """What all monitors share: time, calibration, alarms and streams; a subclass learns and scores.
+    """Base of all monitors: time, calibration, alarms and streams; a subclass learns and scores.
 
     Args:
         rate: samples per second of the recordings.
@@ -84,7 +84,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
             raise InputError(f"{len(series)} recordings; it takes three or more nominal ones with the same axes.")
         names = np.arange(len(series)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
         if names.shape != (len(series),):
-            raise InputError(f"There are {len(names)} groups for {len(series)} recordings.")
+            raise InputError(f"There are {len(names)} groups for {len(series)} recordings; expected one for each.")
         names = names if len(np.unique(names)) > 1 else np.arange(len(series))
         parts = [_blocks(part, self._step) for part in series]
         if self.calibration == "split":
@@ -149,7 +149,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
     def _cross_peaks(
         self, parts: list[Float[np.ndarray, "_ channel"]], groups: Int[np.ndarray, " recording"]
     ) -> Float[np.ndarray, " recording"]:
-        """Peak of each recording, scored by what the other folds teach."""
+        """Peak of each recording, scored by a monitor trained on the other folds."""
         fold = groups % int(self.folds)
         peaks = np.zeros(len(parts))
         for held in np.unique(fold):
@@ -184,7 +184,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         before: Float[np.ndarray, "past channel"],
         time: Int[np.ndarray, " time"],
     ) -> Float[np.ndarray, "time _ kind"]:
-        """What the score sees at each moment: by default the values themselves."""
+        """The features that the score reads at each moment: by default the values themselves."""
         return part[..., None]
 
     @abstractmethod
@@ -359,7 +359,7 @@ def _series(
     if series.ndim != 2 or series.shape[1] < 1 or len(series) < least:
         raise InputError(f"A recording has the shape {series.shape}; expected [time, axis] with samples.")
     if not np.isfinite(series).all():
-        raise InputError("A recording holds values that are not finite.")
+        raise InputError("A recording holds values that are not finite numbers; remove or interpolate them.")
     return series, names
 
 

@@ -1,4 +1,4 @@
-"""What a nominal monitor is worth on days that it has not seen: groups held out one at a time."""
+"""Evaluation of a nominal monitor on unseen days: groups are held out one at a time."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class Watched:
     scores: tuple[NDArray[np.float64], ...]  # [recording] of [time]; empty where too few nominal ones were left
     nominal: Bool[np.ndarray, " recording"]
     groups: Shaped[np.ndarray, " recording"]
-    usual_length: Float[np.ndarray, " recording"]  # median length of the nominal recordings that taught, samples
+    usual_length: Float[np.ndarray, " recording"]  # samples, median length of the nominal training recordings
     calibration: dict[str, NDArray[np.float64]]  # group -> peaks of the nominal recordings of the others
     rate: float  # samples per second
 
     @property
     def seen(self) -> Bool[np.ndarray, " recording"]:
-        """Recordings that were scored."""
+        """Which recordings were scored."""
         return np.array([len(score) > 0 for score in self.scores], bool)
 
     def peaks(self, usual: bool = False) -> Float[np.ndarray, " recording"]:
@@ -62,7 +62,7 @@ def hold_out(
     Args:
         monitor: with its parameters; it is cloned.
         series: recordings ``[time, axis]`` of one skill.
-        nominal: which of them teach.
+        nominal: which of them are nominal, and train.
         groups: day or session of each.
         progress: called with 1 after each group.
 
@@ -72,27 +72,27 @@ def hold_out(
     scores = [np.zeros(0)] * len(series)
     usual, calibration = np.full(len(series), np.nan), {}
     for group in np.unique(groups):
-        teach = np.flatnonzero(nominal & (groups != group)).tolist()
+        train = np.flatnonzero(nominal & (groups != group)).tolist()
         test = np.flatnonzero(groups == group).tolist()
-        if len(teach) >= FEWEST:
-            fitted = clone(monitor).fit([series[row] for row in teach], groups=groups[teach])
+        if len(train) >= FEWEST:
+            fitted = clone(monitor).fit([series[row] for row in train], groups=groups[train])
             for row in test:
                 scores[row] = fitted.scores(series[row])
-            usual[test] = np.median([len(series[row]) for row in teach])
+            usual[test] = np.median([len(series[row]) for row in train])
             calibration[str(group)] = fitted.peaks_
         if progress is not None:
             progress(1)
     if not calibration:
         found = plural(len(np.unique(groups[nominal])), "group")
         raise InputError(
-            f"Each group of recordings is scored by what the others teach, for which {FEWEST} nominal recordings must "
+            f"Each group of recordings is scored by a monitor of the others, for which {FEWEST} nominal ones must "
             f"remain; the {int(nominal.sum())} nominal recordings are of {found}. Choose other groups (--group)."
         )
     return Watched(tuple(scores), nominal, groups, usual, calibration, float(monitor.rate))
 
 
 def auroc(nominal: Bool[np.ndarray, " recording"], peak: Float[np.ndarray, " recording"]) -> float | None:
-    """Probability that an anomalous recording has the larger peak; None unless both kinds are there.
+    """Probability that an anomalous recording has a larger peak than a nominal one; None if there is none of either.
 
     >>> auroc(np.array([True, True, False]), np.array([0.1, 0.3, 0.2]))
     0.5
@@ -104,8 +104,8 @@ def auroc(nominal: Bool[np.ndarray, " recording"], peak: Float[np.ndarray, " rec
 
 
 def thresholds(watched: Watched, alpha: float) -> dict[str, float]:
-    """Threshold of each group for so many false alarms, where enough nominal recordings of the others promise it."""
-    fewest = trials_needed(alpha) if 0 < alpha < 1 else 0  # 0: the first threshold says what is expected
+    """Threshold of each group for ``alpha`` false alarms, if the others have enough nominal recordings for it."""
+    fewest = trials_needed(alpha) if 0 < alpha < 1 else 0  # 0: the first threshold raises the error
     return {
         group: conformal_threshold(peaks, alpha) for group, peaks in watched.calibration.items() if len(peaks) >= fewest
     }
@@ -117,7 +117,7 @@ def judge(
     onset: Float[np.ndarray, " recording"] | None = None,
     early: float = 0.5,
 ) -> dict[str, Any]:
-    """Alarms against the truth: AUROC, false alarms, detections and their delay, in all and by group.
+    """Alarms compared with the ground truth: AUROC, false alarms, detections and delays, in all and by group.
 
     Args:
         watched: the scores.
@@ -126,7 +126,7 @@ def judge(
         early: s before the onset; earlier alarms of an anomalous recording are counted apart and are no detection.
 
     Returns:
-        JSON values; None where nothing was to be counted. Delays are in s since the onset.
+        JSON values; None where there was nothing to count. Delays are in s since the onset.
     """
     onset = np.full(len(watched.scores), np.nan) if onset is None else onset
     limit = np.array([thresholds.get(str(group), np.nan) for group in watched.groups])

@@ -23,11 +23,11 @@ _NUMBERS = ("reach", "slack", "drift", "neighbours")
 
 @dataclass(frozen=True)
 class MonitorFile:
-    """A fitted monitor, and what it was learned from."""
+    """A fitted monitor, with the axes and the selection of its training recordings."""
 
     monitor: NominalMonitor
     axes: tuple[str, ...]  # names
-    where: tuple[str, ...]  # which recordings taught, COLUMN=VALUE each
+    where: tuple[str, ...]  # selection of the training recordings, COLUMN=VALUE each
     units: tuple[str, ...] = ()  # of the axes, "" = not stated; none in files written before units were kept
 
 

@@ -25,7 +25,7 @@ LEAST_WIDTH = 0.1  # of the mean width of a channel's band
 
 @dataclass(frozen=True)
 class Band:
-    """What is usual at each moment."""
+    """Usual range of each channel at each moment."""
 
     middle: Float[np.ndarray, "moment channel"]
     half: Float[np.ndarray, "moment channel"]  # half of the width

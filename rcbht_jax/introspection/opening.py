@@ -1,7 +1,7 @@
-"""The beginning of a stream from any source: which axes it has, how fast it is, what it does at rest.
+"""The beginning of a stream from any source: its axes, its sampling rate, and its values at rest.
 
 An encoder needs the number of axes, the sampling period and gradient thresholds before its first sample. A stream
-takes the first two from a few readings, the third from some seconds of them. The readings are handed on afterwards, so
+takes the first two from a few readings, the third from some seconds of them. The readings are passed on afterwards, so
 nothing of the stream is lost.
 """
 
@@ -22,9 +22,9 @@ from rcbht_jax.io.messages import Message, Sample
 from rcbht_jax.types import Recordings, axis_names
 
 READINGS = 50  # from which the sampling period is taken
-TIMELESS = 200.0  # Hz, until readings without time stamps have said how many are a second's
+TIMELESS = 200.0  # Hz, of readings without time stamps until their rate is known
 FARTHEST = 1e30  # s: stamps beyond it do not count, so that differences of stamps are finite
-MOST = 1_000_000  # messages that are held at most: a source need not send readings, nor stamps that go on
+MOST = 1_000_000  # most messages that are held: a source may send no readings, or stamps that do not advance
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Opening:
         """Samples per second by the time stamps, as a round number.
 
         Raises:
-            InputError: fewer than two readings have a time stamp of their own, or no sensor is as fast or slow.
+            InputError: fewer than two readings have a time stamp of their own, or the rate is impossible for a sensor.
         """
         stamps = self.time[np.abs(self.time) <= FARTHEST]
         moments = np.unique(stamps)
@@ -73,12 +73,12 @@ class Opening:
 
 
 def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float | None = None) -> Opening:
-    """Read the beginning of a stream: ``READINGS``, and so many seconds.
+    """Read the beginning of a stream: at least ``READINGS`` readings and ``seconds`` seconds.
 
     Args:
         messages: the stream.
         seconds: least duration, by the time stamps of the readings.
-        rate: of the samples, Hz, if it is known; counts the seconds where there are no time stamps, or none that go on.
+        rate: of the samples, Hz, if it is known; counts the seconds where no time stamps advance.
 
     Raises:
         InputError: the stream, or ``MOST`` messages of it, has no reading.
@@ -99,7 +99,7 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
             break
     if not samples:
         what = f"The first {MOST} messages of the stream have" if len(read) == MOST else "The stream ended and has"
-        raise InputError(f"{what} no reading that can be used.")
+        raise InputError(f"{what} no reading of finite numbers.")
     width = Counter(len(sample.wrench) for sample in samples).most_common(1)[0][0]
     kept = [sample for sample in samples if len(sample.wrench) == width]
     time = np.array([np.nan if sample.time is None else sample.time for sample in kept])
@@ -107,7 +107,7 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
 
 
 def duration(samples: Sequence[Sample], rate: float | None) -> float:
-    """Seconds between the first and the last reading, by their number where their stamps do not go on."""
+    """Seconds between the first and the last reading, by their number where their stamps do not advance."""
     first, last = samples[0].time, samples[-1].time
     if first is None or last is None or not np.isfinite(last - first) or last <= first:
         return len(samples) / (rate or TIMELESS)

@@ -1,4 +1,4 @@
-"""Samples as they arrive to samples at equal times: the encoder counts samples, so none may be missing or twice.
+"""Resampling of readings to equal times: the encoder counts samples, so none may be missing or repeated.
 
 The grid starts at the first sample. A reading on a grid time passes unchanged, bit for bit; between grid times the
 signal is linear. Short gaps are bridged that way and reported; after a longer one, or a clock that jumps back, the
@@ -21,7 +21,7 @@ from rcbht_jax.labels import AXES
 
 ON_GRID = 0.01  # of a period: nearer than this is on the grid
 JITTER = 0.25  # of a period: readings further off the grid are reported
-PAUSE = 1.0  # s between reports of what goes on and on: jitter, bridged readings
+PAUSE = 1.0  # s between reports of continuing irregularities: jitter, bridged readings
 CLOCK_JUMP = 1.0  # s back in time: the source was restarted
 WIDEST = 60.0  # s: gap that may be bridged
 LARGEST = 1e6  # N or Nm: beyond any sensor's range, and single precision sums stay finite
@@ -31,7 +31,7 @@ Kind = Literal["gap", "late", "repeated", "not-finite", "jitter"]
 
 @dataclass(frozen=True)
 class Report:
-    """Something that happened to the samples."""
+    """An irregularity of the samples."""
 
     kind: Kind
     text: str
@@ -40,9 +40,9 @@ class Report:
 
 @dataclass
 class Resampled:
-    """What one reading adds: ``samples``, the ``time`` of the last of them, and what is to be reported.
+    """The result of one reading: ``samples``, the ``time`` of the last of them, and reports.
 
-    ``anew``: the stream was broken; forget the past before these samples.
+    ``anew``: the stream was broken; the receiver must reset before these samples.
     """
 
     samples: Float[np.ndarray, "time axis"]
@@ -73,13 +73,13 @@ class Resampler:
             )
         bridge = min(max(0.05, 4 * dt), WIDEST) if bridge is None else bridge
         if not 2 * dt <= bridge <= WIDEST:
-            raise InputError(f"gaps of {bridge:g} s cannot be bridged; choose {2 * dt:g} to {WIDEST:g} s.")
+            raise InputError(f"Gaps of {bridge:g} s cannot be bridged; expected {2 * dt:g} to {WIDEST:g} s.")
         self._dt, self._bridge = dt, bridge
         self._origin = self._last = 0.0
         self._value: Float[np.ndarray, " axis"] = np.zeros(axes)
         self._index = -1  # of the latest grid sample; -1 = none yet
         self._skipped = 0  # readings without a time that were left out since the latest good one
-        self._told = 0.0  # s, when jitter and bridged readings were reported; since then:
+        self._since = 0.0  # s, when jitter and bridged readings were reported; since then:
         self._readings = self._off = self._missing = 0
         self._gaps = False  # there were bridged readings of late, so that further ones are reported later, together
 
@@ -109,14 +109,14 @@ class Resampler:
         return self._advance(time, value, step)
 
     def _next(self) -> float:
-        """When a reading without a time was taken; those left out have taken their periods, too."""
+        """Time of a reading without a stamp; readings that were left out count one period each."""
         return self._origin + (self._index + 1 + self._skipped) * self._dt
 
     def _nothing(self, kind: Kind, text: str) -> Resampled:
         return Resampled(np.zeros((0, len(self._value)), np.float32), self._last, reports=[Report(kind, text)])
 
     def _start(self, time: float, value: Float[np.ndarray, " axis"]) -> Resampled:
-        self._origin = self._last = self._told = time
+        self._origin = self._last = self._since = time
         self._value, self._index, self._skipped, self._gaps = value, 0, 0, False
         self._readings = self._off = self._missing = 0
         return Resampled(value[None].astype(np.float32), time)
@@ -151,12 +151,12 @@ class Resampler:
             self._missing += missing
         elif missing > 0:
             reports, self._gaps = [Report("gap", _bridged(missing), missing)], True
-        return reports + (self.finish() if self._last - self._told >= PAUSE - ON_GRID * self._dt else [])
+        return reports + (self.finish() if self._last - self._since >= PAUSE - ON_GRID * self._dt else [])
 
     def finish(self) -> list[Report]:
-        """What is left to report since the latest report on jitter and bridged readings, when a stretch ends."""
-        off, missing, since = self._off, self._missing, f"{self._readings} readings in {self._last - self._told:.3g} s"
-        self._told, self._gaps = self._last, missing > 0
+        """The remaining reports of jitter and bridged readings at the end of a stretch."""
+        off, missing, since = self._off, self._missing, f"{self._readings} readings in {self._last - self._since:.3g} s"
+        self._since, self._gaps = self._last, missing > 0
         self._readings = self._off = self._missing = 0
         reports = []
         if off:

@@ -1,7 +1,7 @@
 """Segmentation: a label for every sample of recordings whose intervals are unknown.
 
-Two ensembles of extremely randomised trees (Geurts et al. 2006) in series. The first sees the wrench and its words in
-windows that end at the sample. The second sees the same and the beliefs of the first until then; it is trained on
+Two ensembles of extremely randomised trees (Geurts et al. 2006) in series. The first reads the wrench and its words in
+windows that end at the sample. The second reads the same and the beliefs of the first until then; it is trained on
 beliefs about recordings that the first was not trained on (stacked sequential learning, Cohen and Carvalho 2005).
 If there are few recordings, copies at other speeds and forces are added.
 """
@@ -96,15 +96,15 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
                 tolerance that does not fit the axes or the rule.
         """
         if [len(part) for part in y] != recordings.length.tolist():
-            raise InputError("The labels are of other lengths than the recordings.")
+            raise InputError("The labels in y have other lengths than the recordings; expected a class per sample.")
         classes = np.setdiff1d(np.concatenate(y), [UNKNOWN])
         if len(classes) < 2:
             raise InputError(f"There are {len(classes)} classes in {len(y)} recordings; two are needed.")
-        learned = clone(self)._learned(recordings, y, classes)  # a fit that fails leaves what was fitted before
-        self.__dict__.update(vars(learned))
+        fitted = clone(self)._fitted(recordings, y, classes)  # a fit that fails leaves what was fitted before
+        self.__dict__.update(vars(fitted))
         return self
 
-    def _learned(self, recordings: Recordings, y: Sequence[NDArray[Any]], classes: NDArray[Any]) -> WrenchSegmenter:
+    def _fitted(self, recordings: Recordings, y: Sequence[NDArray[Any]], classes: NDArray[Any]) -> WrenchSegmenter:
         self.classes_ = classes
         self.axes_, self._dt = (recordings.axes, recordings.units), recordings.dt
         self.thresholds_ = auto_thresholds(recordings, self.window)
@@ -169,7 +169,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         return out
 
     def _tables(self, recordings: Recordings) -> Tables:
-        """What the first ensemble sees of each recording, one row per decision."""
+        """Features of each recording for the first ensemble, one row per decision."""
         dt, every = recordings.dt, _every(recordings.dt)
         words = self._words(recordings, every) if self.words else [np.zeros((0, 0))] * len(recordings)
         tables = []
@@ -193,7 +193,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         return out
 
     def _course(self, belief: Float[np.ndarray, "moment class"]) -> Float[np.ndarray, "moment column"]:
-        """What the first ensemble believed until then, or throughout where the future is read."""
+        """Beliefs of the first ensemble until each decision; with ``offline``, also of later ones."""
         sides = [belief] if not self.offline else [belief, belief[::-1]]
         parts = []
         for step, side in zip((1, -1), sides, strict=False):
@@ -210,7 +210,7 @@ def _every(dt: float) -> int:
 def _completed(
     recordings: Recordings, y: Sequence[NDArray[Any]], rng: np.random.Generator
 ) -> tuple[Recordings, list[NDArray[Any]], NDArray[np.int64]]:
-    """The recordings and copies of them, the labels of all, and which belong together in a fold.
+    """The recordings and copies of them, the labels of all, and the group of each in a fold.
 
     Copies of a single recording are groups of their own: there is nothing else to hold out.
     """
@@ -256,7 +256,7 @@ class Protocol:
     one_shot: bool = False
 
     def folds_of(self, groups: NDArray[Any]) -> tuple[int, int]:
-        """How many folds recordings of these groups make, and of how many groups."""
+        """Number of folds of these groups, and number of groups."""
         count = len(np.unique(groups))
         return min(self.folds or count, count), count
 
@@ -332,7 +332,7 @@ def segment(
     """
     track = recordings.annotations.choose(protocol.track)
     if not track:
-        raise InputError("The store has no annotations to learn from.")
+        raise InputError("The store has no annotations; import it with annotations to learn from.")
     truth = [
         recordings.annotations.of_samples(row, track, length, recordings.dt)
         for row, length in enumerate(recordings.length.tolist())
@@ -352,8 +352,8 @@ def segment(
             progress(1)
     new = np.flatnonzero(~known)
     if len(new):
-        teachers = np.flatnonzero(known)
-        model = clone(segmenter).fit(recordings.take(teachers), [truth[row] for row in teachers])
+        training = np.flatnonzero(known)
+        model = clone(segmenter).fit(recordings.take(training), [truth[row] for row in training])
         for row, part in zip(new.tolist(), model.predict(recordings.take(new)), strict=True):
             predicted[row] = part
     score = segmentation_score([true for true, _ in pairs], [guess for _, guess in pairs], recordings.dt)
@@ -362,7 +362,7 @@ def segment(
 
 
 def _splits(rows: NDArray[np.int64], groups: NDArray[Any], protocol: Protocol) -> Iterator[tuple[Any, Any]]:
-    """Rows that teach and rows that are labelled."""
+    """Training rows and rows to label, of each fold."""
     if protocol.one_shot:
         yield from ((np.array([row]), rows[groups[rows] != groups[row]]) for row in rows)
         return

@@ -79,7 +79,7 @@ class Session:
             several as a :class:`rcbht_jax.introspection.together.Together`.
         bridge: see :class:`rcbht_jax.introspection.resampling.Resampler`.
         tare: s at the beginning of each trial, whose mean is subtracted from all its samples; what is received
-            meanwhile is answered at their end. 0 = nothing is subtracted.
+            meanwhile is processed at their end. 0 = nothing is subtracted.
 
     Raises:
         InputError: a tare out of range.
@@ -170,7 +170,7 @@ class Session:
         return events
 
     def _release(self, time: float) -> list[Event]:
-        """What a trial that ends before its tare has received, the last sample at this time."""
+        """Events of the samples of a trial that ends before its tare; ``time`` is the stamp of the last one."""
         return self._push(self._tare.release(), time)
 
     def _silence(self, silence: Silence) -> list[Event]:
@@ -184,7 +184,7 @@ class Session:
         return Notice(self.introspector.received, self.time, kind, text, count)
 
     def finish(self) -> list[Event]:
-        """Events of the end of the stream: what is left to report, and the words still held, if words are reported."""
+        """Events at the end of the stream: remaining notices, and the words still held, if words are reported."""
         reports = [self._notice(report.kind, report.text, report.count) for report in self._resampler.finish()]
         return reports + self._release(self.time) + self.introspector.finish()
 

@@ -1,9 +1,9 @@
-"""Snaps on words: a force that was built up slowly and is released within a fraction of a second, as when a tab passes.
+"""Snaps from words: a force that builds up slowly and is released within a fraction of a second, as when a tab passes.
 
-Reads the lines of the fit rule's primitives, published ones and the running one, a hundred times a second.
+The detector reads the lines of the fit rule's primitives, published and running ones, a hundred times a second.
 :func:`init` and :func:`steps` are pure; lanes (axes, trials) are trailing dimensions, and the state has a fixed size. A
-snap is seen as soon as the running line shows it, and published when the published words alone do.
-:class:`SnapDetector` is these functions for people.
+snap is seen as soon as the running line shows it, and published when the published words alone show it.
+:class:`SnapDetector` wraps these functions for a stream.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ Flags = Bool[np.ndarray, "*lanes"]
 AllCounts = Int64[np.ndarray, "window *lanes"]
 AllFlags = Bool[np.ndarray, "window *lanes"]
 
-LOAD = np.array([1.0, -1.0])  # ways in which an axis can be loaded
+LOAD = np.array([1.0, -1.0])  # signs of the load of an axis
 NEVER = -(2**40)  # a sample long before the first one
 LOOK = 0.01  # s of each window, if it has two samples in this time
 TOLERANCES = 10.0  # of the words in the smallest fall
-NOTHING = -1e30  # the highest value where no line is: finite, so that differences are numbers
+NOTHING = -1e30  # value where there is no line: finite, so that differences are numbers
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,13 @@ class SnapConfig:
         for name, value in (("within", self.within), ("hold", self.hold), ("apart", self.apart)):
             if not 0 < value < math.inf:
                 raise InputError(f"A snap's {name} is {value:g} s; expected a positive, finite time.")
-        if not all(0 <= share < math.inf for share in (self.share, self.turn, self.loaded)):
-            raise InputError("The shares of a snap's fall must be finite and not negative.")
+        for name, value in (("share", self.share), ("turn", self.turn), ("loaded", self.loaded)):
+            if not 0 <= value < math.inf:
+                raise InputError(f"A snap's {name} is {value:g}; expected a finite share of its fall, 0 or more.")
 
 
 class SnapSizes(NamedTuple):
-    """How large a snap is, N or Nm, of each lane or of all."""
+    """Limits of the size of a snap, N or Nm, of each lane or of all."""
 
     least: Float64[np.ndarray, "*axes"]  # smallest fall, > 0
     most: Float64[np.ndarray, "*axes"]  # largest fall
@@ -91,7 +92,7 @@ class Lines(NamedTuple):
 
 
 class SnapState(NamedTuple):
-    """What is remembered of every lane, whatever the length of the stream."""
+    """State of every lane; its size does not depend on the length of the stream."""
 
     lines: Lines  # the latest published ones
     seen: Counts  # samples received when the latest snap was seen
@@ -99,7 +100,7 @@ class SnapState(NamedTuple):
 
 
 class Snaps(NamedTuple):
-    """What windows say of every lane; the numbers mean nothing where there is no snap."""
+    """Snaps of every lane at the end of windows; values where there is no snap are undefined."""
 
     seen: Flags  # a snap is seen for the first time
     published: Flags  # it will not change any more
@@ -111,7 +112,7 @@ class Snaps(NamedTuple):
 
 
 def memory(config: SnapConfig, dt: float, window: int) -> int:
-    """How many lines are remembered: as many as can begin within the times that count, one for each window."""
+    """Number of lines that are kept: one for each window within the times of ``config``."""
     return math.ceil((2 * config.within + config.hold) / dt / window) + 2
 
 
@@ -131,7 +132,7 @@ def steps(
     words: Lines,
     running: Lines,
 ) -> tuple[SnapState, Snaps]:
-    """What the next windows show of every lane; the same however they are divided among calls.
+    """Snaps in the next windows of every lane; the result does not depend on how windows are divided among calls.
 
     Args:
         config: what counts as a snap.
@@ -148,8 +149,8 @@ def steps(
         >>> config, sizes = SnapConfig(), SnapSizes(*np.array([3.0, 99, 0, 99]))
         >>> words = Lines(*np.array([[[0], [0]], [[100], [0]]]), *np.array([[[0.0], [0]], [[8.0], [0]]]))
         >>> running = Lines(*np.array([[[100], [100]], [[105], [110]]]), *np.array([[[8.0], [8]], [[5.0], [2]]]))
-        >>> state, said = steps(config, 0.005, sizes, init(config, 0.005, 5, (1,)), words, running)
-        >>> said.seen[:, 0].tolist(), said.start[1].tolist(), said.fall[1].tolist()
+        >>> state, found = steps(config, 0.005, sizes, init(config, 0.005, 5, (1,)), words, running)
+        >>> found.seen[:, 0].tolist(), found.start[1].tolist(), found.fall[1].tolist()
         ([True, False], [100], [6.0])
     """
     new, now = words.t1 > words.t0, running.t1
@@ -158,8 +159,8 @@ def steps(
     by_words = _released(config, dt, sizes, lines) if new.any() else by_run
     sure = new & by_words.seen
     rest, first, published, when = _in_turn(config, dt, state, now, sure | by_run.seen, sure)
-    said = _Released(first, *(np.where(published, a, b) for a, b in zip(by_words[1:], by_run[1:], strict=True)))
-    return SnapState(Lines(*(field[:, -1] for field in lines)), *rest), Snaps(first, published, *said[1:], when)
+    found = _Released(first, *(np.where(published, a, b) for a, b in zip(by_words[1:], by_run[1:], strict=True)))
+    return SnapState(Lines(*(field[:, -1] for field in lines)), *rest), Snaps(first, published, *found[1:], when)
 
 
 def _remembered(old: Lines, words: Lines, new: AllFlags) -> Lines:
@@ -182,11 +183,11 @@ def _in_turn(
     shown: AllFlags,
     sure: AllFlags,
 ) -> tuple[tuple[Counts, Flags], AllFlags, AllFlags, AllCounts]:
-    """Which of the releases are new, and which are published ones; few windows show any.
+    """Which of the releases are new, and which are published; only few windows have one.
 
     Returns:
-        of the state what is no line; of every window what is seen, what is published, and the samples received when
-        the latest was seen.
+        the fields ``seen`` and ``open`` of the state; of every window whether a snap is seen, whether one is published,
+        and the samples received when the latest was seen.
     """
     apart, forget = round(config.apart / dt), round((config.within + config.apart) / dt)
     seen, waiting = state.seen, state.open
@@ -258,7 +259,7 @@ def _highest(
     return np.take_along_axis(values, which, 1)[:, 0], np.take_along_axis(samples, which, 1)[:, 0]
 
 
-# --- for people -------------------------------------------------------------------------------------------------------
+# --- the detector -----------------------------------------------------------------------------------------------------
 
 
 def line_of(
@@ -309,7 +310,7 @@ class SnapDetector:
         self.sizes = _sizes(len(self.axes), least, most, *load)
         self._words = FitConfig(max(2, round(LOOK * rate)) if window is None else window, 1 / rate)
         wide = self.sizes.least / TOLERANCES if tolerance is None else np.asarray(tolerance, np.float64)
-        slopes = np.tile([4.0, 3.0, 2.0, 1.0], (len(self.axes), 1))  # labels do not matter here, but lines
+        slopes = np.tile([4.0, 3.0, 2.0, 1.0], (len(self.axes), 1))  # only the lines are used, not the labels
         self._limits = FitLimits(slopes, wide)
         self._encoder = Encoder(self._words, self._limits)
         self.reset()
@@ -331,8 +332,8 @@ class SnapDetector:
         """
         if not set(self.axes) <= set(axes) or not np.isclose(dt, self.dt):
             raise InputError(
-                f"Snaps are asked for on {', '.join(self.axes)} at {1 / self.dt:g} Hz; there are {', '.join(axes)} "
-                f"at {1 / dt:g} Hz."
+                f"The detector needs {', '.join(self.axes)} at {1 / self.dt:g} Hz; the signal has {', '.join(axes)} at "
+                f"{1 / dt:g} Hz."
             )
         return [tuple(axes).index(axis) for axis in self.axes]
 
@@ -362,20 +363,20 @@ class SnapDetector:
         events = []
         for block in blocks:
             words, running = (line_of(*lines) for lines in block)
-            self._state, said = steps(self.config, self.dt, self.sizes, self._state, words, running)
-            events += self._events(said, running.t1, end, stamp)
+            self._state, found = steps(self.config, self.dt, self.sizes, self._state, words, running)
+            events += self._events(found, running.t1, end, stamp)
         return events
 
-    def _events(self, said: Snaps, samples: NDArray[np.integer], end: int, stamp: float) -> list[Snap]:
+    def _events(self, new: Snaps, samples: NDArray[np.integer], end: int, stamp: float) -> list[Snap]:
         def at(count: int) -> float:
             """Stamp of the latest of so many samples."""
             return stamp_before(stamp, end - count, self.dt)
 
         found = []
-        for which in zip(*np.nonzero(said.seen | said.published), strict=True):
-            sample, begin, release, fall = int(samples[which]), said.start[which], said.release[which], said.fall[which]
-            published = at(sample) if said.published[which] else None
-            about = int(begin), at(int(begin) + 1), float(release), float(fall), at(int(said.when[which]))
+        for which in zip(*np.nonzero(new.seen | new.published), strict=True):
+            sample, begin, release, fall = int(samples[which]), new.start[which], new.release[which], new.fall[which]
+            published = at(sample) if new.published[which] else None
+            about = int(begin), at(int(begin) + 1), float(release), float(fall), at(int(new.when[which]))
             found.append(Snap(sample, at(sample), self.axes[which[1]], *about, published))
         return found
 
@@ -385,7 +386,10 @@ def _sizes(axes: int, *values: ArrayLike) -> SnapSizes:
     try:
         least, most, low, high = (np.broadcast_to(np.asarray(value, np.float64), (axes,)) for value in values)
     except (ValueError, TypeError):
-        raise InputError(f"The sizes of a snap must be numbers, one or one for each of {axes} axes.") from None
+        raise InputError(f"least, most and load must be numbers, or have one for each of {axes} axes.") from None
     if not ((least > 0) & (least <= most) & (low >= 0) & (low <= high) & (least < math.inf)).all():
-        raise InputError("A snap's smallest fall must be positive and no larger than its largest; so must its loads.")
+        raise InputError(
+            f"least is {values[0]!r}, most {values[1]!r} and load {values[2]!r} to {values[3]!r}; "
+            "expected 0 < least <= most, and 0 <= low <= high for the load."
+        )
     return SnapSizes(least, most, low, high)

@@ -1,4 +1,4 @@
-"""Several readers of one stream that look like one: beliefs of a model, words of another rule, snaps."""
+"""Several readers of one stream with the interface of one: beliefs of a model, words of another rule, snaps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Together:
     """An introspector with words that its model does not read, with a detector of snaps, or with both.
 
     Args:
-        main: what announces sub-tasks, and has the beliefs if there is a model.
+        main: reports sub-tasks, and beliefs if it has a model.
         words: whose words are reported in place of those of ``main``.
         snaps: detector of some of the axes; those of ``main`` by name.
 

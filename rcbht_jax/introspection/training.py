@@ -1,4 +1,4 @@
-"""Training of introspection models on snapshots: what a stream would have known at moments of each interval."""
+"""Training of introspection models on snapshots: the features of a stream at moments of each interval."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class HeadSpec:
     hold: float = 0.1  # s, for which that alarm must last
     weighing: tuple[str, ...] = ()  # of labels in the family histogram, see FeatureSpec
     ranks: bool = False  # of a whole trial: features as ranks, as those of a sub-task are; for long tails
-    subtask: bool | None = None  # whether the task is about a track; None = see when training, before only for states
+    subtask: bool | None = None  # whether the task is about a track; None = found in training
 
     @property
     def scope(self) -> Scope:
@@ -147,7 +147,7 @@ class HeadSpec:
 
     @property
     def name(self) -> str:
-        """Of the classifier."""
+        """Name of the classifier."""
         if not self.phase:
             return self.task.task
         return PHASE_IN_TRIAL if self.task.task == PHASE else PHASE
@@ -169,7 +169,7 @@ def learn(
         x: features of ``spec``.
         snapshots: one per row of ``x``.
         items: the task.
-        spec: of the features; says how they are weighted.
+        spec: of the features, and of their weights.
         grid: of hyper-parameters.
         ends: times that the last snapshot of a complete interval counts.
         seed: of the folds.
@@ -231,7 +231,7 @@ def _progress(
     dt: float,
     seed: int,
 ) -> ProgressCalibration:
-    """Calibration by progress, from what classifiers say that were not trained on the trial."""
+    """Calibration by progress, from beliefs of classifiers that were not trained on the trial."""
     x, y, groups = training
     p = held_out(machine, *training, x, groups, seed)
     planned = float(np.median(items.seconds[:, 0]))

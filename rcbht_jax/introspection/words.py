@@ -1,4 +1,4 @@
-"""Words of a stream as events, with no model: what any robot's wrench does, before anything has been learned."""
+"""Words of a stream as events, without a model: they describe any robot's wrench before anything is learned."""
 
 from __future__ import annotations
 

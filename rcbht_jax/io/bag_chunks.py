@@ -1,4 +1,4 @@
-"""What in a bag unpacks to far more than it is: chunks of ROS 1, files and messages of ROS 2; it is refused."""
+"""Limits on what a bag unpacks to: chunks of ROS 1, files and messages of ROS 2."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def unpacked_file(path: Path) -> Iterator[Path]:
     bag_0.db3
 
     Raises:
-        InputError: it is damaged, or unpacks to far more than it is.
+        InputError: it is damaged, or unpacks to far more than its size.
     """
     size, total = check_file(path, empty=True), 0
     with path.open("rb") as file, TemporaryDirectory() as folder:

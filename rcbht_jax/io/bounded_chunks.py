@@ -1,7 +1,7 @@
-"""Arrays whose chunks unpack to no more than they can hold: a store of a stranger may pack gigabytes into kilobytes.
+"""Arrays whose chunks unpack to no more than they can hold: an untrusted store may pack gigabytes into kilobytes.
 
-Stores of all versions pack their chunks in one way: bytes or texts, Zstandard, CRC-32C, some within shards. Zarr makes
-room for as many bytes as a packed chunk says; here what it says is looked at first.
+Stores of all versions pack their chunks in one way: bytes or texts, Zstandard, CRC-32C, some within shards. Zarr
+allocates as many bytes as a packed chunk declares; here the declared size is checked first.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _MAGIC, _HEADER = b"\x28\xb5\x2f\xfd", 18  # how a frame of Zstandard begins, an
 
 
 def bounded(array: zarr.Array[Any]) -> zarr.Array[Any]:
-    """The same array, of which no chunk unpacks to more bytes than its shape has, nor than measured signals do.
+    """The same array, whose chunks may unpack neither to more bytes than their shape has, nor than measured signals do.
 
     Raises:
-        InputError: its chunks are packed in a way in which no version of this program packs them.
+        InputError: its chunks are packed in a way that no version of this program uses.
     """
     metadata: Any = array.metadata
     match metadata.codecs:
@@ -43,11 +43,11 @@ def _bounded(codecs: tuple[Codec, ...], array: zarr.Array[Any]) -> tuple[Codec, 
     match codecs:
         case (BytesCodec() | VLenUTF8Codec() as first, ZstdCodec() as packed, Crc32cCodec() as last):
             return first, _Zstd(level=packed.level, checksum=packed.checksum), last
-    raise InputError(f"{array.store_path} is packed as no version of rcbht packs it. Import it again from its source.")
+    raise InputError(f"{array.store_path} is packed in an unknown way. Import it again from its source.")
 
 
 class _Zstd(ZstdCodec):
-    """Zstandard that refuses a chunk before there is room for what it unpacks to."""
+    """Zstandard that refuses a chunk that is too large before it allocates memory for it."""
 
     def _decode_sync(self, chunk_bytes: Buffer, chunk_spec: ArraySpec) -> Buffer:
         packed, dtype = len(chunk_bytes), chunk_spec.dtype.to_native_dtype()
@@ -56,12 +56,12 @@ class _Zstd(ZstdCodec):
             most = min(most, math.prod(chunk_spec.shape) * dtype.itemsize)
         size = content_size(chunk_bytes[:_HEADER].to_bytes())
         if size is None or size > most:
-            raise ValueError(f"a chunk of {packed} bytes says that it unpacks to {size}; expected at most {most}")
+            raise ValueError(f"a chunk of {packed} bytes declares {size} unpacked; expected at most {most}")
         return super()._decode_sync(chunk_bytes, chunk_spec)
 
 
 def content_size(frame: bytes) -> int | None:
-    """Bytes to which a frame of Zstandard says that it unpacks; None = it does not say so, or is none (RFC 8878).
+    """Bytes that a frame of Zstandard declares to unpack to; None = none declared, or no frame (RFC 8878).
 
     >>> from numcodecs.zstd import compress
     >>> content_size(compress(bytes(1000))), content_size(b"abc")

@@ -1,4 +1,4 @@
-"""What recordings must fulfil to be stored."""
+"""Checks of recordings before they are stored."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
 
 
 def check_padding(padded: int, longest: int) -> None:
-    """Refuse recordings that are padded to far more samples than the longest has: a store only declares them.
+    """Raise an error for recordings padded to far more samples than the longest has: a store only declares padding.
 
     Raises:
-        InputError: says how many there may be.
+        InputError: there are too many padded samples.
     """
     most = min(MAX_VALUES, max(MAX_PADDED, MAX_RATIO * longest))
     if padded > most:
@@ -80,8 +80,11 @@ def _check_annotations(recordings: Recordings) -> None:
             f"annotations are about recordings {marks.recording.min()} to {marks.recording.max()}; there are "
             f"{len(recordings)}, from 0."
         )
-    if not np.isfinite(marks.start).all() or np.isinf(marks.end).any():
-        raise InputError("an annotation has no finite start or an infinite end; expected seconds.")
+    if len(wrong := np.flatnonzero(~np.isfinite(marks.start) | np.isinf(marks.end))):
+        raise InputError(
+            f"annotation {wrong[0]}, from 0, lasts from {marks.start[wrong[0]]} s to {marks.end[wrong[0]]} s; expected "
+            "a finite start, and an end that is not infinite."
+        )
 
 
 def _check_text(what: str, texts: Iterable[str]) -> None:

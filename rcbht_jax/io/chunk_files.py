@@ -94,7 +94,7 @@ def _checked(data: bytes) -> bytes:
 
 
 def _replace(file: Path, data: bytes | None) -> None:
-    """Have a file with this content, at once, or none."""
+    """Replace a file with this content atomically, or delete it if there is none."""
     if data is None:
         file.unlink(missing_ok=True)
         return
@@ -103,7 +103,7 @@ def _replace(file: Path, data: bytes | None) -> None:
     try:
         with draft.open("wb") as sink:
             sink.write(data)
-            if hasattr(os, "posix_fadvise"):  # begins to write it to the disk now: who flushes the store waits less
+            if hasattr(os, "posix_fadvise"):  # begins to write to the disk now: a later flush takes less time
                 sink.flush()
                 os.posix_fadvise(sink.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         os.replace(draft, file)

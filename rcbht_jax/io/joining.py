@@ -21,7 +21,7 @@ _KEPT = ("importer", "frames")  # attributes that the joined store has where all
 
 @dataclass(frozen=True)
 class Joined:
-    """What became of each store."""
+    """Recordings taken from each store."""
 
     taken: dict[str, int]  # recordings, by store
     copies: dict[str, int]  # recordings left out, since an earlier store has them
@@ -30,7 +30,7 @@ class Joined:
 def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, overwrite: bool = False) -> Joined:
     """Write the recordings of several stores, with annotations and columns, as one store.
 
-    Label tracks and the parameters of simulations stay behind. Exact copies (source, trial, arm and samples) are taken
+    Label tracks and the parameters of simulations are left out. Exact copies (source, trial, arm and samples) are taken
     once. All recordings are in memory at the same time.
 
     >>> from rcbht_jax.io.store import write_recordings
@@ -73,7 +73,7 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
 
 
 def _check(paths: Sequence[Path], parts: Sequence[Recordings]) -> None:
-    """Refuse what cannot be in one store, by the names of the stores."""
+    """Check that the recordings can be in one store; errors name the stores."""
     for path, part in zip(paths[1:], parts[1:], strict=True):
         if part.dt != parts[0].dt:
             raise InputError(
@@ -108,8 +108,8 @@ def _attrs(paths: Sequence[Path], taken: dict[str, int], tare_seconds: float) ->
         for path, attrs in zip(paths, every, strict=True)
     ]
     every = [{**attrs, "importer": importer_of(attrs)} for attrs in every]
-    said = {name: {str(attrs.get(name, "")) for attrs in every} for name in _KEPT}
-    same = {name: values.pop() for name, values in said.items() if len(values) == 1}
+    values_of = {name: {str(attrs.get(name, "")) for attrs in every} for name in _KEPT}
+    same = {name: values.pop() for name, values in values_of.items() if len(values) == 1}
     kept = {"importer": "joined", **{name: value for name, value in same.items() if value}}
     return {**kept, "joined": joined, "tare_s": tare_seconds}
 

@@ -34,7 +34,7 @@ FIELDS = {field.name: INTEGERS.get(field.name, "float") for field in fields(Labe
 def create(
     folder: Path, layout: Layout, sample: LabelTracks, attrs: Mapping[str, Any], *, created: str | None = None
 ) -> None:
-    """Label tracks of which all parts are missing.
+    """Create label tracks, all of whose parts are missing.
 
     Args:
         folder: to create.
@@ -61,7 +61,7 @@ def create_in(
     *,
     created: str | None = None,
 ) -> None:
-    """Label tracks in a store that is being written; the rest as for :func:`create`."""
+    """Create label tracks in a store that is being written; arguments as of :func:`create`."""
     if not (path / LABELS).exists():
         zarr.create_group(path / LABELS, zarr_format=3)
     create(path / LABELS / name, layout, sample, attrs, created=created)
@@ -79,7 +79,7 @@ def write_part(folder: Path, number: int, tracks: LabelTracks) -> None:
 
 
 def part_of(folder: Path, number: int, tracks: LabelTracks) -> Part:
-    """What :func:`write_part` writes."""
+    """The part that :func:`write_part` writes."""
     group = zarr_io.open_group(folder)
     made, layout = _fields_in(group), parts.layout_of(group)
     rows = layout.span(number)
@@ -92,7 +92,7 @@ def part_of(folder: Path, number: int, tracks: LabelTracks) -> Part:
 
 
 def finish(folder: Path) -> None:
-    """Complete label tracks of which all parts are there.
+    """Complete label tracks, all of whose parts are written.
 
     Raises:
         InputError: a part is missing.
@@ -167,7 +167,7 @@ def spread(tracks: LabelTracks, rows: Int[np.ndarray, " recording"], count: int)
 
 
 def joined(batches: list[LabelTracks]) -> LabelTracks:
-    """Label tracks under each other, as wide as the widest."""
+    """Label tracks, concatenated along recordings, as wide as the widest."""
     if len(batches) == 1:
         return batches[0]
     layers = []

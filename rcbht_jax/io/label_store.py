@@ -144,7 +144,7 @@ def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
 
 
 def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
-    """Label tracks of a store for what goes through them in batches.
+    """Label tracks of a store for functions that read them in batches.
 
     >>> batches = track_batches(Path("trials.zarr"), {"W5": "online-W5"})
     >>> [list(batch) for batch in batches.read()]
@@ -152,7 +152,7 @@ def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
 
     Args:
         path: the store.
-        names: what they are called -> their name in the store.
+        names: the caller's name -> the name in the store.
 
     Raises:
         InputError: ``path`` is not a store; the rest, as for :func:`read_batches`, while they are read.
@@ -191,7 +191,7 @@ def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
 
 
 def part_sizes(count: int) -> list[int]:
-    """Sizes of the batches in which the label tracks of so many recordings are gone through.
+    """Sizes of the batches in which the label tracks of ``count`` recordings are read.
 
     >>> part_sizes(2500)
     [1024, 1024, 452]
@@ -229,7 +229,7 @@ def choose_name(path: Path, name: str = "") -> str:
 
 
 def list_tracks(path: Path | str) -> list[str]:
-    """Names of the label tracks in a store, sorted; also of damaged ones, which reading them shows.
+    """Names of the label tracks in a store, sorted, including damaged ones.
 
     Raises:
         InputError: ``path`` is not a store.

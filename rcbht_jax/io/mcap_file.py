@@ -1,4 +1,4 @@
-"""MCAP files as records: their limits, their checksums, and what is left of a damaged one. Rosbags reads the content.
+"""MCAP files as records: limits, checksums, and recovery of damaged files. Rosbags reads the content.
 
 An MCAP is the magic, records of one byte (kind), eight (length) and content, and the magic again. Messages are in
 chunks, which an index at the end lists. Each chunk, all data, and the index may have a CRC-32.
@@ -30,7 +30,7 @@ _BLOCK = 2**20
 
 
 class _Cut(Exception):
-    """What begins at ``at`` is no whole record."""
+    """No whole record begins at ``at``."""
 
     def __init__(self, at: int) -> None:
         super().__init__()
@@ -64,9 +64,9 @@ def seal(path: Path) -> None:
 
 @contextmanager
 def sound(path: Path) -> Iterator[tuple[Path, list[str]]]:
-    """An MCAP file that can be read, and what is wrong with it: of a damaged one a copy of what is whole in it.
+    """A readable MCAP file and its problems: the file itself, or a copy of the intact parts of a damaged one.
 
-    The copy, in a folder for temporary files, holds every chunk that is whole and agrees with its checksum.
+    The copy, in a folder for temporary files, holds every chunk that is complete and agrees with its checksum.
 
     >>> with sound(Path("run.mcap")) as (path, problems):  # doctest: +SKIP
     ...     print(problems)
@@ -76,7 +76,7 @@ def sound(path: Path) -> Iterator[tuple[Path, list[str]]]:
     """
     size = check_file(path, MAX_BAG_BYTES, empty=True)
     with path.open("rb") as file:
-        # Of what is no MCAP the reader says so.
+        # The reader reports a file that is no MCAP.
         problems = _problems(path, file, size) if file.read(len(MAGIC)) == MAGIC else []
         if not problems:
             yield path, []
@@ -89,7 +89,7 @@ def sound(path: Path) -> Iterator[tuple[Path, list[str]]]:
 
 
 def _problems(path: Path, file: BinaryIO, size: int) -> list[str]:
-    """What is wrong with a file, in a few words each; in the memory of one chunk."""
+    """Problems of a file, in a few words each; needs the memory of one chunk."""
     problems: Counter[str] = Counter()
     unpacked = described = found = 0
     stated: int | None = None
@@ -141,7 +141,7 @@ def _problems(path: Path, file: BinaryIO, size: int) -> list[str]:
 
 
 def _copy_whole(path: Path, file: BinaryIO, out: BinaryIO) -> None:
-    """Write what is whole in a damaged file as a sound one, with an index of its own."""
+    """Write the intact records of a damaged file as a valid one, with a new index."""
     out.write(MAGIC)
     chunks: list[bytes] = []
     described = _described(path, file)  # they are also in the first chunk, which may be lost
@@ -184,10 +184,10 @@ def _copy_whole(path: Path, file: BinaryIO, out: BinaryIO) -> None:
 
 
 def _beginning(file: BinaryIO, at: int) -> _Chunk | None:
-    """The messages at the beginning of the chunk in which a file was cut off; None = there are none, or who knows."""
+    """The messages at the beginning of the chunk in which a file was cut off; None = there are none, or not known."""
     size = file.seek(0, 2)
     if _content(file, size - len(MAGIC), len(MAGIC)) == MAGIC:
-        return None  # not cut: something is missing before, so that what follows may be pieced together wrongly
+        return None  # not cut: data are missing before this place, so that messages after it may be wrong
     content = _content(file, at, min(size - at, MAX_CHUNK))
     if len(content) < _HEAD + 40 or content[0] != CHUNK or content[_HEAD + 28 : _HEAD + 32] != bytes(4):
         return None  # of compressed chunks nothing is read
@@ -199,7 +199,7 @@ def _beginning(file: BinaryIO, at: int) -> _Chunk | None:
 
 
 def _check_schema(path: Path, kind: int, length: int) -> None:
-    """Refuse a description of a message whose parsing would take minutes."""
+    """Raise an error for a description of a message that would take minutes to parse."""
     if kind == SCHEMA and length > MAX_SCHEMA:
         raise InputError(f"{path} describes a message in {length} bytes; expected at most {MAX_SCHEMA}.")
 
@@ -213,7 +213,7 @@ def _described(path: Path, file: BinaryIO) -> dict[bytes, None]:
         for kind, at, length in _records(path, file, begin) if 0 < begin < size else ():
             if kind in (SCHEMA, CHANNEL):
                 found[_record(kind, _content(file, at, length))] = None
-    except (_Cut, InputError):  # that is no index
+    except (_Cut, InputError):  # it is no index
         return {}
     return found
 
@@ -322,7 +322,7 @@ def _chunk(file: BinaryIO, at: int, length: int) -> _Chunk:
     if len(unpacked) > MAX_CHUNK:
         raise _TooLarge(f"a chunk that unpacks to more than {MAX_CHUNK} bytes")
     if len(unpacked) != declared:
-        raise ValueError("a chunk has another size than it says")
+        raise ValueError("a chunk has another size than it declares")
     return _Chunk(crc, unpacked)
 
 

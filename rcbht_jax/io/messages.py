@@ -87,7 +87,7 @@ def read_lines(source: LineReader) -> Iterator[Message]:
 
 
 def parse(line: bytes | str) -> Message:
-    """The message of a line that says one thing; :class:`Malformed` if it does not. Never raises.
+    """The message of a line that holds one; :class:`Malformed` if it holds none or several. Never raises.
 
     >>> parse('{"wrench": [0, 0, 5, 0, 0, 0.1], "time": 1.005}')
     Sample(wrench=(0.0, 0.0, 5.0, 0.0, 0.0, 0.1), time=1.005)
@@ -160,7 +160,7 @@ def sample_of(message: Any, received: int = 0) -> Sample | Malformed:
 
 
 def stamp_of(message: Any, received: int) -> float:
-    """Seconds of the stamp in a message's header; of its receipt (ns) where there is none that says more than zero."""
+    """Seconds of the stamp in a message's header; of its receipt (ns) where there is no stamp above zero."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     seconds, nanoseconds = (getattr(stamp, part, None) for part in ("sec", "nanosec"))
     if not isinstance(seconds, int | float) or not isinstance(nanoseconds, int | float):

@@ -1,8 +1,8 @@
 """Processes that write parts of tables: threads of one process wait for each other's locks.
 
-The arrays go to them through memory that both see. A process of its own is ``python -m rcbht_jax.io.part_process``: a
-line of JSON on standard input names the parts, a line on standard output says that they are written, or why not. It
-ends with its input, so that none outlives who started it, and imports what it needs alone: there are many of them.
+The arrays are passed in shared memory. Each process is ``python -m rcbht_jax.io.part_process``: a line of JSON on
+standard input names the parts, a line on standard output reports success or the error. It ends with its input, so that
+none outlives its parent, and imports only what it needs, since there are many of them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _KINDS = {"InputError": InputError, "OSError": OSError}  # errors that are the s
 
 
 def available() -> bool:
-    """Whether this system has memory that another process finds by name, and that vanishes with those who use it."""
+    """Whether this system has shared memory that another process opens by name and that is freed with its users."""
     return hasattr(os, "memfd_create") and Path("/proc/self/fd").is_dir()
 
 
@@ -77,7 +77,7 @@ def shared(path: Path, parts: Sequence[Part]) -> Shared:
 
 
 def _with_width(values: NDArray[Any]) -> NDArray[Any]:
-    """Text of no letters has no bytes, which no array can be made from."""
+    """Text of at least one letter: an array of empty text has no bytes to share."""
     return values.astype("<U1") if values.dtype == np.dtype("<U0") else values
 
 
@@ -89,7 +89,7 @@ class PartProcess:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "rcbht_jax.io.part_process"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._report, text=True,
-            start_new_session=True,  # Ctrl-C is for who started this, who then ends it
+            start_new_session=True,  # Ctrl-C is for the parent, which then ends this process
         )  # fmt: skip
 
     def write(self, given: Shared) -> None:
@@ -109,13 +109,13 @@ class PartProcess:
         except OSError:
             answer = ""
         if not answer:
-            raise RuntimeError(f"a process that writes parts ended: {last_line(self._report) or 'it did not say why.'}")
+            raise RuntimeError(f"a process that writes parts ended: {last_line(self._report) or 'no reason given.'}")
         error = json.loads(answer)
         if error is not None:
             raise _KINDS.get(error["kind"], RuntimeError)(error["reason"])
 
     def close(self) -> None:
-        """Have it end."""
+        """End the process."""
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
                 with suppress(OSError):  # it has ended
@@ -128,7 +128,7 @@ class PartProcess:
 
 
 def _answer(message: Mapping[str, Any]) -> dict[str, str] | None:
-    """Write parts; what went wrong."""
+    """Write parts; returns the error, None = none."""
     try:
         put(Path(message["path"]), _received(message))
     except Exception as error:
@@ -138,7 +138,7 @@ def _answer(message: Mapping[str, Any]) -> dict[str, str] | None:
 
 
 def _received(message: Mapping[str, Any]) -> list[Part]:
-    """The parts of a message, whose arrays share the memory of who sent it."""
+    """The parts of a message, whose arrays share the sender's memory."""
     file = os.open(message["memory"], os.O_RDONLY)
     try:
         memory = mmap.mmap(file, 0, access=mmap.ACCESS_READ)

@@ -1,8 +1,8 @@
 """Tables in parts: Zarr arrays of one row per recording that are written part by part, in any order.
 
 A part is a fixed number of consecutive rows. Shapes of chunks and Zarr shards are fixed when the table is made, and no
-file holds rows of two parts, so that processes can write parts at the same time and the bytes do not depend on who
-wrote what when. A dimension that differs from row to row (samples, slots) grows to the widest row: what lies beyond a
+file holds rows of two parts, so that processes can write parts at the same time and the bytes do not depend on their
+order. A dimension that differs from row to row (samples, slots) grows to the widest row: what lies beyond a
 row's own width is never written. ``part_sha256`` holds the digest of each part; it is written last, so that a part
 whose writing was interrupted counts as missing.
 """
@@ -79,7 +79,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Part:
-    """What is written of one part of a table.
+    """One part of a table, to be written.
 
     Attributes:
         folder: of the table. layout: of the table.
@@ -105,14 +105,15 @@ def layout_of(group: zarr.Group) -> Layout:
     layout = Layout(int(group.attrs["rows"]), int(group.attrs["part_rows"]))  # type: ignore[arg-type]
     if layout.rows < 0 or layout.part < 1 or zarr_io.member(group, DIGESTS).shape != (len(layout), _DIGEST):
         raise InputError(
-            f"{zarr_io.path_of(group)} says that it has {layout.rows} rows in parts of {layout.part}; it has not."
+            f"{zarr_io.path_of(group)} declares {layout.rows} rows in parts of {layout.part}, but has others; import "
+            "or copy it again."
         )
     return layout
 
 
 @uninterrupted()
 def create(group: zarr.Group, layout: Layout, fields: Mapping[str, Field]) -> None:
-    """The arrays of a table, without rows; a name such as ``columns/mass`` is an array of a group inside."""
+    """Create the arrays of a table, without rows; a name such as ``columns/mass`` is an array of a group inside."""
     for folder in sorted({name.rpartition("/")[0] for name in fields} - {""}):
         group.require_group(folder)
     for name, made in fields.items():
@@ -125,7 +126,7 @@ def create(group: zarr.Group, layout: Layout, fields: Mapping[str, Field]) -> No
 
 
 def put(path: Path, parts: Sequence[Part]) -> None:
-    """Write parts of tables below a folder and have them on disk; their digests last, in this order.
+    """Write parts of tables below a folder and flush them to disk; their digests last, in this order.
 
     Raises:
         InputError: an array has another shape or dtype than its table.
@@ -159,7 +160,7 @@ def write(part: Part) -> None:
 
 @uninterrupted()
 def seal(part: Part) -> None:
-    """Write the digest of a part, all of whose arrays are there: from now on it counts."""
+    """Write the digest of a part, all of whose arrays are written: from then on the part counts."""
     digest = digest_of(part.values, {name: part.fields[name] for name in part.hashed})
     group = zarr_io.open_group(part.folder, "r+")
     zarr_io.member(group, DIGESTS)[part.number] = np.frombuffer(bytes.fromhex(digest), np.uint8)
@@ -174,7 +175,7 @@ def discard(folder: Path, number: int) -> None:
     """Delete a part of all tables in a folder, whether it is damaged or not; its digests go first.
 
     Raises:
-        InputError: the description of a table is damaged: nobody can write its parts again.
+        InputError: the description of a table is damaged, so that its parts cannot be written again.
     """
     files = [chunks / str(number) for chunks in _chunk_folders(folder)]
     for file in sorted(files, key=lambda file: file.parents[1].name != DIGESTS):
@@ -182,13 +183,13 @@ def discard(folder: Path, number: int) -> None:
 
 
 def flush(path: Path, number: int) -> None:
-    """Have what is written of a part on disk, in all tables below a folder."""
+    """Flush a part to disk, in all tables below a folder."""
     written = [chunks / str(number) for chunks in _chunk_folders(path)]
     flush_all(entry for part in written if part.exists() for entry in (*part.rglob("*"), part))
 
 
 def flush_rest(path: Path) -> None:
-    """Have on disk what :func:`flush` leaves out: descriptions, digests, and arrays that are not in parts."""
+    """Flush what :func:`flush` leaves out: descriptions, digests, and arrays that are not in parts."""
     flushed = {chunks for chunks in _chunk_folders(path) if chunks.parent.name != DIGESTS}
     entries = [path]
     for folder, inside, files in os.walk(path):
@@ -200,7 +201,7 @@ def flush_rest(path: Path) -> None:
 
 
 def _chunk_folders(path: Path) -> Iterator[Path]:
-    """Where the arrays below a folder that are written part by part keep their chunks."""
+    """Folders of the chunks of the arrays below a folder that are written part by part."""
     for folder, inside, files in os.walk(path):
         if "zarr.json" in files:
             dimensions = read_object(Path(folder, "zarr.json")).get("dimension_names") or [""]
@@ -210,7 +211,7 @@ def _chunk_folders(path: Path) -> Iterator[Path]:
 
 
 def digest_file(number: int) -> str:
-    """Where in the folder of a table the digest of a part is: a file that appears at once, when the part is there."""
+    """Path, in the folder of a table, of a part's digest: a file that appears atomically once the part is written."""
     return f"{DIGESTS}/c/{number}/0"
 
 
@@ -227,7 +228,7 @@ def digest(group: zarr.Group, number: int) -> str | None:
 
 
 def whole_digest(header: Any, parts: list[str]) -> str:
-    """Digest of a table: of what is true of all its rows, and of its parts in their order."""
+    """Digest of a table: of its header, which holds for all rows, and of its parts in their order."""
     return hashlib.sha256(json.dumps([header, *parts], sort_keys=True).encode()).hexdigest()
 
 
@@ -316,7 +317,7 @@ def write_array(
 
 
 def _widen(metadata: Path, axis: int, width: int) -> None:
-    """Have an array at least so wide, by its metadata alone."""
+    """Make an array at least ``width`` wide, by its metadata alone."""
     content = json.loads(metadata.read_text())
     if content["shape"][axis] < width:
         content["shape"][axis] = width

@@ -80,8 +80,8 @@ def is_bag(path: Path) -> bool:
 def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
     """Wrenches of one topic in N and Nm, timed by the stamp in their header (by receipt where it is zero).
 
-    A message that cannot be read becomes :class:`Malformed`, and so does what is wrong with the file: of an MCAP file
-    that is cut off or damaged, what is whole is read.
+    A message that cannot be read becomes :class:`Malformed`, and so does each problem of the file: of an MCAP file that
+    is cut off or damaged, the intact parts are read.
 
     >>> for message in read_bag(Path("assembly.mcap"), "/wrench"):  # doctest: +SKIP
     ...     print(message)
@@ -124,7 +124,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
         sources, problems = path, list[str]()
         for part in _files(path):
             plain = part if part == path else stack.enter_context(unpacked_file(part))
-            found, wrong = stack.enter_context(sound(plain))  # of what is no MCAP, whatever its name, it says nothing
+            found, wrong = stack.enter_context(sound(plain))  # nothing for a file that is no MCAP
             sources = found if part == path else sources
             problems += wrong
         try:
@@ -141,7 +141,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 
 class Bag(AnyReader):
-    """A reader that knows what is wrong with its file, and whether each message in it is packed."""
+    """A reader with the problems of its file, and whether each message in it is packed."""
 
     problems: tuple[str, ...] = ()
     packed = False
@@ -167,7 +167,7 @@ def _files(path: Path) -> list[Path]:
 def messages(reader: Bag, connections: Sequence[Any]) -> Iterator[tuple[Any, int, Any] | Malformed]:
     """Connection, time of receipt (ns) and content of every message of some connections, in order of receipt.
 
-    A message that cannot be read becomes :class:`Malformed`, and so does what is wrong with the file.
+    A message that cannot be read becomes :class:`Malformed`, and so does each problem of the file.
     """
     for problem in reader.problems:
         yield Malformed(f"the bag is damaged ({problem}); what is whole of it is read")
@@ -202,8 +202,8 @@ class McapWriter:
     Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where axes are not those of one), ``/labels``
     (codes and names per axis), ``/words`` (as they are published), ``/belief/HEAD`` and ``/events`` (JSON). The file
     appears when the block ends; also when an error or an interruption ends it, with what was written until then, if
-    anything was. A trial whose stamps do not go on from those before begins a second after their end. Stamps of ROS end
-    in 2038 and begin in 1970: where the first message lies outside, it is at time zero; single messages outside get the
+    anything was. A trial whose stamps do not continue those before begins a second after their end. Stamps of ROS begin
+    in 1970 and end in 2038: if the first message lies outside, it is at time zero; single messages outside get the
     nearest stamp.
 
     Raises:

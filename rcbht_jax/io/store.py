@@ -52,7 +52,7 @@ __all__ = [
 ]  # fmt: skip
 
 BATCH_BYTES = 2**26  # of wrenches that are in memory at once
-SAMPLE_BYTES = 2**26  # of wrenches that tell what is true of all: looking at them takes ten times as much
+SAMPLE_BYTES = 2**26  # of wrenches that represent all; their analysis takes ten times as much memory
 SMALL_BYTES = 2**28  # of wrenches that "rcbht info" reads all of
 
 
@@ -152,7 +152,7 @@ def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
 
 
 def read_batches(path: Path | str, most: int | None = None) -> Iterator[Recordings]:
-    """All recordings of a store in their order, in batches: what is done to each needs the memory of one.
+    """All recordings of a store in their order, in batches, so that only one batch is in memory.
 
     >>> sum(int(batch.length.sum()) for batch in read_batches(Path("trials.zarr")))
     1600
@@ -192,7 +192,7 @@ def read_table(path: Path) -> Recordings:
 
 
 def read_summary(path: Path) -> Summary:
-    """What is counted in a store (:func:`rcbht_jax.io.summary.summary_of`), so far as it is there; no row is read.
+    """The summary of a store (:func:`rcbht_jax.io.summary.summary_of`), as far as it is written; no row is read.
 
     A store of version 1 or 2 is read whole.
 
@@ -215,7 +215,7 @@ def longest_of(path: Path) -> int:
 
 
 def progress_of(path: Path) -> tuple[int, int, dict[str, str], int]:
-    """How much of a store is there.
+    """Progress of a store that may still be being written.
 
     Returns:
         recordings that are there; how many there will be (some of them gaps, while it is being written); the axes and

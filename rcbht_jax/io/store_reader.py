@@ -75,7 +75,7 @@ class Stored:
             return np.delete(np.arange(self.schema.layout.rows), self.group.attrs[GAPS])  # type: ignore[arg-type]
 
     def damaged(self, what: str) -> InputError:
-        """The error that says what does not match its checksum."""
+        """The error for content that does not match its checksum."""
         return InputError(f"{self.path} is damaged: {what} does not match its checksum. Import or copy it again.")
 
 
@@ -178,7 +178,7 @@ def read_lengths(stored: Stored) -> NDArray[np.int32]:
 
 
 def read_summary(stored: Stored) -> Summary:
-    """What is counted in the parts that are there."""
+    """The summary of the parts that are written."""
     with zarr_io.reading(stored.path):
         texts = parts.read(stored.group, SUMMARIES, slice(None), Field("string")).tolist()
         there = [True] * len(texts) if stored.finished else [found is not None for found in parts.digests(stored.group)]
@@ -221,9 +221,9 @@ def check_whole(stored: Stored) -> None:
 
 
 def check_part(stored: Stored, number: int) -> None:
-    """Read a part, its simulation included, and compare it with its digests, and what is counted in it with its rows.
+    """Read a part, its simulation included, and compare it with its digests, and its summary with its rows.
 
-    Counts of a version that counted something else are not compared.
+    Summaries of versions that counted other quantities are not compared.
 
     Raises:
         InputError: it is missing or damaged.
@@ -244,7 +244,7 @@ def _check_summary(stored: Stored, number: int, small: Arrays) -> None:
     if isinstance(found, dict) and found.pop("counting", 1) != COUNTING:  # the first stores of version 3 have no number
         return
     if json.dumps(found, sort_keys=True) != json.dumps(counted, sort_keys=True):  # texts: a NaN is not equal to itself
-        raise InputError(f"{stored.path} is damaged: what is counted in part {number} is not in it.")
+        raise InputError(f"{stored.path} is damaged: the summary of part {number} is not that of its recordings.")
 
 
 def check_simulation(stored: Stored) -> None:

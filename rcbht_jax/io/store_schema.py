@@ -1,4 +1,4 @@
-"""What a store of version 3 has: its arrays, what all its parts share, and how recordings become arrays."""
+"""The schema of a store of version 3: its arrays, what its parts share, and how recordings become arrays."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ MARKS = {
 
 @dataclass(frozen=True)
 class Schema:
-    """What all parts of a store have in common."""
+    """The properties that all parts of a store share."""
 
     layout: Layout
     dt: float  # s between samples
@@ -64,7 +64,7 @@ class Schema:
 
     @property
     def header(self) -> list[Any]:
-        """What is true of all recordings and belongs to the digest."""
+        """The properties of all recordings that belong to the digest."""
         labels = [[track, *names] for track, names in self.labels.items()]
         return [repr(self.dt), *map(list, (self.axes, self.units, labels, sorted(self.columns.items())))]
 

@@ -46,7 +46,7 @@ with needs_extra("store"):
 
 
 def create(path: Path, schema: Schema, attrs: Mapping[str, Any], created: str) -> None:
-    """A store in which all parts are missing.
+    """Create a store, all of whose parts are missing.
 
     Args:
         path: folder to create.
@@ -80,7 +80,7 @@ def create(path: Path, schema: Schema, attrs: Mapping[str, Any], created: str) -
 def write_part(
     path: Path, number: int, recordings: Recordings, simulation: Mapping[str, NDArray[Any]] | None = None
 ) -> None:
-    """Write one part of a store, labels included that were written before, and have it on disk.
+    """Write one part of a store and flush it to disk, with its labels, if these were written before.
 
     The last thing written is its digest, without which it counts as missing.
 
@@ -92,7 +92,7 @@ def write_part(
 def parts_of(
     path: Path, number: int, recordings: Recordings, simulation: Mapping[str, NDArray[Any]] | None = None
 ) -> list[Part]:
-    """What is written of one part of a store, for :func:`rcbht_jax.io.parts.put`.
+    """One part of a store, to be written by :func:`rcbht_jax.io.parts.put`.
 
     Args:
         path: made by :func:`create`.
@@ -130,11 +130,11 @@ def has_part(path: Path, number: int) -> bool:
 
 
 def finish(path: Path, attrs: Mapping[str, Any] | None = None) -> None:
-    """Complete a store of which all parts are there: its digest, the times, and the metadata collected.
+    """Complete a store, all of whose parts are written: its digest, the times, and the collected metadata.
 
     Args:
         path: of the store.
-        attrs: further ones, known only now.
+        attrs: further attributes, known only now.
 
     Raises:
         InputError: a part is missing, or there is no recording in any.

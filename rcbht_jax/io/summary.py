@@ -1,4 +1,4 @@
-"""What "rcbht info" counts in a store: made of each part when it is written, so that no row is read to count them."""
+"""The counts that "rcbht info" shows, made of each part when it is written, so that no row is read to count."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from rcbht_jax.types import Recordings
 
-# What is counted, noted in "counting" of each part: raise it when that changes. Counts of another number are believed.
+# Version of the counts, stored in "counting" of each part; raise it when they change. Other versions are not checked.
 COUNTING = 1
 MOST_TEXTS = 1000  # different ones in a column of one part; beyond, they are not counted
 

@@ -56,7 +56,7 @@ def check_target(path: Path, kind: str, overwrite: bool) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Refuse to write to an object store, which knows no renaming: what is there would not be whole at once.
+    """Raise an error for an object store, which cannot rename: a store in it would not appear atomically.
 
     Raises:
         InputError: ``path`` is a URL.
@@ -89,7 +89,7 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
         path: of the group, a folder or a URL.
         mode: "r" to read, "r+" to change.
         collected: take the metadata of its members from its own, where :func:`consolidate` collected them: quicker, but
-            it is not seen that they are lost.
+            lost members are not noticed.
 
     Raises:
         InputError: ``path`` is not a readable Zarr v3 group.
@@ -108,7 +108,7 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
 
 
 def path_of(member: zarr.Group | zarr.Array[Any]) -> Path:
-    """Where a group or an array is, as it was named."""
+    """Path of a group or an array, as it was given."""
     return Path(str(member.store_path).removeprefix("file://"))
 
 
@@ -150,7 +150,7 @@ def _fsspec(path: Path) -> Any:
 
 
 class _Files(LocalStore):
-    """The files of a store, of which a stranger may have made pipes, devices or links to them."""
+    """The files of a store, which may be pipes, devices or links in an untrusted store."""
 
     async def get(
         self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
@@ -167,14 +167,14 @@ class _Files(LocalStore):
         return await super().get_partial_values(prototype, wanted)
 
     def _check(self, key: str) -> None:
-        """Refuse what is no regular file, or too large, before it is read.
+        """Raise an error for a file that is not regular or too large, before it is read.
 
         Raises:
-            ValueError: it is; whoever reads the store says that it is damaged.
+            ValueError: it is; the reader of the store then reports damage.
         """
         try:
             status = (self.root / key).stat()
-        except OSError:  # it does not exist: the reader knows what that means
+        except OSError:  # it does not exist: the reader handles that
             return
         most = MAX_JSON_BYTES if key.endswith(".json") else MAX_BYTES
         if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)) or status.st_size > most:
@@ -296,4 +296,4 @@ def check_collected(path: Path) -> None:
                 continue
             own = load_json(path / name / META)
             if {**found, "consolidated_metadata": None} != {**own, "consolidated_metadata": None}:
-                raise InputError(f"{path} is damaged: {name}/{META} is not what {META} says. Import or copy it again.")
+                raise InputError(f"{path} is damaged: {name}/{META} is not as in {META}. Import or copy it again.")

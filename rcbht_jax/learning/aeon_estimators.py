@@ -47,7 +47,7 @@ class AeonWrenchFeatures(Description, BaseCollectionTransformer):  # type: ignor
 class AeonStateClassifier(Description, BaseClassifier):  # type: ignore[misc]
     """:class:`StateClassifier` as an aeon classifier.
 
-    ``classifier`` is one of feature matrices; None = ``SvmClassifier()``, whose ``predict_proba`` is 1 for the
+    ``classifier`` takes feature matrices; None = ``SvmClassifier()``, whose ``predict_proba`` is 1 for the
     predicted class, as aeon has it for classifiers without probabilities.
     """
 

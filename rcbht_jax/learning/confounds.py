@@ -14,8 +14,7 @@ def confounds(items: LabelledIntervals, facts: WrenchFacts | None = None) -> tup
     """Sentences about confounds that this data has; none if no check finds one.
 
     Checked are sessions that hold a single class, classes that duration alone or, of whole recordings, the first second
-    alone predicts, intervals of one sample, and copies of recordings. That nothing was found does not mean that nothing
-    is there.
+    alone predicts, intervals of one sample, and copies of recordings. An empty result does not exclude others.
 
     Args:
         items: intervals with their classes, durations and sessions.

@@ -179,7 +179,7 @@ def _limits(thresholds: Any, names: tuple[str, ...]) -> Float[np.ndarray, "axis 
     axes = len(names)
     if isinstance(thresholds, str):
         thresholds = preset(thresholds, names)
-    limits = np.array(getattr(thresholds, "limits", thresholds), np.float64)  # a copy, which nobody changes
+    limits = np.array(getattr(thresholds, "limits", thresholds), np.float64)  # a copy, which no caller can change
     limits = np.tile(limits, (axes, 1)) if limits.ndim == 1 else limits
     validate(limits)
     if limits.shape != (axes, 4):

@@ -66,7 +66,7 @@ class EvaluationResult:
     classes: tuple[str, ...]
     items: dict[str, int]  # class -> items, where sessions were chosen those of these
     trials: int
-    untaught: tuple[str, ...]  # classes that are tested and not taught
+    untaught: tuple[str, ...]  # classes that are tested, but in no training session
     tested: int  # of the trials, or of the protocol's groups
     dropped: dict[str, int]  # reason -> trials left out
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
@@ -187,8 +187,8 @@ def score(
         split = _split(items, protocol)
         tested = len(np.unique(items.trial[split[1]]))
         used = np.concatenate(split)
-        taught, asked = (set(items.y[rows].tolist()) for rows in split)
-        untaught = tuple(items.classes[k] for k in sorted(asked - taught))
+        trained, scored = (set(items.y[rows].tolist()) for rows in split)
+        untaught = tuple(items.classes[k] for k in sorted(scored - trained))
         scores = {
             k: validation.holdout_score(e, items.y, items.trial, split, protocol.seed) for k, e in estimators.items()
         }

@@ -20,7 +20,7 @@ Floats = NDArray[np.floating[Any]]
 
 CERTAINTY_LEVELS = (0.70, 0.75, 0.80, 0.85, 0.90, 0.95)  # the paper's k
 Z = 1.96  # quantile of the normal distribution, for 95 %
-INADMISSIBLE = 0.5  # below this a belief counts for nothing
+INADMISSIBLE = 0.5  # a belief below this is inadmissible
 
 
 def accuracy(y_true: Ints, y_pred: Ints) -> float:
@@ -61,7 +61,7 @@ def corrected_interval(scores: Floats, test_to_train: float, level: float = 0.95
     """Mean and confidence limits of scores from repeated train/test splits, corrected for their overlap.
 
     Nadeau and Bengio (2003): the variance of the mean of J scores is (1/J + n_test/n_train) s^2, with
-    J - 1 degrees of freedom. Limits are cut to [0, 1], where scores live.
+    J - 1 degrees of freedom. Limits are cut to [0, 1], the range of scores.
 
     Args:
         scores: one per split, any shape, in [0, 1].

@@ -40,7 +40,7 @@ _NO_DIGESTS = np.zeros((0, 32), np.uint8)  # older files
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """A classifier with everything a stream needs to be described the way the training data was."""
+    """A classifier, with everything that is needed to compute its features on a stream."""
 
     svm: SvmModel
     feature_spec: FeatureSpec
@@ -50,7 +50,7 @@ class TrainedModel:
     data_hash: str  # of the training data
     version: str = rcbht_jax.__version__
     extra: dict[str, Any] = field(default_factory=dict)  # anything else worth keeping: JSON values
-    digests: NDArray[np.uint8] = field(default_factory=lambda: _NO_DIGESTS)  # [recording, byte] that taught
+    digests: NDArray[np.uint8] = field(default_factory=lambda: _NO_DIGESTS)  # [recording, byte] of the training set
 
 
 def save(path: Path | str, model: TrainedModel) -> None:
@@ -176,7 +176,7 @@ def reading(
 
 
 def _check(svm: SvmModel, features: int, path: Path) -> None:
-    """Refuse arrays that do not fit together or are not finite, which would otherwise end in nonsense."""
+    """Raise an error for arrays that do not fit together or are not finite."""
     classes, vectors = len(svm.classes), int(svm.support_count.sum())
     expected = {
         "center": (features,),

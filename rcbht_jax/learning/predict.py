@@ -1,6 +1,6 @@
 """A trained model applied to label tracks: the class of every sentence, and the accuracy where classes are known.
 
-The classifier gives no probabilities: its decision values, one per pair of classes, say how clear each choice was.
+The classifier gives no probabilities: its decision values, one per pair of classes, show how clear each choice was.
 For probabilities during a stream, see :mod:`rcbht_jax.introspection`.
 """
 
@@ -33,7 +33,7 @@ MADE_BY = ("semantics", "config", "thresholds")  # what must be the same of two 
 
 @dataclass(frozen=True)
 class Classification:
-    """What a model says of every sentence."""
+    """The predictions of a model for every sentence."""
 
     classes: tuple[str, ...]  # of the model
     items: UnlabelledIntervals
@@ -71,14 +71,14 @@ def task_of(
     Outcomes are those of the training and unknown ones, unless others are named.
 
     Raises:
-        InputError: the model does not say what it was trained for.
+        InputError: the model does not state its task.
     """
     try:
         known = checked_fields(TaskSpec, {k: v for k, v in model.task.items() if k in TaskSpec.__dataclass_fields__})
         trained = known["outcomes"]
         spec = TaskSpec(known["task"], known["boundaries"], known["arms"], seconds=known.get("seconds", 0.0))
     except (KeyError, TypeError) as error:
-        raise InputError(f"the model does not say what it was trained for: {error} is missing.") from error
+        raise InputError(f"the model does not state its task: {error} is missing.") from error
     kept = outcomes or (trained and (*trained, UNKNOWN))
     return replace(spec, sources=sources, sessions=sessions, outcomes=kept)
 
@@ -165,7 +165,8 @@ def classify(
     decision = model.svm.decision(features.values)
     if not np.isfinite(decision).all():
         raise InputError(
-            "the model's decision values are not finite on these recordings; they are too large, or it is."
+            "the model's decision values are not finite on these recordings; values of the recordings or of the model "
+            "are too large."
         )
     predicted = np.array(model.svm.classes)[vote(decision, len(model.svm.classes))]
     seen = _seen(model, recordings, facts or WrenchFacts.of(recordings))[items.row]
@@ -173,10 +174,10 @@ def classify(
 
 
 def _seen(model: TrainedModel, recordings: Recordings, facts: WrenchFacts) -> NDArray[np.bool_]:
-    """Recordings that the model was trained on ``[recording]``, as far as its file says."""
+    """Recordings that the model was trained on ``[recording]``, as far as its file states."""
     if len(model.digests):
-        taught = set(map(bytes, model.digests))
-        return np.array([bytes(one) in taught for one in facts.digests], bool)
+        trained = set(map(bytes, model.digests))
+        return np.array([bytes(one) in trained for one in facts.digests], bool)
     seen = np.full(len(recordings), facts.data_hash == model.data_hash)  # an older model
     for values, kept in ((recordings.source, "sources"), (recordings.session, "sessions")):
         if model.task.get(kept):

@@ -1,10 +1,10 @@
 """Calibration of beliefs by progress: how sure a stream may be depends on how much of the record has passed.
 
-A sigmoid that is right on average says too much before anything can be known, and too little at the end; a pooled
-calibration error lets the two cancel. In every part of the planned time beliefs get a temperature (Guo, Pleiss, Sun and
-Weinberger, "On calibration of modern neural networks", 2017) and are mixed with the frequencies of the classes, both
-fitted by maximum likelihood to beliefs about trials that did not train the classifier. As for Platt's sigmoids, targets
-are drawn inwards by one trial, so that classes that are separated without a mistake do not become certain.
+A sigmoid that is right on average is overconfident before anything can be known, and underconfident at the end; in a
+pooled calibration error the two cancel. In every part of the planned time beliefs get a temperature (Guo, Pleiss, Sun
+and Weinberger, "On calibration of modern neural networks", 2017) and are mixed with the frequencies of the classes,
+both fitted by maximum likelihood to beliefs about trials that did not train the classifier. As for Platt's sigmoids,
+targets are drawn inwards by one trial, so that classes that are separated without a mistake do not become certain.
 """
 
 from __future__ import annotations
@@ -49,8 +49,11 @@ class ProgressCalibration:
         inside = np.isfinite(numbers).all() and numbers.min() >= 0 and self.planned > 0 and min(self.temperature) > 0
         fits = len(self.temperature) == len(self.share) > 0 and abs(sum(self.prior) - 1) < 1e-6
         if not (inside and fits and max(self.share) <= 1):
-            raise InputError("a calibration by progress has values out of range; it needs one temperature and share "
-                             "for each part, and frequencies that sum to one.")  # fmt: skip
+            raise InputError(
+                f"a calibration by progress has planned {self.planned}, temperature {self.temperature}, share "
+                f"{self.share} and prior {self.prior}; expected positive numbers, a share of 0 to 1 for each "
+                "temperature, and a prior that sums to one."
+            )
 
     @staticmethod
     def fit(
@@ -75,7 +78,9 @@ class ProgressCalibration:
             InputError: no steps, or a planned time that is not positive.
         """
         if not len(p) or not 0 < planned < np.inf:
-            raise InputError(f"{len(p)} beliefs in a planned time of {planned} s: both have to be more than nothing.")
+            raise InputError(
+                f"There are {len(p)} beliefs, and planned is {planned} s; expected at least one, and more than 0 s."
+            )
         prior = np.bincount(y, minlength=p.shape[1]) / len(y)
         part = part_of(seconds / planned, parts)
         found = [_fit_part(p[part == k], y[part == k], prior, len(np.unique(trial[part == k]))) for k in range(parts)]
@@ -88,7 +93,7 @@ class ProgressCalibration:
         """Calibrated beliefs.
 
         Args:
-            p: as the classifier says them.
+            p: probabilities of the classifier.
             seconds: since the record began.
         """
         part = part_of(seconds / self.planned, len(self.share))
@@ -163,7 +168,7 @@ def mixed_jax(arrays: ProgressArrays, p: Float[Array, " class"], seconds: Float[
 
     Args:
         arrays: of :func:`progress_arrays`.
-        p: as the classifier says them.
+        p: probabilities of the classifier.
         seconds: since the record began.
     """
     temperature, share = jnp.asarray(arrays.temperature), jnp.asarray(arrays.share)

@@ -48,7 +48,7 @@ class SvmSpec:
     gamma: str = "auto"  # "auto" = 1 / features, "scale" = 1 / (features x variance)
     balanced: bool = False  # weigh classes by the inverse of their frequency
     features: str = ""  # which candidate feature matrix; "" = the only one
-    floor: float = 0.0  # least deviation to divide by when scaling, so that a rare label does not shout
+    floor: float = 0.0  # least deviation to divide by when scaling, so that a rare label does not dominate
     ranks: bool = False  # scale by ranks among the training side instead of mean and deviation
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class Grid:
             if not getattr(self, name):
                 raise InputError(f"There are no {name} to choose from; give at least one.")
         if list(self.costs) != sorted(set(self.costs)):
-            raise InputError(f"The costs {self.costs} do not increase.")
+            raise InputError(f"The costs are {self.costs}; expected increasing ones.")
 
     def paths(self, candidates: Sequence[str]) -> list[SvmSpec]:
         """Every choice but the cost, which is set to the smallest."""

@@ -25,7 +25,7 @@ from rcbht_jax.features import (
 from rcbht_jax.learning.task_items import leave_out, track_items, whole_items
 from rcbht_jax.types import LabelTracks, Recordings
 
-SUCCESS, FAILURE, UNKNOWN = "success", "failure", "unknown"  # outcomes; unknown: nobody judged the trial
+SUCCESS, FAILURE, UNKNOWN = "success", "failure", "unknown"  # outcomes; unknown: the trial was not judged
 BOTH = "both"  # arms, side by side
 USUAL, PLAIN = "harmonised", "recorded"  # boundaries: corrected ones where there are some; those of the track itself
 
@@ -86,10 +86,10 @@ class UnlabelledIntervals:
 
 
 def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = False) -> UnlabelledIntervals:
-    """Find what a trained model can be asked about: as :func:`labelled_intervals`, but nobody need know the answers.
+    """The intervals that a trained model can classify: as :func:`labelled_intervals`, but without known classes.
 
-    Trials of unknown outcome pass the task's own choice of outcomes, and one that names "unknown", which no other
-    outcome that it names need be there for; a whole trial of unknown class stays in.
+    Trials of unknown outcome are included if ``spec.outcomes`` is None or names "unknown"; other outcomes that it then
+    names may be absent from the data set. A whole trial of unknown class is included.
 
     Args:
         recordings: the data set.
@@ -289,7 +289,7 @@ def _outcomes(recordings: Recordings, spec: TaskSpec) -> tuple[str, ...]:
 
 
 def _track(recordings: Recordings, spec: TaskSpec) -> str:
-    """The track of a task, in the variant that is asked for if there is one; "" = there is none."""
+    """The track of a task, in the chosen variant if there is one; "" = there is none."""
     names = (f"{spec.task}-{spec.boundaries}", spec.task)
     return next((name for name in names if name in recordings.annotations.tracks), "")
 
@@ -306,10 +306,10 @@ def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = Fa
     Args:
         recordings: the data set.
         spec: names them.
-        unknown: recordings of unknown outcome pass as well, and no outcome need be there.
+        unknown: recordings of unknown outcome are chosen as well, and outcomes of the task may be absent.
 
     Raises:
-        InputError: a filter names a source, session or outcome that the data set has not.
+        InputError: a filter names a source, session or outcome that does not occur in the data set.
     """
     filters: list[tuple[str, NDArray[np.str_], Sequence[str]]] = [
         ("source", recordings.source, spec.sources),

@@ -1,4 +1,4 @@
-"""What learning needs of wrenches besides their labels, small enough to be kept of a data set larger than memory."""
+"""Facts about wrenches that learning needs besides labels, small enough to keep for a data set larger than memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rcbht_jax.types import Recordings
 
 @dataclass(frozen=True)
 class WrenchFacts:
-    """Digests and beginnings of wrenches, of recordings in memory or gone through in batches.
+    """Digests and beginnings of wrenches, of recordings in memory or read in batches.
 
     Attributes:
         data_hash: digest of the data set, which its models hold (:func:`rcbht_jax._util.digest.data_hash`).
@@ -29,7 +29,7 @@ class WrenchFacts:
 
     @staticmethod
     def of(recordings: Recordings, batches: Iterable[Recordings] | None = None, samples: int = 0) -> WrenchFacts:
-        """Go through all wrenches once.
+        """Read all wrenches once.
 
         Args:
             recordings: the data set; where ``batches`` are given, its own wrenches do not matter.

@@ -114,7 +114,7 @@ def check_suffix(path: Path, others: tuple[str, ...] = ()) -> str:
 
     Args:
         path: of the file.
-        others: suffixes that would do, too, but of no figure; named when it is refused.
+        others: suffixes that the caller also accepts, not of figures; the error message names them.
 
     >>> check_suffix(Path("trial.PNG"))
     '.png'
@@ -138,12 +138,12 @@ def _supply_scripts(figure: Figure) -> None:
 
 @contextmanager
 def _letters_in_one_warning() -> Iterator[None]:
-    """One warning of all letters that no font has, in place of one for each."""
-    with warnings.catch_warnings(record=True) as heard:
+    """Replace the warnings of single letters that no font has by one warning of all of them."""
+    with warnings.catch_warnings(record=True) as caught:
         warnings.filterwarnings("always", r"Glyph \d+ .* missing from font", UserWarning)
         yield
-    lost = [re.match(r"Glyph (\d+)", str(one.message)) for one in heard]
-    for one in (one for one, letter in zip(heard, lost, strict=True) if letter is None):
+    lost = [re.match(r"Glyph (\d+)", str(one.message)) for one in caught]
+    for one in (one for one, letter in zip(caught, lost, strict=True) if letter is None):
         warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
     if letters := "".join(sorted({chr(int(letter[1])) for letter in lost if letter})):
         warnings.warn(f"No installed font has the letters {letters}; install one, such as Noto Sans CJK.", stacklevel=4)

@@ -102,7 +102,7 @@ class Broadcast:
             self._send(packet)
 
     def close(self) -> None:
-        """Signal the end of the stream to all viewers; nobody can join any more."""
+        """Signal the end of the stream to all viewers; no viewer can join any more."""
         with self._lock:
             self._closed = True
             self._send(None)
@@ -229,9 +229,9 @@ class _Handler(BaseHTTPRequestHandler):
         path = self.path.split("?", 1)[0]
         # A page elsewhere must not read this one under a name of its own (DNS rebinding).
         if self.server.local and _host(self.headers.get("Host", "")) not in self.server.names:
-            self.send_error(403, "Only this machine may look")
+            self.send_error(403, "Only viewers on this machine are admitted")
         elif path != "/" and self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none"):
-            self.send_error(403, "Pages of others may not look")  # nor take the places of viewers
+            self.send_error(403, "Requests from other pages are refused")  # nor take the places of viewers
         elif path == "/":
             self._send(self.server.document, "text/html; charset=utf-8", body)
         elif path == "/description":
@@ -303,8 +303,8 @@ class PageServer(ThreadingHTTPServer):
     """Serves the page of one session in the background; a context manager.
 
     Args:
-        session: whose frames are shown; None = to be told by :meth:`show`.
-        host: address to bind; anything but loopback lets others look.
+        session: whose frames are shown; None = set later by :meth:`show`.
+        host: address to bind; anything but loopback admits viewers on other machines.
         port: 0 = any free one, see :attr:`url`.
 
     Raises:
@@ -336,7 +336,7 @@ class PageServer(ThreadingHTTPServer):
 
     def show(self, session: Session) -> None:
         """Tell viewers what the frames of a session mean."""
-        # The name tells a viewer that comes back whether it still is the same stream.
+        # By the name a viewer that reconnects recognises whether it is still the same stream.
         self.about = {"stream": secrets.token_hex(8), **description(session)}
         self.broadcast.tell("about", self.about)
 
@@ -354,7 +354,7 @@ class PageServer(ThreadingHTTPServer):
         self.server_close()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own; of too many, those that hold back their request go."""
+        """Answer in a new thread; of too many connections, the oldest that has sent no whole request is closed."""
         if not (self._free.acquire(blocking=False) or (self._dropped() and self._free.acquire(timeout=1.0))):
             self.shutdown_request(request)
             return
@@ -368,17 +368,17 @@ class PageServer(ThreadingHTTPServer):
             raise
 
     def asked(self, request: Any) -> None:
-        """A connection has sent a whole request, or ends."""
+        """Note that a connection has sent its whole request, or ended."""
         with self._lock:
             self._unasked.pop(request, None)
 
     def service_actions(self) -> None:
-        """End connections whose request takes too long: the serving thread looks every tenth of a second."""
+        """Close connections whose request takes too long: the serving thread checks every tenth of a second."""
         while self._dropped(IDLE):
             pass
 
     def _dropped(self, age: float = 0.0) -> bool:
-        """End the connection that has held back its request for the longest time, if for ``age`` s; whether it did."""
+        """Close the oldest connection without a whole request, if it has lasted ``age`` s; whether one was closed."""
         with self._lock:
             oldest, since = next(iter(self._unasked.items()), (None, 0.0))
             if oldest is None or monotonic() - since < age:

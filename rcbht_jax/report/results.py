@@ -23,7 +23,7 @@ class Peer:
 
 @dataclass(frozen=True)
 class Row:
-    """One score, with everything that must be read beside it."""
+    """One score, with everything that must be shown with it."""
 
     group: str
     what: str

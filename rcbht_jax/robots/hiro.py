@@ -1,7 +1,7 @@
 """HIRO's arms: kinematic and inertial table, identified from the recordings to 0.001-0.006 mm.
 
 World frame: the robot's base, x forward, y left, z up; the waist is 0.45 m above the floor and the chest does
-not turn, so it has no joint. SI units, radians unless a field says degrees. The left arm is the right one mirrored
+not turn, so it has no joint. SI units, radians unless a field states degrees. The left arm is the right one mirrored
 in the x-z plane.
 """
 

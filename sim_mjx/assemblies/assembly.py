@@ -26,7 +26,7 @@ Range = tuple[float, float]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Mount:
-    """What holds the female part; leaves of a batch lead with the trial."""
+    """The female part's mount; leaves of a batch have a leading trial axis."""
 
     position: Float[Array, "*batch 3"]  # m, shift from the nominal place, world
     turn: Float[Array, "*batch"]  # rad, about the vertical
@@ -37,30 +37,30 @@ class Mount:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Parts:
-    """What the physics is given of a trial."""
+    """The parameters of a trial that the physics needs."""
 
     mount: Mount
-    own: Any  # the assembly's own numbers, a pytree
+    own: Any  # parameters of the assembly's own parts, a pytree
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class AssemblyTrial:
-    """Everything that makes one trial; leaves of a batch lead with the trial."""
+    """All parameters of one trial; leaves of a batch have a leading trial axis."""
 
-    task: Any  # numbers of the assembly's controller, a pytree
+    task: Any  # parameters of the assembly's controller, a pytree
     sensor: SensorParams
     parts: Parts
-    hand: Float[Array, "*batch 6"]  # m, rotation vector in rad: how far off the controller believes the mouth to be
+    hand: Float[Array, "*batch 6"]  # m, error of the mouth's assumed place; rad, the part's turn in the hand
     home: Float[Array, "*batch joint"]  # rad, at time zero
-    timeout: Float[Array, "*batch"]  # s, the trial ends unfinished
+    timeout: Float[Array, "*batch"]  # s, after which an unfinished trial ends
     command_delay: Int[Array, "*batch"]  # control periods between reference and servo
     seed: UInt32[Array, "*batch 2"]  # key of the sensor's noise
 
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """One phase of the controller: pure functions of what it senses and of the task's numbers."""
+    """One phase of the controller: pure functions of what it senses and of the task's parameters."""
 
     name: str
     move: Callable[[Sense, Any], Twist]
@@ -69,16 +69,16 @@ class Phase:
 
 @dataclass(frozen=True)
 class Variation:
-    """What varies between trials of any assembly; an assembly adds its own lines. Ranges are uniform (lowest, highest).
+    """What varies between trials of any assembly; an assembly adds its own. Ranges are uniform (lowest, highest).
 
-    All are chosen: nobody recorded these assemblies.
+    All ranges are chosen: there are no recordings of these assemblies.
     """
 
-    nominal_share: float = 0.5  # of the trials without a fault
-    faults: tuple[str, ...] = ()  # equally likely among the others; none named = all of the assembly
-    longest: float | None = None  # s, cuts every trial; None = the assembly's own timeout
+    nominal_share: float = 0.5  # share of the trials without a fault
+    faults: tuple[str, ...] = ()  # equally likely among the others; () = all faults of the assembly
+    longest: float | None = None  # s, longest duration of a trial; None = the assembly's own timeout
 
-    shift: Range = (-1e-3, 1e-3)  # m, where the controller believes the mouth to be, x and y
+    shift: Range = (-1e-3, 1e-3)  # m, error of the mouth's assumed place, x and y
     lean: Range = (-0.005, 0.005)  # rad, of the part in the hand, about x and y
     turn: Range = (-0.01, 0.01)  # rad, of the part in the hand, about the vertical
     friction: Range = (0.15, 0.25)  # of all contacts
@@ -90,11 +90,11 @@ class Variation:
     force_bias: Range = (-0.2, 0.2)  # N, drift since the tare, each axis
     moment_bias: Range = (-0.01, 0.01)  # Nm, likewise
 
-    moved_by: Range = (8e-3, 15e-3)  # m, fault moved-part: where no search finds it
-    stop_at: Range = (0.5, 2.0)  # s, fault early-stop: the robot and its logger stop
+    moved_by: Range = (8e-3, 15e-3)  # m, fault moved-part: a shift that no search covers
+    stop_at: Range = (0.5, 2.0)  # s, fault early-stop: when the robot and its logger stop
 
 
-Draw = Callable[[Any, np.random.Generator], tuple[Any, Any]]  # variation -> task's and parts' numbers of one trial
+Draw = Callable[[Any, np.random.Generator], tuple[Any, Any]]  # variation -> parameters of task and parts of one trial
 FaultOf = Callable[[AssemblyTrial, Any, np.random.Generator], AssemblyTrial]  # trial, variation -> the faulty trial
 
 
@@ -109,7 +109,7 @@ class Assembly:
     name: str
     male: Callable[[mujoco.MjSpec, mujoco.MjsBody], None]  # adds its geoms to the hand's body
     female: Callable[[mujoco.MjSpec, mujoco.MjsBody], None]  # adds its geoms to the mount, and the pairs that touch
-    write: Callable[[FieldWriter, Any], None]  # what a trial's numbers change in the compiled model
+    write: Callable[[FieldWriter, Any], None]  # writes a trial's parameters into the compiled model
     phases: tuple[Phase, ...]
     draw: Draw
     # pairs of geoms, of the male and of the female part; a trial succeeds when all are seated at its end
@@ -122,4 +122,4 @@ class Assembly:
     start: float = 0.03  # m, of the tip above the mouth at time zero
     mount_stiffness: tuple[float, float, float] = (1e4, 1e4, 2e4)  # N/m, x y z
     substeps: int = 4  # physics steps per control period
-    tabs: tuple[str, ...] = ()  # names of the marks if they are tips and lips that tabs pass; none = nothing snaps
+    tabs: tuple[str, ...] = ()  # names of the marks if these are tabs and their lips; () = nothing snaps

@@ -18,7 +18,7 @@ from sim_mjx.robots.robot import Robot
 
 NOISE = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])  # N and Nm, standard deviation before the filter
 STEP = np.array([0.01, 0.01, 0.01, 5e-4, 5e-4, 5e-4])  # N and Nm, quantisation
-KEPT = 0.5  # of the low-pass filter's value from one control period to the next: 22 Hz
+KEPT = 0.5  # share of the low-pass filter's value that a control period keeps: 22 Hz
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ def check(spec: Variation, assembly: Assembly) -> None:
     """Raise an error for distributions from which no trial can be drawn.
 
     Raises:
-        InputError: a share, range, lag, fault or time is not one.
+        InputError: an invalid share, range, lag or time, or an unknown fault.
     """
     check_common(spec.nominal_share, spec.longest, spec.lag)
     unknown = [name for name in spec.faults if name not in assembly.faults]
@@ -76,7 +76,7 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
     key = rng.integers(0, 2**32, 2, dtype=np.uint32)
     kinds = spec.faults or tuple(assembly.faults)
     nominal, which = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))
-    kind = "none" if nominal or not kinds else kinds[which]  # all other numbers are those of the nominal trial
+    kind = "none" if nominal or not kinds else kinds[which]  # all other random numbers are those of a nominal trial
     task, own = assembly.draw(spec, rng)
     trial = AssemblyTrial(
         task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),
@@ -119,12 +119,12 @@ def early_stop(trial: AssemblyTrial, spec: Variation, rng: np.random.Generator) 
 
 
 def with_mount(trial: AssemblyTrial, **values: Any) -> AssemblyTrial:
-    """The trial with other numbers of its mount."""
+    """The trial with some values of its mount replaced."""
     return replace(trial, parts=replace(trial.parts, mount=replace(trial.parts.mount, **values)))
 
 
 def with_own(trial: AssemblyTrial, **values: Any) -> AssemblyTrial:
-    """The trial with other numbers of the assembly's own parts."""
+    """The trial with some values of the assembly's own parts replaced."""
     return replace(trial, parts=replace(trial.parts, own=replace(trial.parts.own, **values)))
 
 

@@ -68,7 +68,7 @@ class FieldWriter:
         return getattr(self._model, field)[getattr(self._model, kind)(name).id].copy()
 
     def place(self, geom: str, place: Float[Array, "*batch 3"]) -> None:
-        """Centre of a geom in its body's frame, m; never the body's origin, which a compiled model cannot move from."""
+        """Centre of a geom in its body's frame, m; one compiled at the body's origin cannot be moved."""
         self._field("geom_pos")[..., self._model.geom(geom).id, :] = place
 
     def turn(self, geom: str, quat: Float[Array, "*batch 4"]) -> None:

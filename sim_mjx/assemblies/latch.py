@@ -16,7 +16,7 @@ from sim_mjx.assemblies.draw import uniform, with_own
 from sim_mjx.assemblies.fields import MARK, FieldWriter, mark
 from sim_mjx.assembly.hook import ARMATURE, Hook, add_lip, add_tab, beam_stiffness, first_touch
 
-# An ABS beam of 6 x 1.9 x 14 mm; its separation force is more than twice the pull that tries the latch.
+# An ABS beam of 6 x 1.9 x 14 mm; its separation force is more than twice the pull that tests the latch.
 HOOK = Hook(
     beam_stiffness(2.3e9, 6.2e-3, 1.9e-3, 14.2e-3), overlap=0.8e-3, lead_angle=np.radians(30),
     retention_angle=np.radians(60), friction=0.2,
@@ -34,7 +34,7 @@ TRAVEL = (  # m, from the first touch of the lip until the hook has sprung back,
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LatchParts:
-    """The parts' own numbers; ``seat`` is that of what stops the press."""
+    """Parameters of parts with a hook; the seat is what stops the press."""
 
     stiffness: Float[Array, "*batch"]  # N/m, of the hook at its tip
     overlap: Float[Array, "*batch"]  # m, how far the lip reaches over the hook; zero or less = the hook has no head
@@ -46,9 +46,9 @@ class LatchParts:
 class LatchVariation(Variation):
     """What varies between trials of parts with a hook; see :class:`Variation`."""
 
-    shift: Range = (-0.8e-3, 0.8e-3)  # m, where the controller believes the mouth to be, x and y; chosen: no search
-    beam: Range = (0.85, 1.15)  # factor on the hook's stiffness; as the camera's tabs
-    overlap: Range = (0.70e-3, 0.85e-3)  # m, of lip over hook; chosen: moulding
+    shift: Range = (-0.8e-3, 0.8e-3)  # m, error of the mouth's assumed place, x and y; chosen: needs no search
+    beam: Range = (0.85, 1.15)  # factor on the hook's stiffness; as for the camera's tabs
+    overlap: Range = (0.70e-3, 0.85e-3)  # m, of lip over hook; chosen: tolerance of moulding
     clearance: Range = (0.10e-3, 0.20e-3)  # m, between guides and walls on each side; chosen
     stop_at: Range = (0.5, 1.6)  # s, fault early-stop; chosen: before any hook snaps
     stiff: Range = (6.0, 9.0)  # factor, fault stiff-hook: more than most presses can bend; chosen
@@ -57,7 +57,7 @@ class LatchVariation(Variation):
 
 
 def draw(spec: LatchVariation, rng: np.random.Generator) -> LatchParts:
-    """The parts' numbers of one trial."""
+    """The parts' parameters of one trial."""
     stiffness = HOOK.stiffness * uniform(rng, spec.beam)
     return LatchParts(stiffness, uniform(rng, spec.overlap), uniform(rng, spec.clearance), np.asarray(0.0))
 
@@ -104,7 +104,7 @@ def _stiff(trial: AssemblyTrial, spec: LatchVariation, rng: np.random.Generator)
 
 
 def _worn(trial: AssemblyTrial, spec: LatchVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """The hook's edge is rubbed off: it clicks, and holds nothing."""
+    """The hook's edge is worn off: it snaps, but does not hold."""
     return with_own(trial, overlap=uniform(rng, spec.worn))
 
 

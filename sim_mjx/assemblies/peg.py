@@ -1,7 +1,7 @@
 """Peg in a hole, round or square: touch, spiral search, compliant insertion.
 
-The round peg searches upright, the square one leaning in a direction that goes round, so that a corner leads.
-The peg touches with two rings of small spheres, its rounded lower edge and its guidance above; the hole has flat walls
+The round peg searches upright, the square one leaning in a direction that rotates, so that a corner enters first.
+The peg touches with two rings of small spheres, its rounded lower edge and a guide above it; the hole has flat walls
 and a floor. A round peg has six spheres per ring in a hole of six walls, a square one four in a hole of four.
 """
 
@@ -41,7 +41,7 @@ HIGHEST = 1.5e-3  # m, of the tip above the floor when it is in
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PegParts:
-    """The parts' own numbers."""
+    """Parameters of peg and hole."""
 
     clearance: Float[Array, "*batch"]  # m, between peg and hole on each side; negative = it does not fit
     floor: Float[Array, "*batch"]  # m, how much the floor is raised
@@ -51,7 +51,7 @@ class PegParts:
 class PegVariation(Variation):
     """What varies between trials; see :class:`Variation`."""
 
-    shift: Range = (-3.5e-3, 3.5e-3)  # m, where the controller believes the hole to be, x and y; chosen: needs a search
+    shift: Range = (-3.5e-3, 3.5e-3)  # m, error of the hole's assumed place, x and y; chosen: needs a search
     clearance: Range = (0.10e-3, 0.20e-3)  # m, on each side; chosen: a loose fit of 16 mm
     stop_at: Range = (0.5, 2.5)  # s, fault early-stop; chosen: before any peg is in
     tight: Range = (-0.4e-3, -0.2e-3)  # m, fault tight: the clearance of a peg that is too thick; chosen
@@ -159,7 +159,7 @@ FAULTS = {**COMMON_FAULTS, "tight": _tight, "rough": _rough, "askew": _askew, "b
 
 
 def peg(name: str, sides: int, search: Phase, lean: float = 0.0) -> Assembly:
-    """A peg of six sides, as good as round, or of four.
+    """A peg with six sides, in place of a round one, or with four.
 
     Args:
         name: of the assembly.

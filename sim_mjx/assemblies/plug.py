@@ -41,7 +41,7 @@ WALLS = {
 class PlugVariation(latch.LatchVariation):
     """What varies between trials; see :class:`Variation`."""
 
-    shift: Range = (-2.5e-3, 2.5e-3)  # m, where the controller believes the mouth to be; chosen: needs a search
+    shift: Range = (-2.5e-3, 2.5e-3)  # m, error of the mouth's assumed place; chosen: needs a search
     clearance: Range = (0.15e-3, 0.25e-3)  # m, between pins and walls on each side; chosen
     moved_by: Range = (12e-3, 20e-3)  # m, fault moved-part: beyond any search, and beside the other pin's hole; chosen
 

@@ -21,13 +21,13 @@ from sim_mjx.controllers import Sense, admittance, go_to, keep_turn, spiral, til
 from sim_mjx.controllers.moves import Twist
 
 BELOW = -0.02  # m, where the approach aims, so that it does not slow down before it touches
-UNFELT = -3e-3  # m, below the mouth: a part that met its hole at once was not felt
+UNFELT = -3e-3  # m, below the mouth: a part this deep met its hole without touching the mouth
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PressTask:
-    """The controller's numbers."""
+    """Parameters of the controller."""
 
     approach_speed: Float[Array, "*batch"]  # m/s
     touch_force: Float[Array, "*batch"]  # N, that ends the approach
@@ -38,14 +38,14 @@ class PressTask:
     search_speed: Float[Array, "*batch"]  # m/s, along the spiral
     lean: Float[Array, "*batch"]  # rad, while searching; 0 = upright
     drop: Float[Array, "*batch"]  # m, below the touch, where the hole is found
-    bottom: Float[Array, "*batch"]  # m, above which the part is not in
+    bottom: Float[Array, "*batch"]  # m, height of the tip below which the part is in
     pull: Float[Array, "*batch"]  # N, of the pull after the press
     pull_time: Float[Array, "*batch"]  # s
     rest: Float[Array, "*batch"]  # s, recorded at the end
 
 
 def draw_task(spec: Variation, rng: np.random.Generator, press: float, bottom: float, **others: float) -> PressTask:
-    """The numbers of one trial, gains and press varied.
+    """The controller's parameters of one trial, with random gains and press.
 
     Args:
         spec: the distributions. rng: of the trial.
@@ -68,59 +68,59 @@ def upward(force: Any) -> Any:
 
 
 def approach(sense: Sense, task: PressTask) -> Twist:
-    """Straight down."""
+    """Move straight down."""
     return go_to(sense, upward(jnp.full_like(task.press, BELOW)), task.approach_speed)
 
 
 def touched(sense: Sense, task: PressTask) -> Bool[Array, ""]:
-    """The force says so, or the place: the part may have met its hole at once."""
+    """Whether the force shows contact, or the part is in its hole without having touched the mouth."""
     return (sense.force[2] > task.touch_force) | (sense.place[2] < UNFELT)
 
 
 def search(sense: Sense, task: PressTask) -> Twist:
-    """Along a spiral, pressed down, giving way in no other direction."""
+    """Move along a spiral, pressing down, compliant in no other direction."""
     pressed = admittance(sense, upward(task.press), task.gain) * jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     return pressed + spiral(sense, task.pitch, task.search_speed) + keep_turn(sense)
 
 
 def search_leaning(sense: Sense, task: PressTask) -> Twist:
-    """As :func:`search`, the hand leaning in a direction that goes round once a second."""
+    """As :func:`search`, with the hand leaning in a direction that rotates once per second."""
     pressed = admittance(sense, upward(task.press), task.gain) * jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     return pressed + spiral(sense, task.pitch, task.search_speed) + tilt(sense, task.lean, 1.0)
 
 
 def found(sense: Sense, task: PressTask) -> Bool[Array, ""]:
-    """The part has dropped."""
+    """Whether the part has dropped into its hole."""
     return (sense.place[2] < sense.entered[2] - task.drop) | (sense.place[2] < UNFELT)
 
 
 def press(sense: Sense, task: PressTask) -> Twist:
-    """Down, giving way sideways and in turn."""
+    """Press down, compliant sideways and in rotation."""
     return admittance(sense, upward(task.press), task.gain, task.moment_gain)
 
 
 def at_bottom(sense: Sense, task: PressTask) -> Bool[Array, ""]:
-    """Deep enough, and stopped by something."""
+    """Whether the part is deep enough and something stops it."""
     return (sense.place[2] < task.bottom) & (sense.force[2] > 0.7 * task.press)
 
 
 def pull(sense: Sense, task: PressTask) -> Twist:
-    """Up, giving way sideways and in turn."""
+    """Pull up, compliant sideways and in rotation."""
     return admittance(sense, upward(-task.pull), task.gain, task.moment_gain)
 
 
 def pulled(sense: Sense, task: PressTask) -> Bool[Array, ""]:
-    """Long enough."""
+    """Whether the pull has lasted long enough."""
     return sense.time > task.pull_time
 
 
 def let_go(sense: Sense, task: PressTask) -> Twist:
-    """No force wanted."""
+    """Give way until no force is left."""
     return admittance(sense, upward(jnp.zeros_like(task.press)), task.gain, task.moment_gain)
 
 
 def rested(sense: Sense, task: PressTask) -> Bool[Array, ""]:
-    """Long enough."""
+    """Whether the rest has lasted long enough."""
     return sense.time > task.rest
 
 

@@ -25,12 +25,12 @@ UPRIGHT = np.diag([1.0, -1.0, -1.0]).astype(np.float32)  # the wrist's axes in t
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Loop:
-    """What the controller remembers between control periods of one trial."""
+    """State of the controller between control periods of one trial."""
 
     tick: Int[Array, "*batch"]  # control periods since the start
     phase: Int[Array, "*batch"]
     since: Int[Array, "*batch"]  # tick at which the phase began
-    entered: Float[Array, "*batch 3"]  # m, where the tip was then
+    entered: Float[Array, "*batch 3"]  # m, place of the tip at that tick
     sensor: SensorState
     commands: Float[Array, "*batch delay joint"]  # rad, joint references, newest first
 
@@ -44,7 +44,7 @@ class Controller:
     mouth: Float[np.ndarray, " 3"]  # m, world, nominal place of the female part's mouth
 
     def program(self) -> Program:
-        """As engines take it."""
+        """The functions that engines call."""
         ended = len(self.assembly.phases)
         return Program(self.begin, self.control, _home, _timeout, ended, onsets)
 
@@ -81,7 +81,7 @@ class Controller:
         return after, between, LogRow(wrench, joints, loop.phase)
 
     def _tip(self, params: AssemblyTrial, joints: Angles) -> tuple[Vector, Vector]:
-        """Place, m, and turn, rad, of the tip from where the controller believes the mouth to be, and upright."""
+        """Place of the tip from the mouth's assumed place, m, and its turn from upright, rad."""
         place, rotation = pose(self.chain, joints)
         # the part sits askew in the hand: what the controller takes for upright leans
         turn = rotation_vector(times(rotation, jnp.asarray(UPRIGHT).T)) - params.hand[3:]

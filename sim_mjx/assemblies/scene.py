@@ -29,10 +29,10 @@ def scene(
     iterations: int = ITERATIONS,
     ls_iterations: int = LS_ITERATIONS,
 ) -> Scene:
-    """Everything that an engine needs.
+    """The scene of an assembly on an arm.
 
     Args:
-        assembly: what is put together. robot: that does it.
+        assembly: the parts and their controller. robot: the arm.
         substeps: physics steps per control period of 5 ms; 0 = the assembly's own.
         iterations: of the constraint solver. ls_iterations: of its line search.
 
@@ -64,7 +64,7 @@ def _compiled(assembly: Assembly, robot: Robot) -> tuple[mujoco.MjSpec, mujoco.M
         return spec, spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).removeprefix("Error: ").split())
-        raise InputError(f"MuJoCo makes no model of {assembly.name} on {robot.name}: {reason.rstrip('.')}.") from error
+        raise InputError(f"MuJoCo cannot compile {assembly.name} on {robot.name}: {reason.rstrip('.')}.") from error
 
 
 def _elements(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
@@ -105,7 +105,7 @@ def controller(assembly: Assembly, robot: Robot) -> Controller:
 
 @cache
 def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
-    """Joint angles at time zero, rad: the tip upright above the mouth, found from the robot's home.
+    """Joint angles at time zero, rad: the tip upright above the mouth, by a search from the robot's home.
 
     Raises:
         InputError: the arm does not get there within its limits.

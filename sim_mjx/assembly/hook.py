@@ -2,10 +2,10 @@
 
 The beam is a spring that slides sideways; the lip is a pair of turned boxes, one face of each inclined to the direction
 of insertion: the lead-in above its edge, the retention face below. Forces follow from two angles, friction and
-overlap, as the design guides of snap-fit joints say.
+overlap, as in design guides for snap-fit joints.
 
 Source: the formulas of such guides for a cantilever of constant rectangular section (for example Bayer MaterialScience,
-"Snap-Fit Joints for Plastics", 2000), with the deflection that a rounded tip really has.
+"Snap-Fit Joints for Plastics", 2000), corrected for the deflection of a rounded tip.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ WIDTH = 3.1e-3  # m, half the width of a lip
 ARMATURE = 0.1  # kg, makes the tab slow enough for a 2.5 ms step
 Box = tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 4"], tuple[float, ...]]
 RIGHT_ANGLE = np.pi / 2 + 1e-9  # rad
-STEEP_EDGE = 0.2e-3  # m, what the thin boxes of a steep lip need
+STEEP_EDGE = 0.2e-3  # m, least edge of a steep lip, which is made of thin boxes
 # Stiff enough for 0.1 mm at 20 N, soft enough for a 2.5 ms step.
 SOLREF, SOLIMP = (0.005, 1.0), (0.97, 0.99, 2e-4, 0.5, 2.0)
 
@@ -48,10 +48,14 @@ class Hook:
             if not np.isfinite(value) or (value <= 0 and field.name != "overlap"):
                 raise InputError(f"The hook's {field.name} is {value}; expected a positive number.")
         if max(self.lead_angle, self.retention_angle) > RIGHT_ANGLE:
-            raise InputError("The hook's angles are in radians, and each is at most a right angle.")
+            raise InputError(
+                f"The hook's lead_angle is {self.lead_angle:g} and its retention_angle {self.retention_angle:g}; "
+                "expected radians, each at most a right angle."
+            )
         if not self.blunt and self.edge < STEEP_EDGE:
             raise InputError(
-                f"Angles that sum to more than 90 degrees need an edge of {STEEP_EDGE * 1e3:g} mm or more."
+                f"The hook's edge is {self.edge * 1e3:g} mm; angles that sum to more than 90 degrees need "
+                f"{STEEP_EDGE * 1e3:g} mm or more."
             )
 
     @property
@@ -91,7 +95,7 @@ def strain(overlap: float, thickness: float, length: float) -> float:
 
 
 def mating_force(hook: Hook) -> float:
-    """N, by which a slow press passes the lip.
+    """Force by which a slow press passes the lip, N.
 
     Example:
         >>> hook = Hook(8540.0, 0.8e-3, np.radians(30), np.radians(60), friction=0.2)
@@ -102,7 +106,7 @@ def mating_force(hook: Hook) -> float:
 
 
 def separation_force(hook: Hook) -> float:
-    """N, by which a slow pull comes out from beneath the lip; infinite where friction alone holds (mu tan b >= 1)."""
+    """Force of a slow pull that frees the hook, N; infinite where friction alone holds it (mu tan b >= 1)."""
     return _passing_force(hook, hook.retention_angle)
 
 
@@ -121,7 +125,7 @@ def worn(hook: Hook, depth: float) -> Hook:
 
 
 def broken(hook: Hook) -> Hook:
-    """The hook without its head: the beam is there and touches nothing."""
+    """The hook without its head: its beam touches nothing."""
     return replace(hook, overlap=-hook.tip_radius)
 
 
@@ -170,7 +174,7 @@ def add_tab(
     Args:
         hand: body that carries it.
         name: of the tab; its joint and tip are named after it.
-        hook: its numbers.
+        hook: its parameters.
         place: m, of the tip's centre in the hand's frame, where x is the direction of bending.
         outward: 1 or -1, the side on which its lip stands.
     """
@@ -198,7 +202,7 @@ def add_lip(
 
     Args:
         spec: that holds both. holder: body that carries the lip.
-        name: of the tab. hook: its numbers.
+        name: of the tab. hook: its parameters.
         place: m, of the lower end of the lip's edge in the holder's frame, whose z points against the insertion.
         outward: 1 or -1, the direction of x in which the lip lies.
     """

@@ -27,10 +27,10 @@ from sim_mjx.assembly.parts import BLOCK, TAB_SPACING, TABS, TIP_HEIGHT, Fields,
 # The camera's tab from its drawing: a cantilever of ABS; both faces of a lip belong to one wedge of a right angle.
 HOOK = Hook(8540.0, 0.79e-3, np.radians(40.0), np.radians(50.0), friction=0.3)
 ROOT = 0.005  # m, from the body of a tab down to its tip
-STOP_RADIUS, STOP_HEIGHT = 0.005, 0.0022  # m, so round that its face is upright at any depth of the seat; above the tip
+STOP_RADIUS, STOP_HEIGHT = 0.005, 0.0022  # m, so large that its face is upright at any depth of the seat; above the tip
 LIP_WIDTH = 0.0045  # m, half the width of a slot, in which a tip is beneath its lip
 DEEPEST = 0.012  # m beneath its lip's edge, where the floor of a slot is
-BROKEN_OFF = 0.02  # m, of a tab: what is left of it reaches no lip
+BROKEN_OFF = 0.02  # m, cut off a tab: the rest of it reaches no lip
 # of the nominal hook: kind -> place from the lower end of the lip's edge, turn, half sizes
 _LIP_BOXES = {{"LEAD": "LIP", "BACK": "BACK"}[kind]: box for kind, box in lip_boxes(HOOK).items()}
 
@@ -38,20 +38,20 @@ _LIP_BOXES = {{"LEAD": "LIP", "BACK": "BACK"}[kind]: box for kind, box in lip_bo
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class HookedParams(PartParams):
-    """What may differ from trial to trial; leaves of a batch lead with the trial."""
+    """Parameters of parts with hooks, which may differ per trial; leaves of a batch have a leading trial axis."""
 
     hook_wear: Float[Array, "*batch 4"]  # m, rubbed off each hook's head, which then reaches less far
     tab_cut: Float[Array, "*batch 4"]  # m, broken off each tab's end; more than the depth of the seat = no hook is left
     stop_play: Float[Array, "*batch"]  # m, between the stop of a whole hook and the edge of its lip
     foot_reach: Float[Array, "*batch"]  # m, of the rim that meets the seat, beyond the tips: a tilted hand stands on it
-    lip_impedance: Float[Array, "*batch 4"]  # least one of a tip on its lip; the nearer to 1, the less it creeps
+    lip_impedance: Float[Array, "*batch 4"]  # least impedance of a tip on its lip; the nearer to 1, the less it creeps
     tilt: Float[Array, "*batch 2"]  # rad, of the female part about its own x and y axes, as a rotation vector
 
     widest: ClassVar[float] = 2.8e-3  # m, width of a lip's lead-in
     positive: ClassVar[tuple[str, ...]] = (*PartParams.positive, "hook_overlap", "stop_play", "lip_impedance")
 
     def with_overlap(self, overlap: Float64[np.ndarray, "*batch 4"]) -> HookedParams:
-        """As of any parts; a tab that is missing has broken off at its root."""
+        """As :meth:`PartParams.with_overlap`; a missing tab is broken off at its root."""
         gone = np.asarray(overlap) < 0
         return replace(self, hook_overlap=np.abs(overlap), tab_cut=np.where(gone, BROKEN_OFF, self.tab_cut))
 
@@ -147,7 +147,7 @@ def _tip(index: int, params: HookedParams) -> NDArray[np.float64]:
 
 
 def _stop(index: int, params: HookedParams) -> NDArray[np.float64]:
-    """Place [..., 3] of what keeps the hand from moving on once a hook is beneath its lip, in the wrist's frame."""
+    """Place [..., 3] in the wrist's frame of the stop that holds the hand once a hook is beneath its lip."""
     aft, left = tab_place(index)
     behind = params.hook_overlap[..., index] + params.stop_play + STOP_RADIUS - HOOK.tip_radius
     back = -TAB_SPACING[0] / 2 - aft + _outward(index) * behind

@@ -42,7 +42,7 @@ BLOCK = (0.006, 0.006, 0.003)  # m, half sizes of a block beside a slot
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PartParams:
-    """What may differ from trial to trial; leaves of a batch lead with the trial."""
+    """Parameters of the parts, which may differ per trial; leaves of a batch have a leading trial axis."""
 
     tab_stiffness: Float[Array, "*batch 4"]  # N/m, order of TABS
     tab_damping: Float[Array, "*batch 4"]  # Ns/m
@@ -76,7 +76,7 @@ MOUNT_MASS = 0.3  # kg
 
 
 def check(params: PartParams) -> None:
-    """Refuse what no part can be.
+    """Check the parameters of parts.
 
     Raises:
         InputError: a value is not finite or out of its range.
@@ -85,11 +85,14 @@ def check(params: PartParams) -> None:
     _each(values, np.isfinite, "holds a value that is not a finite number")
     _each({name: values[name] for name in params.positive}, lambda numbers: numbers > 0, "must be positive")
     if (np.asarray(params.hook_overlap) >= params.widest).any():
-        raise InputError(f"A hook overlap of {params.widest * 1e3:g} mm or more cannot be passed by its tab.")
+        largest = 1e3 * float(np.max(params.hook_overlap))
+        raise InputError(
+            f"The part's hook_overlap is {largest:g} mm; its tab passes a lip of less than {params.widest * 1e3:g} mm."
+        )
 
 
 def _each(values: dict[str, NDArray[Any]], holds: Callable[[NDArray[Any]], NDArray[np.bool_]], complaint: str) -> None:
-    """Refuse the first field that is not as it should be; all are looked at together, since every trial is checked."""
+    """Raise an error for the first wrong field; all are tested at once, because every trial is checked."""
     if holds(np.concatenate([one.ravel() for one in values.values()])).all():
         return
     name = next(name for name, one in values.items() if not holds(one).all())
@@ -169,7 +172,7 @@ def add_female(
 
 
 def add_box(body: mujoco.MjsBody, name: str, size: Vector, place: Vector) -> None:
-    """Add a box that nothing touches but by a pair, m; a trial sets its place."""
+    """Add a box that touches only the geoms it is paired with, m; a trial sets its place."""
     # never at the body's origin: MuJoCo would then ignore the position that a trial sets
     body.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, mass=0.0, contype=0, conaffinity=0,
@@ -188,7 +191,7 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> F
 
     Args:
         model: of a scene with both parts.
-        params: of one trial, or of a batch whose leaves and fields lead with the trial.
+        params: of one trial, or of a batch; the leaves and fields of a batch have a leading trial axis.
         arm: that holds the male part.
     """
     lead = np.shape(params.roll)
@@ -220,7 +223,7 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> F
 
 
 def placed(*coordinates: Any) -> NDArray[np.float64]:
-    """Coordinates of any shape side by side, last."""
+    """Coordinates of any shape, stacked in a new last axis."""
     return np.stack(np.broadcast_arrays(*coordinates), axis=-1)
 
 

@@ -1,4 +1,4 @@
-"""HIRO's arms as MuJoCo bodies, servos and wrist sensors; the table is ``rcbht_jax.robots.hiro``.
+"""HIRO's arms as MuJoCo bodies, servos and wrist sensors; its dimensions are in ``rcbht_jax.robots.hiro``.
 
 Names in the model, ``arm`` being "R" or "L": bodies ``RARM_LINK0..5`` and ``RARM_TOOL``, joints
 ``RARM_JOINT0..5``, actuators ``RARM_SERVO0..5``, sites ``RARM_FT`` and ``RARM_TCP``, sensors ``RARM_FORCE`` and
@@ -27,7 +27,7 @@ class Servo:
     followed 2.5 ms late (kv / kp), a command held for a control period another 2.5 ms late; the rest of the
     recorded 20-25 ms is pure delay of the command and not part of the model. The encoders of session A stay
     within 0.5 mrad of the delayed command under 15 N, so the servos are stiff. The weight of the arm, not of
-    the tool, is carried beside the servo (``gravcomp``), as by the integral part of a real one.
+    the tool, is compensated in addition to the servo (``gravcomp``), as by the integral part of a real one.
     """
 
     kp: Joints = (95e3, 145e3, 65e3, 7000.0, 11000.0, 2800.0)  # Nm/rad
@@ -116,7 +116,7 @@ def _add_tool(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, arm: str, tool: Tool) 
 
 
 def _add_visual(body: mujoco.MjsBody, start: Vector, end: Vector, radius: float) -> None:
-    """A capsule that is seen and touches nothing."""
+    """A capsule that is drawn and touches nothing."""
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
         fromto=(*start, *end),

@@ -28,7 +28,7 @@ Params = TypeVar("Params")
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TrialParams:
-    """Everything that makes one trial; leaves of a batch lead with the trial."""
+    """All parameters of one trial; leaves of a batch have a leading trial axis."""
 
     task: TaskParams
     sensor: SensorParams
@@ -40,7 +40,7 @@ class TrialParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ControllerState:
-    """What the controller remembers between control periods; ``delay`` is ``LONGEST_DELAY``."""
+    """State of the controller between control periods; ``delay`` is ``LONGEST_DELAY``."""
 
     task: TaskState
     sensor: SensorState
@@ -61,7 +61,7 @@ class LogRow:
 class Program:
     """What runs between physics steps: pure functions of one trial, which engines batch and compile.
 
-    Parameters of any program are a pytree whose leaves lead with the trial, with ``parts`` among its attributes.
+    The parameters of a program are a pytree with an attribute ``parts``; its leaves have a leading trial axis.
     """
 
     begin: Callable[[Any, Array], Any]  # parameters, first readings [6K] -> loop state
@@ -82,7 +82,7 @@ class Rollouts:
     length: Int32[np.ndarray, " trial"]  # control periods until the trial ended
     onset: Float64[np.ndarray, "trial state"]  # s, NaN = state never reached
     seated: Bool[np.ndarray, "trial tab"]  # tabs past their lips at the end, order of parts.TABS; or other marks
-    diverged: Bool[np.ndarray, " trial"]  # the physics gave a value that is not finite; not data
+    diverged: Bool[np.ndarray, " trial"]  # the physics gave a value that is not finite: the trial is unusable
     past: Bool[np.ndarray, "trial time tab"]  # which tabs were past their lips at each sample
 
 
@@ -104,7 +104,7 @@ def control(
         raw: force and moment of the part on the hand, wrist frame.
 
     Returns:
-        the loop after it, the servo references that the coming physics steps go between, and what is logged.
+        the loop after it, the two servo references between which the next physics steps interpolate, and the log row.
     """
     _, rotation, _ = kinematics.fk(joints)
     noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (6,), raw.dtype)
@@ -135,7 +135,7 @@ def stack(trials: list[Params]) -> Params:
 
 
 def repeated(trial: Params, count: int) -> Params:
-    """A batch of equal trials, or of a part of their parameters."""
+    """A batch of copies of one trial, or of a part of its parameters."""
     return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], count, axis=0), trial)
 
 

@@ -1,4 +1,4 @@
-"""Scenes: the compiled model with what a rollout must know about it."""
+"""Scenes: the compiled model with the addresses and functions that a rollout needs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ IMPRATIO = 1.0  # MuJoCo's own; the presets were fitted with it
 
 @dataclass(frozen=True)
 class Scene:
-    """One compiled scene and all that an engine must know about it.
+    """One compiled scene and all that an engine needs of it.
 
     The model holds nominal parts; each trial replaces some of its fields.
     """
@@ -61,8 +61,8 @@ def one_arm(
     Args:
         substeps: physics steps per control period of 5 ms.
         iterations: of the constraint solver. ls_iterations: of its line search.
-        impratio: how many times stiffer friction is than the contact it acts in; a resting contact under a
-            tangential force creeps the slower.
+        impratio: MuJoCo's ratio of frictional to normal impedance; the larger, the slower a resting contact
+            creeps under a tangential force.
     """
     spec = new_robot(("R",))
     parts.add_male(spec, "R")
@@ -95,7 +95,7 @@ def _compiled(spec: mujoco.MjSpec, lips: str, fields: Callable[..., Fields], sub
 
 
 def with_tabs(spec: mujoco.MjSpec, pairs: Sequence[tuple[str, str]]) -> tuple[mujoco.MjModel, Ids, Ids, Ids]:
-    """The compiled model, which senses where tips are.
+    """The compiled model, with sensors of the tips' places.
 
     Args:
         spec: of the scene.

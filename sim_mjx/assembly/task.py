@@ -50,7 +50,7 @@ class TaskParams:
     leave_pitch: Float[Array, "*batch 4"]  # rad, ... or the hand's pitch is below
     leave_moment: Float[Array, "*batch 4"]  # Nm, and the measured My is above
     mating_time: Float[Array, "*batch"]  # s, recorded after mating begins
-    timeout: Float[Array, "*batch"]  # s, the trial ends unfinished
+    timeout: Float[Array, "*batch"]  # s, after which an unfinished trial ends
     stop: Float[Array, "*batch"]  # s, from then on the robot keeps still in any phase, and its logger goes on
     rest: Float[Array, "*batch"]  # s, recorded after mating, the robot keeping still
 

@@ -40,7 +40,7 @@ class HoldParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TwoArmParams:
-    """Everything that makes one two-arm trial; leaves of a batch lead with the trial."""
+    """All parameters of one two-arm trial; leaves of a batch have a leading trial axis."""
 
     task: TaskParams  # of the right arm
     hold: HoldParams  # of the left arm
@@ -56,7 +56,7 @@ class TwoArmParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TwoArmLoop:
-    """What the controller remembers between control periods; ``delay`` is ``LONGEST_DELAY``."""
+    """State of the controller between control periods; ``delay`` is ``LONGEST_DELAY``."""
 
     task: TaskState
     sensor: SensorState
@@ -84,8 +84,8 @@ def control(
         raw: force and moment of the parts on the hands, right and left, each in its wrist's frame.
 
     Returns:
-        the loop after it, the servo references that the coming physics steps go between, and what is
-        logged: wrenches in the wrists' frames.
+        the loop after it, the two servo references between which the next physics steps interpolate, and the log
+        row, with wrenches in the wrists' frames.
     """
     noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (13,), raw.dtype)
     identity = jnp.eye(3, dtype=raw.dtype)

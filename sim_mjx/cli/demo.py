@@ -61,7 +61,7 @@ class Demo(Command):
         if self.data is not None:
             return _run_recorded(self.data, self.out, self.rule)
         if self.trials < 40:
-            raise InputError(f"{self.trials} trials are too few to train and test on; expected at least 40.")
+            raise InputError(f"--trials is {self.trials}; expected at least 40, to train and test on.")
         from rcbht_jax.io.store import read_recordings
 
         start = time.perf_counter()
@@ -128,10 +128,10 @@ class Demo(Command):
 
 
 def _begin(out: Path) -> None:
-    """Make the folder of a demo, or take over that of an earlier one, which its summary shows, complete or not.
+    """Make the folder of a demo, or take over that of an earlier one, which is recognised by its summary.
 
     Raises:
-        InputError: the folder holds files of somebody else, which may have the names of ours.
+        InputError: the folder holds files of the demo's names that no demo made.
     """
     summary = out / "summary.txt"
     if out.is_dir() and any(path.name in WRITTEN for path in out.iterdir()):
@@ -201,7 +201,7 @@ def _run_recorded(data: Path, out: Path, rule: Literal["fit", "paper"]) -> dict[
 
     if not data.is_dir():
         raise InputError(f"{data} is not a folder; give the folder of the authors' data sets: --data DIR.")
-    find_trials(data)  # a folder without one is said before the work
+    find_trials(data)  # a folder without one is reported before the work
     start = time.perf_counter()
     _begin(out)
     store, summary = out / "hiro.zarr", out / "summary.txt"

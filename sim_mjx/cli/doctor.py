@@ -41,7 +41,7 @@ class Doctor(Command):
         if self.store is not None:
             return self._store(self.store)
         if self.repair:
-            raise InputError("--repair is for a store; name it.")
+            raise InputError("--repair needs a store: rcbht doctor STORE --repair.")
         found = health.machine(Path.cwd())
         print("measuring for a few seconds", file=sys.stderr, flush=True)
         return {**found, "benchmark": health.benchmark(), "problems": health.problems(found)}

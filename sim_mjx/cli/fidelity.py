@@ -100,7 +100,8 @@ class Fidelity(Command):
 
         if not 4 <= self.trials <= MOST or not 0.0 < self.max_seconds < 1000.0:
             raise InputError(
-                f"{self.trials} trials of {self.max_seconds} s: expected 4 to {MOST}, and a positive time below 1000 s."
+                f"--trials is {self.trials} and --max-seconds {self.max_seconds}; expected 4 to {MOST}, and a positive "
+                "time below 1000 s."
             )
         for engine in self.engines:
             engines.check(engine)
@@ -110,7 +111,7 @@ class Fidelity(Command):
             find_trials(self.data)
 
     def _jobs(self) -> dict[str, Callable[[], Measured]]:
-        """The measurements, in order; wrong input is found now, before the first of them."""
+        """The measurements, in order; their input is checked here, before the first of them."""
         from rcbht_jax.io.store import read_recordings
         from sim_mjx.validation import fidelity, sessions
 
@@ -135,7 +136,7 @@ class Fidelity(Command):
         return -(-self.trials // len(self.session))
 
     def _part(self, name: str, job: Callable[[], Measured]) -> dict[str, Any]:
-        """Measure one part, unless an earlier run with the same options, data and code has."""
+        """Measure one part, unless an earlier run with the same options, data and code measured it."""
         from rcbht_jax._util import checkpoint
 
         path = self.out / "parts" / f"{name.replace(' ', '-')}.json"
@@ -196,7 +197,7 @@ def table(report: dict[str, Any]) -> str:
 
 
 def _check(name: str, row: dict[str, Any]) -> tuple[str, str, bool]:
-    """One measure of the gate: value, limit, verdict."""
+    """One measure of the fidelity gate: value, limit, verdict."""
     value = "cannot be measured" if row["value"] is None else f"{row['value']:.2f}"
     low, high = (None if row[which] is None else f"{row[which]:.2f}" for which in ("low", "high"))
     limit = f"{low} to {high}" if low and high else f">= {low}" if low else f"<= {high}"
@@ -360,7 +361,7 @@ class FidelityFit(Command):
 def _assignment(text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not equals:
-        raise InputError(f"{text!r} is not NAME=VALUE.")
+        raise InputError(f"{text!r} has no =; expected NAME=VALUE for --fixed, NAME=LOW:HIGH for --bound.")
     return name, value
 
 
@@ -375,7 +376,9 @@ def _number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"{text!r} is not a number.") from None
+        raise InputError(
+            f"{text!r} is not a number; expected NAME=VALUE for --fixed, NAME=LOW:HIGH for --bound."
+        ) from None
 
 
 def _present(session: str, name: str, bound: Bound) -> float:

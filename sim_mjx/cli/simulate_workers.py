@@ -1,4 +1,4 @@
-"""What ``rcbht simulate`` does beside simulating: start other workers, be one, show how far a job is."""
+"""What ``rcbht simulate`` does besides simulating: start other workers, be one, show the progress of a job."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 MOST = 4096  # workers of one job
 CORES = 4  # of a process with the native engine, whose threads share one interpreter
 FEWEST = 256  # trials that are worth the start of a process
-# Options that say who works, not on what, and those that workers must not have.
+# Options that decide who works, not on what, and those that workers must not have.
 _NOT_OF_THE_JOB = ("out", "overwrite", "processes", "devices", "launch", "launch_options", "worker", "status")
 
 
 def words_of(command: Simulate) -> list[str]:
-    """The words after ``rcbht`` that make a worker of the same job, wherever the paths of this folder hold."""
+    """The arguments of ``rcbht`` that make a worker of the same job; paths are absolute, so that any folder will do."""
     words = ["simulate", str(command.out.absolute()), "--worker"]
     for field in fields(command):
         value = getattr(command, field.name)
@@ -37,7 +37,7 @@ def words_of(command: Simulate) -> list[str]:
 
 
 def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
-    """What starts the workers that the options ask for; None = this process does all.
+    """The function that starts the workers that the options ask for; None = this process simulates alone.
 
     Raises:
         InputError: impossible numbers of workers or devices, options that exclude each other or are none of Slurm's,
@@ -53,7 +53,7 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
         raise InputError("--devices starts a process for each GPU of this machine; leave --processes and --launch out.")
     options = _options(command.launch_options)
     if options and command.launch != "slurm":
-        raise InputError("--launch-options are for --launch slurm; add that, or leave them out.")
+        raise InputError("--launch-options belong to --launch slurm; add that, or leave them out.")
     if command.launch == "ray":
         require("ray", "ray")
         return lambda look: launch.ray(words, count, gpus, look, notice)
@@ -131,7 +131,7 @@ def worker_text(result: dict[str, Any]) -> str:
 
 
 def status(target: Path) -> dict[str, Any]:
-    """How far a job is, as JSON values."""
+    """The progress of a job, as JSON values."""
     from sim_mjx.synthesis.status import status_of
 
     return {"store": str(target), **asdict(status_of(target))}

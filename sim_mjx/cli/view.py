@@ -107,8 +107,8 @@ class View(Command):
         config = config_of(self.rule, WINDOW, recordings.dt)
         known = HARMONISED in recordings.annotations.labels
         thresholds = preset("hiro") if known else auto_thresholds(recordings, WINDOW)
-        teachers = read_sample(self.store)[0]  # of one trial alone, an axis that only rests would have words of noise
-        limits = limits_for(config, thresholds, None, teachers.wrench, teachers.length)
+        sampled = read_sample(self.store)[0]  # tolerances of one trial turn the noise of an axis at rest into words
+        limits = limits_for(config, thresholds, None, sampled.wrench, sampled.length)
         return alone, encode_batch(config, limits, alone.wrench, alone.length), 0, self.rule
 
     def _check(self, out: Path | None) -> None:
@@ -144,7 +144,7 @@ def has_display() -> bool:
 
 
 def check_window() -> None:
-    """Refuse a display that cannot be opened, for which MuJoCo would end the process.
+    """Raise an error if the display cannot be opened: MuJoCo would end the process.
 
     Raises:
         InputError: there is none.
@@ -152,7 +152,7 @@ def check_window() -> None:
     import glfw
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # GLFW reports by a warning what the sentence says
+        warnings.simplefilter("ignore")  # GLFW warns of what the error below states
         if not glfw.init():
             raise InputError("The display cannot be opened; write a picture instead: -o OUT.png.")
 

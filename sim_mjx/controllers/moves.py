@@ -15,7 +15,7 @@ from sim_mjx.assembly.task import CONTROL_PERIOD
 Scalar = Float[Array, ""] | float
 Vector = Float[Array, " 3"]
 Twist = Float[Array, " 6"]
-NEARING = 8.0  # 1/s, with which a motion ends: the distance left falls to a third in an eighth of a second
+NEARING = 8.0  # 1/s, rate at which a motion ends: the distance left falls to a third in an eighth of a second
 
 
 @jax.tree_util.register_dataclass
@@ -38,32 +38,32 @@ class Sense:
 
 
 def go_to(sense: Sense, place: Vector, speed: Scalar, turn: Vector | None = None) -> Twist:
-    """Straight to a place, m, at a speed, m/s, slower at its end; and to a turn, rad, default upright."""
+    """Move straight to a place, m, at a speed, m/s, slowing down at its end, and to a turn, rad, default upright."""
     left = place - sense.wanted_place
     distance = jnp.sqrt((left**2).sum() + 1e-12)
     return jnp.concatenate([left * jnp.minimum(NEARING, speed / distance), keep_turn(sense, turn)[3:]])
 
 
 def keep_turn(sense: Sense, turn: Vector | None = None) -> Twist:
-    """Back to a turn, rad, default upright."""
+    """Rotate back to a turn, rad, default upright."""
     left = -sense.wanted_turn if turn is None else turn - sense.wanted_turn
     return jnp.concatenate([jnp.zeros_like(left), NEARING * left])
 
 
 def admittance(sense: Sense, force: Vector, gain: Scalar, moment_gain: Scalar = 0.0) -> Twist:
-    """Give way to what differs from a force on the hand.
+    """Move the hand so that the force on it approaches a set-point.
 
     Args:
         sense: of this period.
         force: N, wanted on the hand; pressing downwards is felt as a positive z.
         gain: m/s per N.
-        moment_gain: rad/s per Nm about the tip, whose wanted moment is none; 0 = the hand does not turn.
+        moment_gain: rad/s per Nm about the tip, whose set-point is zero; 0 = the hand does not turn.
     """
     return jnp.concatenate([gain * (sense.force - force), moment_gain * sense.moment])
 
 
 def spiral(sense: Sense, pitch: Scalar, speed: Scalar) -> Twist:
-    """Sideways along a spiral of Archimedes from where the phase began.
+    """Move sideways along a spiral of Archimedes from where the phase began.
 
     Args:
         sense: of this period.
@@ -81,7 +81,7 @@ def spiral(sense: Sense, pitch: Scalar, speed: Scalar) -> Twist:
 
 
 def tilt(sense: Sense, angle: Scalar, period: Scalar) -> Twist:
-    """Lean the hand by an angle, rad, in a direction that goes round once in a period, s."""
+    """Lean the hand by an angle, rad, in a direction that rotates once per period, s."""
     round_ = 2 * math.pi * sense.time / period
     lean = angle * jnp.minimum(1.0, 4 * sense.time / period)
     wanted = jnp.stack([lean * jnp.cos(round_), lean * jnp.sin(round_), jnp.zeros_like(round_)])

@@ -11,7 +11,7 @@ from sim_mjx.controllers.moves import Twist
 from sim_mjx.robots.chain import Angles, SerialChain, along, jacobian, times
 
 DAMPING = 0.02  # m and rad: below it a singular direction is given up
-POSTURE = 0.5  # 1/s, with which spare joints go back home
+POSTURE = 0.5  # 1/s, rate at which redundant joints return home
 
 
 def resolved_rates(chain: SerialChain, command: Angles, twist: Twist, home: Angles) -> Angles:
@@ -21,7 +21,7 @@ def resolved_rates(chain: SerialChain, command: Angles, twist: Twist, home: Angl
         chain: of the point that is moved.
         command: joint references, rad.
         twist: of the point, m/s and rad/s, world axes.
-        home: rad, towards which an arm with more joints than needed goes without moving the point.
+        home: rad, towards which a redundant arm moves without moving the point.
     """
     matrix = jacobian(chain, command)
     gram = times(matrix, matrix.T) + DAMPING**2 * jnp.eye(6, dtype=matrix.dtype)

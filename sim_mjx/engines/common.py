@@ -83,12 +83,12 @@ mlir.register_lowering(_forwards, lambda _, tangent: [tangent])
 
 
 def select_lanes(which: Bool[Array, " lane"], first: Any, second: Any) -> Any:
-    """Lane by lane one of two trees of arrays [lane, ...]."""
+    """In each lane the leaves [lane, ...] of the first tree where ``which`` is true, else of the second."""
     return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), first, second)
 
 
 def sane(values: Float[np.ndarray, "*batch reading"]) -> Bool[np.ndarray, "*batch"]:
-    """Whether sensor readings or wrenches come from physics that still holds."""
+    """Whether sensor readings or wrenches are finite and small enough for physics that has not diverged."""
     return (np.abs(values) < LARGEST).all(-1)  # false for NaN
 
 
@@ -103,8 +103,8 @@ def collect(
 
     Args:
         wrench: N and Nm. joints: rad. phases: as logged.
-        past: which tabs were past their lips, also in the period in which a trial had ended: those are seated.
-        program: that logged.
+        past: which tabs were past their lips, including the period after a trial's end, which decides ``seated``.
+        program: that wrote the logs.
     """
     # a phase is logged one period after the measurement that began it
     at = phases[:, :, None] == np.arange(program.ended)
@@ -128,5 +128,5 @@ def collect(
 
 
 def blocks(count: int) -> Iterator[slice]:
-    """Rows of a large array by the few, whose temporaries stay in a core's cache."""
+    """Slices of a few rows of a large array, so that temporaries stay in a core's cache."""
     return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))

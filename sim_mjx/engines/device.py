@@ -38,7 +38,7 @@ TOLERANCE = 1e-6  # of the solver, likewise
 
 @dataclass(frozen=True)
 class Layout:
-    """What a compiled program must know of its scene; hashable."""
+    """What a compiled program needs of its scene; hashable."""
 
     program: Program
     joints: tuple[int, ...]
@@ -52,7 +52,7 @@ class Layout:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Fixed:
-    """What stays the same during the trials; lanes lead."""
+    """Constants of the trials; leaves have a leading lane axis."""
 
     model: mjx.Model
     fields: dict[str, Array]  # of the model, [trial, ...]
@@ -63,7 +63,7 @@ class Fixed:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Body:
-    """What the physics remembers between steps [trial, ...]; named as in ``mjx.Data``.
+    """State of the physics between steps [trial, ...]; names as in ``mjx.Data``.
 
     Warp's kernels write into the buffers of a whole ``mjx.Data``, which then takes the place of this.
     """
@@ -77,7 +77,7 @@ class Body:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class State:
-    """Everything that changes."""
+    """State of all lanes between control periods."""
 
     body: Any
     loop: Any  # of the scene's program
@@ -87,7 +87,7 @@ class State:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Log:
-    """What is logged each control period: a ``LogRow``, and what the places of the parts say."""
+    """What is logged each control period: a ``LogRow``, and which tabs are past their lips."""
 
     wrench: Float[Array, "*batch reading"]
     joints: Float[Array, "*batch joint"]
@@ -98,7 +98,7 @@ class Log:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Outcome:
-    """A batch of trials that all have ended, on the device; values after a trial's end mean nothing."""
+    """A batch of trials that all have ended, on the device; values after a trial's end are undefined."""
 
     wrench: Float[Array, "trial time reading"]  # N and Nm, world frame
     joints: Float[Array, "trial time joint"]  # rad
@@ -138,7 +138,7 @@ def to_host(out: Outcome) -> Rollouts:
 
 def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Outcome:
     """Like :func:`simulate`, but the results stay on the device."""
-    from sim_mjx.engines.lanes import Lanes  # which is made of this module's functions
+    from sim_mjx.engines.lanes import Lanes  # which imports this module
 
     count = batch_size(params)
     ((_, out),) = Lanes(scene, impl, count, at_once=count, spare=0).run([(0, params)], progress=progress)
@@ -182,7 +182,7 @@ def _from_home(scene: Scene, home: NDArray[np.floating]) -> dict[str, NDArray[np
 
 
 def _most_rows(model: mujoco.MjModel) -> int:
-    """Most constraint rows at a time: all pairs in contact, at both limits of no joint."""
+    """Largest number of constraint rows: all pairs in contact, and each joint at one of its limits."""
     elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     contacts = model.pair_dim if elliptic else np.maximum(2 * (model.pair_dim - 1), 1)
     return int(contacts.sum() + model.jnt_limited.sum())
@@ -190,7 +190,7 @@ def _most_rows(model: mujoco.MjModel) -> int:
 
 @single
 def start(layout: Layout, fixed: Fixed) -> State:
-    """In the home pose, where all angles are zero, not yet settled."""
+    """The initial state: home pose, where all angles are zero, not yet settled."""
     count = batch_size(fixed.params)
     body: Any = jax.vmap(lambda _: fixed.empty.replace(qpos=jnp.zeros_like(fixed.empty.qpos)))(jnp.arange(count))
     if fixed.model.impl == mjx.Impl.JAX:
@@ -205,10 +205,10 @@ def _begin(layout: Layout, fixed: Fixed, body: Any) -> Any:
 
 @single
 def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
-    """``STRETCH`` control periods; the log leads with time.
+    """``STRETCH`` control periods; the log has a leading time axis.
 
-    Settling goes through the same program as the trial, which the sensors then begin anew: physics takes a minute to
-    compile, and this way it is compiled once.
+    Settling runs in the same program, in which the controller begins anew each period until time zero: the physics
+    takes a minute to compile, and this way it is compiled once.
     """
     home = layout.program.home(fixed.params)
 
@@ -227,7 +227,7 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
 
 
 def _substeps(layout: Layout, fixed: Fixed, body: Any, ctrl: Callable[[Array], Array]) -> tuple[Any, Array]:
-    """The physics steps of a control period, of which the last one's sensors are read.
+    """The physics steps of a control period; sensors are read in the last one.
 
     Returns:
         the bodies after it, and which tabs were past their lips at its beginning [trial, tab].
@@ -268,12 +268,12 @@ def step_trial(model: mjx.Model, empty: mjx.Data, fields: dict[str, Array], at: 
 
 
 def body_of(data: mjx.Data) -> Body:
-    """What of the data the next step needs."""
+    """The part of the data that the next step needs."""
     return Body(data.qpos, data.qvel, data.qacc_warmstart, data.sensordata)
 
 
 def kept(old: Any, new: Any, still: Array) -> Any:
-    """The new bodies, but the old ones where the trial keeps still [trial]."""
+    """The new bodies, or the old ones of trials that keep still, by ``still`` [trial]."""
     names = [field.name for field in dataclasses.fields(Body)]
     chosen = {name: jnp.where(still[:, None], getattr(old, name), getattr(new, name)) for name in names}
     return dataclasses.replace(new, **chosen)

@@ -40,8 +40,8 @@ class Lanes:
         impl: "jax" or "warp".
         count: lanes; rounded up to full vectors.
         at_once: finished trials that are taken out together.
-        spare: slots for finished trials, beside one of each lane; default as many as lanes, or ``at_once``. With 0
-            none is refilled early.
+        spare: slots for finished trials, in addition to one per lane; default the larger of ``count`` and ``at_once``.
+            With 0 a lane begins its next trial only when a finished one has been taken out.
     """
 
     scene: Scene
@@ -54,7 +54,7 @@ class Lanes:
 
     @property
     def utilisation(self) -> float:
-        """Share of the control periods of all lanes that moved a trial which had not ended."""
+        """Share of the control periods of all lanes in which a trial was still running."""
         return self._busy / max(self._offered, 1)
 
     def run(
@@ -65,17 +65,17 @@ class Lanes:
         ready: Callable[[], bool] = lambda: True,
         room: Callable[[], bool] = lambda: True,
     ) -> Iterator[tuple[list[Trial], Outcome]]:
-        """Simulate batches of trials; yields finished trials, of which no more than ``at_once`` at a time.
+        """Simulate batches of trials; yields finished trials, at most ``at_once`` at a time.
 
-        A batch stays on the device until all its trials have ended, and as many of others, unless lanes wait for its
-        slots. What is yielded always has ``at_once`` rows, so that what follows is compiled once: those behind the
-        trials mean nothing.
+        Finished trials stay on the device until all trials of their batch have ended and ``at_once`` trials can be
+        yielded, unless lanes wait for their slots. Each outcome has ``at_once`` rows, so that the functions that read
+        it are compiled once; rows beyond the listed trials are undefined.
 
         Args:
             batches: (key, parameters of the scene's program); asked for when lanes are free.
             progress: called with the number of control periods done since the last call, summed over trials.
-            ready: whether the next batch is there without waiting; lanes that are busy do not wait for it.
-            room: whether what is yielded is wanted now; else it waits on the device while there are slots for others.
+            ready: whether the next batch is available without waiting; busy lanes do not wait for it.
+            room: whether the caller takes finished trials now; otherwise they stay on the device while slots are free.
         """
         layout, programs = device.layout_of(self.scene), _programs(jax.default_backend())
         lanes = -(-self.count // device.LANES) * device.LANES
@@ -89,7 +89,7 @@ class Lanes:
         fixed = Fixed(model, fields, params, empty)  # lanes begin with the first trials; a spare one repeats the last
         state = programs.start(layout, fixed)
         table.begin(*queue.take(queue.left))
-        logs: Log | None = None  # [slot, block, time ...]: blocks of one stretch; the last slot is what nobody wants
+        logs: Log | None = None  # [slot, block, time ...]: blocks of one stretch; the last slot is discarded
         while True:
             while len(idle := table.idle()) and table.free and queue.refilled(wait=len(idle) == lanes):
                 rows, trials = queue.take(min(len(idle), len(table.free), queue.left))
@@ -105,7 +105,7 @@ class Lanes:
             elif logs.phase.shape[1] < queue.blocks:
                 logs = _longer(logs, queue.blocks)
             logs = programs.write(logs, log, table.slot, np.minimum(table.age, logs.phase.shape[1] - 1))
-            ended, running = jax.device_get(programs.ended(layout.program, log))  # explicit: all that goes to the host
+            ended, running = jax.device_get(programs.ended(layout.program, log))  # explicit: the only copy to the host
             moved = int(running[table.busy].sum())
             self._busy += moved
             self._offered += lanes * device.STRETCH
@@ -114,7 +114,7 @@ class Lanes:
             for one in table.end(ended, queue.blocks):
                 done.add(one)
             waiting = len(table.idle())
-            more = waiting > 0 and queue.refilled(wait=False)  # trials are asked for when lanes wait for them
+            more = waiting > 0 and queue.refilled(wait=False)  # asks for trials only when lanes wait for them
             while True:
                 short, last = more and len(table.free) < waiting, not table.busy.any()
                 wanted = short or last or room()
@@ -128,7 +128,7 @@ class Lanes:
         spare = self.at_once - len(ready)
         padded = (np.array([*values, *[values[-1]] * spare]) for values in (slots, ages))
         settling = -(-SETTLING // self.scene.substeps)
-        # of a queue always as long as can be: each length is a program more to compile for what comes after
+        # of a queue always the longest: every other length would compile one more program in the functions that read it
         blocks = max(ages) if self.spare == 0 else logs.phase.shape[1]
         return list(trials), _outcome(settling, blocks, self.scene.program, logs, *padded)
 
@@ -140,11 +140,11 @@ class _Ended(NamedTuple):
 
 
 class _Table:
-    """What the host knows of the lanes."""
+    """The host's record of the lanes."""
 
     def __init__(self, lanes: int, slots: int) -> None:
         self.busy = np.zeros(lanes, np.bool_)
-        self.slot = np.full(lanes, slots)  # where a lane's log goes; ``slots`` = nobody wants it
+        self.slot = np.full(lanes, slots)  # where a lane's log goes; ``slots`` = discarded
         self.age = np.zeros(lanes, np.int64)  # blocks that it has written
         self.free = list(range(slots))[::-1]
         self._trial, self._nowhere = list[Trial | None]([None] * lanes), slots
@@ -179,9 +179,10 @@ class _Done:
         self._ended.setdefault(one.trial[0], []).append(one)
 
     def take(self, sizes: dict[Hashable, int], short: bool, last: bool) -> list[_Ended]:
-        """Up to ``at_once`` trials to take out: of batches that are complete, if they are so many or the ``last``.
+        """Up to ``at_once`` trials to take out, of complete batches.
 
-        If slots are ``short``, those of the fullest batch if none is complete.
+        There are none while fewer than ``at_once`` are complete, unless slots are ``short`` or these are the ``last``.
+        If slots are short and no batch is complete, they are those of the fullest batch.
         """
         complete = [key for key, ended in self._ended.items() if len(ended) == sizes[key]]
         if not complete and short and self._ended:
@@ -218,20 +219,21 @@ class _Queue:
         return len(self._trials) - self._next
 
     def begun(self, lanes: int) -> bool:
-        """Whether there is a trial; the first pool has one for each lane, of as many batches as that takes."""
+        """Fill the first pool, with one trial for each lane; whether there is any trial."""
         return self._fill(lanes, lambda: True)
 
     def refilled(self, wait: bool = True) -> bool:
-        """Whether a trial is left in the pool, which if need be takes the next ones, unless nobody waits for them.
+        """Refill the pool if it is empty; whether a trial is left in it.
 
-        It is always as large, so that one program is compiled, and holds what is there without waiting.
+        The pool always has the same size, so that one program is compiled. It takes the batches that are available
+        without waiting, and waits for one if ``wait``.
         """
         if self.left:
             return True
         return (wait or self._rest is not None or self._ready()) and self._fill(self._size, self._ready)
 
     def _fill(self, size: int, ready: Callable[[], bool]) -> bool:
-        """A new pool of up to ``size`` trials, of one batch and of others as long as they are ``ready``."""
+        """Make a new pool of up to ``size`` trials, of one batch and of others as long as they are ``ready``."""
         pieces, self._trials, self._next = list[Any](), [], 0
         while len(self._trials) < size and (not pieces or self._rest or ready()):
             piece = self._piece(size)
@@ -249,7 +251,7 @@ class _Queue:
         return True
 
     def _piece(self, size: int) -> Any:
-        """Parameters of trials of one batch, as many as there is room for in a pool; none behind the last."""
+        """Parameters of trials of one batch, as many as the pool has room for; None after the last batch."""
         if self._rest is None:
             drawn = next(self._batches, None)
             if drawn is None:
@@ -263,7 +265,7 @@ class _Queue:
         return jax.tree.map(lambda leaf: np.asarray(leaf)[start:stop], params)
 
     def take(self, count: int) -> tuple[NDArray[np.integer], list[Trial]]:
-        """The next trials, which begin: their places in the pool, and which they are."""
+        """The next trials to begin: their rows in the pool, and their keys and numbers."""
         first, self._next = self._next, self._next + count
         return np.arange(first, self._next), self._trials[first : self._next]
 
@@ -288,7 +290,7 @@ def _programs(backend: str) -> _Programs:
 
 
 def _refill(layout: Layout, fixed: Fixed, state: State, pool: Any, rows: Array) -> tuple[Fixed, State]:
-    """New trials in the lanes whose row of the pool is not negative."""
+    """Begin new trials in the lanes whose row of the pool is not negative."""
     new, taken = rows >= 0, jnp.maximum(rows, 0)
     drawn = jax.tree.map(lambda leaf: leaf[taken], pool)
     fields, params = select_lanes(new, drawn, (fixed.fields, fixed.params))
@@ -305,7 +307,7 @@ def _write(logs: Log, log: Log, slot: Array, block: Array) -> Log:
 
 
 def _ended(program: Program, log: Log) -> tuple[Array, Array]:
-    """Which lanes' trials have ended, and for how many control periods of the stretch they had not."""
+    """Which lanes' trials have ended, and for how many control periods of the stretch each was running."""
     return log.phase[-1] == program.ended, (log.phase < program.ended).sum(0, dtype=jnp.int32)
 
 
@@ -324,7 +326,7 @@ def _longer(logs: Log, blocks: int) -> Log:
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _outcome(settling: int, blocks: int, program: Program, logs: Log, slots: Array, ages: Array) -> Outcome:
-    """Some slots from time zero; ``ages`` are the blocks that each has written."""
+    """The outcome of some slots, from time zero on; ``ages`` are the blocks that each has written."""
 
     def whole(leaf: Array) -> Array:
         there = leaf[slots, :blocks]

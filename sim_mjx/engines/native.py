@@ -1,9 +1,9 @@
-"""C MuJoCo, batched over threads: the source of truth.
+"""C MuJoCo, batched over threads: the reference for the other engines.
 
 Each thread steps a fixed number of lanes. A lane takes the next trial as soon as it has ended one, so that no
 thread waits for another and none for the longest trial of a batch; and every trial goes through the same compiled
 control program, whatever the size of its batch, so that its bytes do not depend on the others. The threads of a
-process take turns at about a millisecond of Python each control period: many cores want several processes.
+process take turns at about a millisecond of Python each control period, so that many cores need several processes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect, sane, select_lanes
 
 LANES = 64  # of a thread; a program for more lanes costs a trial less time, but more where trials are few
-THREADS = 8  # of a process; more wait for each other's turn for longer than their physics takes
+THREADS = 8  # of a process; more would wait for each other for longer than their physics takes
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 # One control period: trials that were stepped, their states before (which begin with the trial's time), references
@@ -132,7 +132,7 @@ class _Job:
 
 
 class _Log:
-    """What all lanes logged, period by period; a block of memory that grows as long as a trial asks for."""
+    """What all lanes logged, period by period; a block of memory that grows with the longest trial."""
 
     def __init__(self) -> None:
         self.count = 0  # periods kept
@@ -214,7 +214,7 @@ class _Lanes:
             self.loop = self.begin(self.params, self.loop, fresh, self._raw())
 
     def _rest(self, lane: int) -> None:
-        """Settle a trial: full physics state and sensor reading."""
+        """Settle a lane's trial; sets its full physics state and sensor reading."""
         scene, home = self.job.scene, self.job.home[self.trial[lane]]
         model = self.models[lane] = model_of(scene, self.job.parts[self.trial[lane]])
         mujoco.mj_resetData(model, self.data)
@@ -269,7 +269,7 @@ class _Lanes:
 
 @lru_cache
 def _compiled(program: Program) -> tuple[Callable[..., Any], ...]:
-    """Begin and control of all lanes."""
+    """The program's ``begin`` and ``control``, compiled for all lanes."""
 
     def begin(params: Any, loop: Any, fresh: Any, raw: Any) -> Any:
         started = jax.vmap(program.begin)(params, raw)

@@ -1,4 +1,4 @@
-"""MJX, imported without what it prints where Warp is missing: standard output is for results, JSON among them."""
+"""MJX, imported without the text that it prints where Warp is missing: standard output is for results."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def joint_increments(
     """Increments of the joint references in one control period, rad; equal in all periods of a step.
 
     Args:
-        config: says what the action is.
+        config: its ``action`` selects the kind of action.
         action: within -1 and 1.
         jacobian: of the wrists, velocity (m/rad) above angular velocity, world axes.
     """

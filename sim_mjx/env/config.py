@@ -53,11 +53,13 @@ class EnvConfig:
         for part in self.observe:
             _check_choice("observation", part, OBSERVATIONS)
         if not self.observe or len(set(self.observe)) < len(self.observe):
-            raise InputError(f"What is observed is {self.observe}; expected one part or more, each once.")
+            raise InputError(f"observe is {self.observe}; expected one part or more, each once.")
         if self.action == "set-points" and self.controller == "none":
-            raise InputError('Set-points steer the recorded controller; use controller="recorded", or increments.')
+            raise InputError(
+                'action="set-points" needs controller="recorded"; use that, or action="joint" or action="cartesian".'
+            )
         if self.periods < 1:
-            raise InputError(f"A step has {self.periods} control periods; expected 1 or more.")
+            raise InputError(f"periods is {self.periods}; expected 1 control period per step or more.")
         for name in ("hold", "force", "moment", "angle", "shift", "turn"):
             value = getattr(self, name)
             if not 0.0 < value < float("inf"):

@@ -29,7 +29,7 @@ Key = Any  # of jax.random: a typed one, or uint32 [2]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Trials:
-    """Trials that episodes are drawn from, settled; leaves lead with the trial."""
+    """Settled trials from which episodes are drawn; leaves have a leading trial axis."""
 
     params: Any  # of the scenario's program, single precision
     fields: Fields  # of the model
@@ -40,7 +40,7 @@ class Trials:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class EnvData:
-    """Everything that an episode remembers."""
+    """The state of an episode, without observation and reward."""
 
     body: Any  # of the physics
     glance: Glance
@@ -57,13 +57,13 @@ class EnvData:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class State:
-    """State of one environment; a pytree whose leaves lead with the environment when it is mapped.
+    """State of one environment; a pytree whose leaves have a leading axis when environments are mapped.
 
     Attributes:
-        data: everything that an episode remembers.
+        data: state of physics, controller, encoder and classifiers.
         obs: the observation.
         reward: of the last step.
-        done: 1 = the episode has ended; further steps mean nothing.
+        done: 1 = the episode has ended; results of further steps are undefined.
         metrics: "seated" (share of tabs), "success" (0 or 1), "force" (N, size of the measured force), and what
             wrappers add; ``step`` keeps the latter.
         info: "truncation" (1 = ended by time), "diverged" (1 = the physics failed), "trial" (row of the

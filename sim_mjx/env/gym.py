@@ -50,7 +50,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
 
     def __init__(self, env: Environment, num_envs: int, seed: int = 0) -> None:
         if num_envs < 1:
-            raise InputError(f"There are {num_envs} environments; expected 1 or more.")
+            raise InputError(f"num_envs is {num_envs}; expected 1 or more.")
         self.env, self.num_envs, self._key = env, num_envs, jax.random.key(seed)
         self.single_observation_space, self.single_action_space = spaces(env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -62,9 +62,11 @@ def load(
     config = config or EnvConfig()
     engines.check(engine)
     if engine not in engines.IMPLEMENTATIONS:
-        raise InputError(f"An environment runs on the device; use the engine {' or '.join(engines.IMPLEMENTATIONS)}.")
+        raise InputError(
+            f"An environment cannot use the engine {engine!r}; expected {' or '.join(engines.IMPLEMENTATIONS)}."
+        )
     if trials < 1 or parallel < 1:
-        raise InputError(f"There are {trials} trials and {parallel} environments; expected 1 or more of each.")
+        raise InputError(f"trials is {trials} and parallel {parallel}; expected 1 or more of each.")
     if name not in (*ALIASES, *PRESETS) and "@" not in name:
         raise InputError(
             f"There is no environment {name!r}; expected one of {', '.join([*ALIASES, *PRESETS])}, or ASSEMBLY@ROBOT."
@@ -75,7 +77,7 @@ def load(
         spec = spec or scenario.spec(nominal_share=1.0)
         params, _ = scenario.draw_batch(seed, range(trials), spec)
     if len(counts := {np.shape(leaf)[:1] for leaf in jax.tree.leaves(params)}) != 1 or counts <= {(), (0,)}:
-        raise InputError("The params are no batch of trials; expected those of draw_batch, one trial or more.")
+        raise InputError("params is no batch of trials; expected that of a scenario's draw_batch, one trial or more.")
     physics = new_physics(scene, engines.IMPLEMENTATIONS[engine], max(parallel, batch_size(params)))
     senses = new_senses(config, 6 * len(scene.forces), len(scene.joints), model, thresholds)
     drawn = Trials(as_float32(params), device.fields_of(scene, params), *settled(scene, params))

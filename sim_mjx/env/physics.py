@@ -29,7 +29,7 @@ Fields = dict[str, Array]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Glance:
-    """What is seen of a scene besides joints and wrenches."""
+    """What an environment reads of a scene besides joints and wrenches."""
 
     seated: Bool[Array, "*batch tab"]  # tabs past their lips
     jacobian: Float[Array, "*batch twist joint"]  # of the wrists, velocity above angular velocity, world axes
@@ -37,7 +37,7 @@ class Glance:
 
 @runtime_checkable
 class Physics(Protocol):
-    """What an environment needs of a simulator; pure functions of one trial."""
+    """The functions of a simulator that an environment needs; pure functions of one trial."""
 
     @property
     def substeps(self) -> int:
@@ -130,7 +130,7 @@ def new_physics(scene: Scene, impl: str, parallel: int) -> MjxPhysics:
     model = scene.model
     hinges, sites = scene.hinges, sites_of(scene)
     if (model.jnt_type[hinges] != mujoco.mjtJoint.mjJNT_HINGE).any():
-        raise InputError("Environments know robots whose joints are hinges; this scene's robot has another joint.")
+        raise InputError("This scene's robot has a joint that is no hinge; environments need robots with hinges only.")
     moves = np.array([_chain(model, int(model.site_bodyid[site]), hinges) for site in sites])
     compiled, empty = device.put_scene(scene, parallel, impl)
     return MjxPhysics(compiled, empty, device.layout_of(scene), tuple(sites), tuple(hinges.tolist()), moves)

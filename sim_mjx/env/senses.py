@@ -29,7 +29,7 @@ WIDEST_ANGLE = 100.0  # rad; bound of observed angles
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SensesState:
-    """What the senses remember."""
+    """State of the encoder and of the classifiers."""
 
     stream: StreamState
     words: Int[Array, "*batch 3 axis"]  # codes of the latest published words of each layer, 0 = none yet
@@ -50,7 +50,7 @@ class Senses:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Numbers of each part of the observation, in its order."""
+        """Size of each part of the observation, in its order."""
         sizes = {
             "joints": self.joints, "wrench": self.axes, "words": self.axes * sum(LAYER_SIZES), "beliefs": self._beliefs,
         }  # fmt: skip
@@ -157,12 +157,12 @@ def new_senses(
     chain, heads, limits = _chain(model, axes, preset() if thresholds is None else thresholds)
     if config.senses_words and config.periods % chain.config.window:
         raise InputError(
-            f"A step has {config.periods} control periods; with words it must be a multiple of the encoder's window, "
+            f"periods is {config.periods}; with words or beliefs expected a multiple of the encoder's window, "
             f"{chain.config.window}."
         )
     if limits.shape[0] != axes or not np.isclose(chain.config.dt, CONTROL_PERIOD):
         raise InputError(
-            f"The model knows {limits.shape[0]} axes every {chain.config.dt:g} s; this scenario has {axes} every "
+            f"The model expects {limits.shape[0]} axes every {chain.config.dt:g} s; this scenario has {axes} every "
             f"{CONTROL_PERIOD:g} s."
         )
     if model is not None and axes == len(AXES):
@@ -171,7 +171,7 @@ def new_senses(
         model.check_axes(model.axes, UNITS * (axes // len(UNITS)), "The scenario's wrench")
     senses = Senses(config.observe, axes, joints, chain, limits.astype(np.float32), heads)
     if not sum(senses.sizes.values()):
-        raise InputError("Nothing is observed: beliefs need a model.")
+        raise InputError("observe names only beliefs, which need a model; give one, or observe something else.")
     return senses
 
 

@@ -29,7 +29,7 @@ SUFFIXES = tuple(RATE)
 
 
 def check(path: Path) -> None:
-    """Refuse a film that cannot be made, before the work is done.
+    """Raise an error for a film that cannot be written, before it is computed.
 
     Raises:
         InputError: a suffix that is no film, or MP4 without its writer.
@@ -53,7 +53,7 @@ def film(
 
     Args:
         path: .gif or .mp4; an existing file is replaced when the new one is complete.
-        replay: how it moved. recordings: its store. row: of the trial.
+        replay: the motion. recordings: the trial's data set. row: of the trial in it.
         speed: seconds of the trial per second of film.
         progress: called with pictures done and in all.
 

@@ -80,7 +80,7 @@ def _turns_right(a: Floats, b: Floats, c: Floats) -> bool:
 class Drawing:
     """A scene in one axes; ``show`` moves it to other positions.
 
-    What ``cut_at``, a body, has in front is cut away; ``missing`` are tabs that have broken off.
+    Nothing in front of the body ``cut_at`` is drawn; ``missing`` are tabs that have broken off.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class Drawing:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         depth = self._data.geom_xpos[self._geoms, self._view.depth] * self._view.away
-        # tips and lips on top: they are what happens
+        # tips and lips on top: they show the assembly
         pairs = zip(self._geoms, self._tips, strict=True)
         top = np.array([tip is not None or "LIP" in self._name(geom) for geom, tip in pairs])
         order = np.lexsort((-depth, top))
@@ -139,7 +139,7 @@ def _out_of_reach(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def _in_front(model: mujoco.MjModel, view: View, body: str) -> list[bool]:
-    """Which geoms of a body stand between its middle and the viewer, or are marks that nobody should see."""
+    """Which geoms of a body are between its middle and the viewer, or are marks, which are never drawn."""
     of_body = model.geom_bodyid == model.body(body).id
     nearer = model.geom_pos[:, view.depth] * view.away < -1e-3
     hidden: list[bool] = ((of_body & nearer) | (model.geom_rgba[:, 3] == 0)).tolist()

@@ -41,9 +41,9 @@ def trial_overview(
     """The figure of one trial.
 
     Args:
-        replay: how it moved. recordings: its store. tracks: its labels. row: of the trial in both.
-        moments: what to show, name -> s, in order.
-        words: what they are, for the title.
+        replay: the motion. recordings: the trial's data set. tracks: its labels. row: of the trial in both.
+        moments: to show, name -> s, in order.
+        words: description of the labels, for the title.
     """
     figure = new_figure(INCHES, DPI)
     frames = choose(moments)
@@ -232,7 +232,7 @@ def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> Non
 
 
 def headline(replay: Replay, recordings: Recordings, row: int) -> str:
-    """What is known of a replayed trial, on one line."""
+    """Name and outcome of a replayed trial, with its fault or its passed tabs, on one line."""
     facts = f"{recordings.trial[row]}   ·   {recordings.source[row]}, {outcome_of(recordings, row)}"
     if replay.of_parts:
         return facts

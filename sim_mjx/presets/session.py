@@ -1,4 +1,4 @@
-"""What a recorded way of doing the assembly consists of: task, parts, sensor, and how the recordings vary."""
+"""A recorded session as data: task, parts, sensor, and how its trials vary."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _x_and_y() -> Plane:
 
 @dataclass(frozen=True, kw_only=True)
 class GateLimits:
-    """What a believable simulation of a session keeps; see ``sim_mjx.validation.gate``."""
+    """Limits within which a simulation of a session is faithful; see ``sim_mjx.validation.gate``."""
 
     coverage: float  # least
     w1_over_sd: float  # largest
@@ -49,7 +49,7 @@ class SessionPreset:
     sensor: SensorParams
     mating_begins: float  # s, median of the recordings
     impratio: float = IMPRATIO  # of the scene; see ``sim_mjx.assembly.scene.one_arm``
-    real: bool = True  # a robot, whose servos lag and whose sensor drifts; False = the OpenHRP simulation
+    real: bool = True  # recorded on the robot, whose servos lag and sensor drifts; False = in OpenHRP
     across: Plane = field(default_factory=_x_and_y)  # world directions of the part's x and y
     turns: Plane = field(default_factory=_x_and_y)  # roll, pitch, yaw per radian of the hand's turn and of its tilt
 
@@ -66,10 +66,10 @@ class SessionPreset:
     gate: GateLimits | None = None  # what the simulated wrench must have in common with the recorded one
 
     def scene(self, finer: int = 1, **solver: int) -> Scene:
-        """One arm with these parts, whose contacts creep as the session says.
+        """The scene of one arm with these parts and the session's ``impratio``.
 
         Args:
-            finer: times the usual number of physics steps.
+            finer: factor on the number of physics steps.
             solver: ``iterations`` and ``ls_iterations`` in place of the usual ones.
         """
         make, steps = (hooked, HOOK_SUBSTEPS) if isinstance(self.parts, HookedParams) else (one_arm, SUBSTEPS)

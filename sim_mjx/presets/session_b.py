@@ -41,7 +41,7 @@ PARTS = PartParams(
     position=np.array([0.8531e-3, -0.2595e-3, 1.106e-3]),
     roll=np.array(0.02),
 )
-# The coarse 3 x 3 grid first, so that the first trials stand for all.
+# The coarse 3 x 3 grid first, so that the first trials represent all.
 COARSE = tuple((dx, dy) for dx in (0, 2, -2) for dy in (0, 2, -2))
 FINE = tuple((dx, dy) for dx in (0, 1, 2, -1, -2) for dy in (0, 1, 2, -1, -2) if (dx, dy) not in COARSE)
 REFERENCE = (-0.0491, -0.0007, -0.0014)  # m, of the sensor; from the search that fitted the parts

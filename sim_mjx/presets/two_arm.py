@@ -25,7 +25,7 @@ QUARTER = np.pi / 2
 YAW = -1.17846  # rad, 22.5 degrees before the hand is straight
 SIDEWAYS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # the part's y is the world's z, and the hand leans about it
 
-# Of the right arm, with session A's law; in mating it keeps still, whatever the last row says.
+# Of the right arm, with session A's law; in mating it keeps still, so that the last row has no effect.
 TASK = replace(
     session_a.TASK,
     home=np.array([0.197087, 0.0622684, -1.66923, -1.29718, -0.180523, -0.0861625]),

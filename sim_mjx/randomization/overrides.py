@@ -32,10 +32,10 @@ FORMAT = "rcbht-physical"
 
 
 def check(physical: Physical) -> None:
-    """Refuse a name that means nothing, a value that is no number or absurd, or a delay that the sensor cannot have.
+    """Check names and values of physical parameters.
 
     Raises:
-        InputError: which one, and what there is.
+        InputError: an unknown name, a value that is not finite or too large, or a delay that the sensor cannot have.
     """
     for name, value in physical:
         match = NAME.fullmatch(name)
@@ -44,7 +44,7 @@ def check(physical: Physical) -> None:
             raise InputError(f"There is no physical parameter {name!r}; expected one of {known}.")
         if not abs(value) <= LARGEST:  # NaN compares as false; what is drawn around it must fit in single precision
             raise InputError(f"The physical parameter {name} is {value:g}; expected a finite number up to {LARGEST:g}.")
-        if match[2] == "delay" and not 0 <= round(value) < LONGEST_DELAY:  # others would be clipped without a word
+        if match[2] == "delay" and not 0 <= round(value) < LONGEST_DELAY:  # others would be clipped silently
             raise InputError(
                 f"The physical parameter {name} is {value:g}; expected 0 to {LONGEST_DELAY - 1} control periods."
             )
@@ -74,7 +74,7 @@ def apply_overrides(group: Group, prefix: str, physical: Physical) -> Group:
 
 
 def value(parts: PartParams, sensor: SensorParams, name: str) -> float:
-    """What one trial has of a parameter; the mean where the name covers several elements.
+    """Value of a parameter in one trial; the mean where the name covers several elements.
 
     Raises:
         InputError: unknown name.

@@ -36,14 +36,14 @@ class DomainRandomization:
     """Quantities that vary between trials; ranges are uniform distributions (lowest, highest).
 
     The end of each comment is the source: "recordings" = measured in them, "CAD" = the model of the parts,
-    "controller" = regression on the logged references, "signature" = the comparison with session B, "chosen" = ours.
+    "controller" = regression on the logged references, "signature" = the comparison with session B, "chosen" = by us.
     """
 
     nominal_share: float = 0.5  # of the trials without a fault; chosen
     faults: tuple[str, ...] = (  # equally likely among the others; chosen
         "pose", "jamming", "wedging", "missing-tab", "moved-part", "early-stop",
     )  # fmt: skip
-    longest: float | None = None  # s, cuts every trial; None = the preset's own timeout
+    longest: float | None = None  # s, longest duration of a trial; None = the preset's own timeout
     # s, for which recording continues after the planned end of the trial, the robot keeping still, as by a logger that
     # knows nothing of a fault; None = it ends when the task is done or the robot has stopped
     logs_on: float | None = None
@@ -79,7 +79,7 @@ class DomainRandomization:
     stop_at: Range = (0.3, 0.9)  # share of the time to mating after which the robot stops; chosen
 
 
-# What a user's ranges must keep within: no trial could be simulated beyond.
+# Limits of a user's ranges: no trial could be simulated beyond them.
 LIMITS: dict[str, Range] = {
     "shift": (-0.1, 0.1), "turn": (-1.0, 1.0), "stiffness": (0.05, 20.0), "overlap": (0.05, 2.0),
     "friction": (0.01, 20.0), "mount": (0.05, 20.0), "gain": (0.0, 10.0), "goal": (0.0, 10.0), "speed": (0.05, 20.0),
@@ -102,7 +102,7 @@ class Fault:
 
 @dataclass
 class _Faulty:
-    """What faults make of trials; factors unless a unit is given."""
+    """Changes that faults make to trials; factors unless a unit is given."""
 
     hand: Float64[np.ndarray, "trial 3"]  # m, m, rad; NaN = as drawn for all trials
     part: Float64[np.ndarray, "trial 2"]  # m
@@ -124,7 +124,7 @@ class _Faulty:
 
 
 _Numbers = dict[str, Float64[np.ndarray, "trial count"]]  # by name of their range
-# What every trial draws, in this order: range and how many numbers.
+# What is drawn for every trial, in this order: range and count of numbers.
 _DRAWN = (
     ("speed", 1), ("gain", 2), ("goal", 2), ("noise", 1), ("force_bias", 3), ("moment_bias", 3), ("tare", 1),
     ("stiffness", 4), ("mount", 1), ("shift", 2), ("turn", 1), ("overlap", 4), ("friction", 1),
@@ -132,10 +132,10 @@ _DRAWN = (
 
 
 def check_common(nominal_share: float, longest: float | None, lag: tuple[int, int]) -> None:
-    """Refuse what no distribution of any assembly can have; arguments as of :class:`DomainRandomization`.
+    """Check the options that the distributions of all assemblies have; arguments as of :class:`DomainRandomization`.
 
     Raises:
-        InputError: a share, time or lag is not one.
+        InputError: an invalid share, time or lag.
     """
     if not 0.0 <= nominal_share <= 1.0:
         raise InputError(f"The nominal share is {nominal_share}; expected 0 to 1.")
@@ -145,12 +145,12 @@ def check_common(nominal_share: float, longest: float | None, lag: tuple[int, in
         raise InputError(f"The lag is {lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
 
 
-@lru_cache  # every batch asks
+@lru_cache  # called for every batch
 def check(spec: DomainRandomization) -> None:
-    """Refuse distributions that no trial could be drawn from.
+    """Check distributions before trials are drawn from them.
 
     Raises:
-        InputError: a share, range, lag, fault or time is not one.
+        InputError: an invalid share, range, lag or time, or an unknown fault.
     """
     check_common(spec.nominal_share, spec.longest, spec.lag)
     if not spec.faults or not set(spec.faults) <= set(FAULTS):
@@ -228,7 +228,7 @@ def sample_batch(
     task, sensor, part = repeated(_nominal(preset, spec), len(indices))
     if mating_time is None and spec.mating is not None:
         mating_time = mating
-    if mating_time is not None:  # before the time limits, which count it: a fault must not be told by a duration
+    if mating_time is not None:  # before the time limits, which include it: no duration may reveal a fault
         task = replace(task, mating_time=mating_time)
     task, part = _task(preset, task, drawn, hand, faulty, spec), _parts(part, drawn, faulty)
     if preset.real or spec.sensor is not None:
@@ -249,7 +249,7 @@ def stream(seed: int, index: int, branch: int = 0) -> np.random.Generator:
 
 
 def _streams(seed: int, indices: Sequence[int], branch: int = 0) -> Iterator[np.random.Generator]:
-    """:func:`stream` of each trial: one generator, moved on, since making one takes longer than all that is drawn."""
+    """:func:`stream` of each trial: one generator whose state is set, since making one takes longer than its draws."""
     if not 0 <= seed < 2**64:
         raise InputError(f"The seed is {seed}; expected 0 to 2^64 - 1.")
     bits = np.random.Philox(key=seed)

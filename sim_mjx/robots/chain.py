@@ -48,7 +48,7 @@ def serial_chain(model: mujoco.MjModel, site: str) -> SerialChain:
     """
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
     if number < 0:
-        raise InputError(f"The model has no site {site!r}; it marks the wrist and its frame.")
+        raise InputError(f"The model has no site {site!r}, which must mark the wrist's frame.")
     turn, shift = _matrix(model.site_quat[number]), model.site_pos[number].copy()
     turns: list[Array] = []
     shifts: list[Array] = []

@@ -1,4 +1,4 @@
-"""HIRO's right arm, of the recorded assemblies, as a robot for any assembly; the table is ``rcbht_jax.robots.hiro``."""
+"""HIRO's right arm as a robot for any assembly; its dimensions are in ``rcbht_jax.robots.hiro``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A robot as a row of data: any serial arm of hinges with a site at its wrist, from a table or from an MJCF file.
+"""A robot as data: any serial arm of hinges with a site at its wrist, from a table or from an MJCF file.
 
 What an assembly needs besides links and joints is added here, the same for every arm: position servos, a body for
 the part in the hand, and the wrist's force and torque sensor.
@@ -74,7 +74,7 @@ def from_mjcf(
         except ValueError as error:
             raise InputError(f"{source} cannot be read as MJCF: {str(error).splitlines()[0]}") from error
         if own.site(site) is None:
-            raise InputError(f"{source} has no site {site!r}; it marks the wrist and its frame.")
+            raise InputError(f"{source} has no site {site!r}, which must mark the wrist's frame.")
         # on a new model the file's defaults, options, names and unit of angles are the arm's alone
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
@@ -85,7 +85,7 @@ def from_mjcf(
 
     robot = Robot(name or source.stem, build, f"{ARM}{site}", tuple(home), place, tool_mass)
     if len(robot.joints) != len(robot.home):
-        raise InputError(f"The arm has {len(robot.joints)} joints, and home {len(robot.home)} angles.")
+        raise InputError(f"home has {len(robot.home)} angles; expected one per joint of the arm, {len(robot.joints)}.")
     return robot
 
 
@@ -94,7 +94,7 @@ def _joints(robot: Robot) -> tuple[str, ...]:
     spec = robot.build()
     site = spec.site(robot.wrist)
     if site is None:
-        raise InputError(f"The robot {robot.name} has no site {robot.wrist!r}; it marks the wrist and its frame.")
+        raise InputError(f"The robot {robot.name} has no site {robot.wrist!r}, which must mark the wrist's frame.")
     names: list[str] = []
     body = site.parent
     while body is not None and body.name != "world":

@@ -1,4 +1,4 @@
-"""The next items of an iterator, made in a thread of their own before they are asked for."""
+"""The next items of an iterator, made in a separate thread before they are needed."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ _ON_DEMAND = 2
 
 
 class _End:
-    """What stands behind the last item."""
+    """Marks the end of the items."""
 
 
 class Ahead(Generic[Item]):
-    """An iterator over items that a thread makes ahead; a context that ends when that thread has.
+    """An iterator whose items a thread makes in advance; leaving its context waits for the thread to end.
 
-    An exception of the items is raised in their place.
+    An exception that the items raise is raised in place of the next item.
 
     Args:
         items: iterated in the thread only.
-        first: items that are asked for at once at the beginning.
-        more: how many more items to ask for ahead; called when one is taken, with the number asked for so far and how
-            many of them are not taken yet. Where none is coming, two are asked for when one is wanted.
+        first: number of items that the thread makes at the beginning.
+        more: number of further items to make; called when an item is taken, with the number requested so far and
+            the number of those not yet taken. If none is left when one is taken, two are made.
 
     >>> with Ahead(iter("abc"), first=2, more=lambda asked, coming: 1 - coming) as letters:
     ...     list(letters)
@@ -39,7 +39,7 @@ class Ahead(Generic[Item]):
         self._ask(max(first, 1))
 
     def ready(self) -> bool:
-        """Whether the next item, or the end, is there without waiting."""
+        """Whether the next item, or the end, is available without waiting."""
         self._want()
         return self._coming[0].done()
 

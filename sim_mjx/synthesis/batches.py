@@ -1,4 +1,4 @@
-"""Batches that do not fit into the device's memory are halved: a trial's bytes do not depend on its batch."""
+"""Halving of batches that do not fit into the device's memory: a trial's bytes do not depend on its batch."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def _corpus(
     order, count = _first(usable)
     usable_count = int(jax.device_get(count))
     if not usable_count:
-        raise InputError(f"none of the {len(wrench)} simulated trials can be used; nothing to calibrate on.")
+        raise InputError(f"None of the {len(wrench)} simulated trials is usable; simulate more, to calibrate on.")
     wrench, edges, y = _rows(usable_count, order, (wrench, edges, y))
     return device_calibration_data(config, wrench, edges, y, classes)
 

@@ -1,15 +1,15 @@
-"""Claims: who is at work on which shard, so that nobody simulates one that another holds.
+"""Claims: which worker makes which shard, so that no worker makes one that another holds.
 
 A claim is a file ``claims/TASK-NUMBER`` in the work folder, created with ``O_EXCL``: of several processes one succeeds,
 on every file system that knows exclusive creation. A claim is never handed on. Whoever takes over from a dead worker
-creates the next number, so that two that find the same worker dead cannot both take over; the highest number rules. The
-files are thus the list of attempts at a shard, failed ones with their reason.
+creates the next number, so that two that find the same worker dead cannot both take over; the highest number counts.
+The files are thus the list of attempts at a shard, failed ones with their reason.
 
 Whether a holder lives is decided by two means, because neither alone is enough:
 
 * a lock (flock) on the file, which the kernel drops the moment the process ends, however it ends: another process of
-  the same machine takes over at once. On shared folders such locks may not reach other machines, so they are believed
-  on the kernel that the holder runs on, and only there.
+  the same machine takes over at once. On shared folders such locks may not reach other machines, so they are used
+  only on the kernel that the holder runs on.
 * a lease: the holder touches the file every ``HEARTBEAT`` s, and one that has not for ``LEASE`` s counts as dead, for
   processes of other machines and where the file system has no locks. Both times are the file system's, not the clocks
   of the machines.
@@ -38,7 +38,7 @@ from rcbht_jax._util.untrusted import parse_json
 FOLDER = "claims"
 HEARTBEAT = 15.0  # s
 LEASE = 120.0  # s; shared file systems may show a touched file up to a minute late
-POLL = 0.2  # s between two looks at what others hold
+POLL = 0.2  # s between two checks of what others hold
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _MOST_REASON = 500  # characters
 
@@ -47,7 +47,7 @@ State = Literal["held", "dead", "failed", "released"]
 
 @dataclass(frozen=True)
 class Attempt:
-    """One claim as it was found: who did or does what."""
+    """An attempt at a task, as its claim file records it."""
 
     task: str
     number: int  # of attempts before it
@@ -74,20 +74,20 @@ class Claim:
         self._beat.start()
 
     def done(self) -> None:
-        """What was claimed is done: the claim is deleted."""
+        """The task is done: delete the claim."""
         self.path.unlink(missing_ok=True)
         self._end()
 
     def failed(self, reason: str) -> None:
-        """It cannot be done: the claim stays as the note of this attempt."""
+        """The task failed: end the claim, whose file stays as the record of this attempt."""
         self._about["failed"] = reason[:_MOST_REASON]
         self._write()
         self._end()
 
     def release(self) -> None:
-        """It was not done, through no fault of its own: anyone may try again."""
+        """The task was interrupted, but did not fail: end the claim, so that any worker may try again."""
         self._about["released"] = True
-        with suppress(OSError):  # on a full disk the dropped lock says the same
+        with suppress(OSError):  # on a full disk the dropped lock has the same meaning
             self._write()
         self._end()
 
@@ -137,7 +137,7 @@ def take(folder: Path, task: str) -> Claim | None:
         path.unlink(missing_ok=True)
         os.close(handle)
         raise
-    # Between our look and our file the other attempts may have been cleared and the task claimed anew.
+    # Since the attempts were read, they may have been cleared and the task claimed anew.
     if any(other.state == "held" and other.number != number for other in attempts(folder, task)):
         claim.release()
         return None
@@ -146,7 +146,7 @@ def take(folder: Path, task: str) -> Claim | None:
 
 @contextmanager
 def wait_for(folder: Path, task: str) -> Iterator[bool]:
-    """Hold a task, once those before have done it; false where the work folder is gone meanwhile."""
+    """Hold a task, once other holders have ended; yields False if the work folder is deleted meanwhile."""
     while (claim := take(folder, task)) is None:
         if not folder.is_dir():
             yield False
@@ -189,7 +189,7 @@ def board(folder: Path, only: str | None = None) -> dict[str, list[Attempt]]:
 
 
 def clear(folder: Path) -> None:
-    """Delete the notes of attempts that have ended, so that failed ones do not count any more."""
+    """Delete the files of attempts that have ended, so that failed ones no longer count."""
     for tries in board(folder).values():
         for one in tries:
             if one.state != "held":
@@ -211,15 +211,15 @@ def _attempt(task: str, number: int, about: dict[str, Any], seconds: float, lock
 
 
 def _read(path: Path) -> tuple[dict[str, Any], float, bool | None]:
-    """What a claim says, when it was touched, and whether its holder has it locked; None = a lock would not show it."""
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # somebody's pipe is not waited for
+    """Content of a claim, when it was touched, and whether its holder has it locked; None = a lock does not tell."""
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # does not wait for a pipe
     try:
         touched = os.fstat(handle).st_mtime
         try:
             about = parse_json(os.read(handle, 1 << 16))
             if not isinstance(about, dict) or not isinstance(about.get("pid", 0), int):
                 raise ValueError
-        except (OSError, ValueError):  # its holder is just writing, or died of it: the lease decides; or it is a folder
+        except (OSError, ValueError):  # its holder is writing it, or died doing so: the lease decides; or a folder
             return {}, touched, None
         if about.get("kernel") != _kernel() or not about.get("locked"):
             return about, touched, None
@@ -242,5 +242,5 @@ def _now(folder: Path) -> float:
 
 @cache
 def _kernel() -> str:
-    """What distinguishes machines that may have the same name: containers of one kernel share its locks."""
+    """Identifier of the running kernel: containers of one kernel share its locks, machines of one name do not."""
     return _BOOT.read_text().strip() if _BOOT.exists() else platform.node()

@@ -19,7 +19,7 @@ _COLLECTED = "consolidated_metadata"
 
 
 def keep(folder: Path, store: Path) -> None:
-    """Note the files of a store in which all parts are missing."""
+    """Record the files of a store that has no parts yet."""
     files = (file for file in sorted(store.rglob("*")) if file.is_file())
     texts = {str(file.relative_to(store)): _text(file) for file in files}
     with suppress(FileExistsError), atomic_new(folder / FILE) as draft:  # all workers would write the same
@@ -27,7 +27,7 @@ def keep(folder: Path, store: Path) -> None:
 
 
 def are_intact(folder: Path, store: Path) -> bool:
-    """Whether the files are the noted ones, but for what grows: dimensions, and attributes on completion."""
+    """Whether the files are the recorded ones, except for dimensions that grow and attributes that completion adds."""
     try:
         texts = load_json(folder / FILE)
         there = {name: _text(store / name) for name in texts}
@@ -46,22 +46,22 @@ def _holds_files(store: Path, noted: Collection[str]) -> bool:
 def _is_part(path: Path, noted: bool) -> bool:
     if path.is_symlink():
         return False
-    return path.is_dir() or (path.is_file() and (noted or path.name != "c"))  # that of a scalar is noted
+    return path.is_dir() or (path.is_file() and (noted or path.name != "c"))  # that of a scalar is recorded
 
 
 def _text(file: Path) -> str:
-    """A description as it is; a chunk of an array, which never changes, in a form that is no JSON."""
+    """A description as it is; a chunk of an array, which never changes, as text that is no JSON."""
     content = read_bytes(file, MAX_JSON_BYTES)
     return content.decode() if file.name == "zarr.json" else f"bytes {content.hex()}"
 
 
 def _is_grown(noted: dict[str, Any], text: str) -> bool:
-    """Whether a description is the noted one of an array that has grown, or of a table that was completed."""
+    """Whether a description is the recorded one of an array that has grown, or of a table that was completed."""
     return _is_longer(noted, text) if noted["node_type"] == "array" else _is_completed(noted, json.loads(text))
 
 
 def _is_longer(noted: dict[str, Any], text: str) -> bool:
-    """Whether an array is the noted one, with dimensions that had no length then."""
+    """Whether an array is the recorded one, except for dimensions of length 0 that have grown."""
     shape = json.loads(text)["shape"]
     if len(shape) != len(noted["shape"]) or any(
         not isinstance(new, int) or (old and new != old) for old, new in zip(noted["shape"], shape, strict=True)
@@ -71,9 +71,9 @@ def _is_longer(noted: dict[str, Any], text: str) -> bool:
 
 
 def _is_completed(noted: dict[str, Any], found: dict[str, Any]) -> bool:
-    """Whether a group is the noted one of a table, with what completion adds, and will write again.
+    """Whether a group is the recorded one of a table, except for attributes that completion adds.
 
-    Compared as text: the order of attributes is the order of bytes.
+    Compared as text, because the order of attributes counts, too.
     """
     attributes = noted["attributes"]
     added = {name: found["attributes"][name] for name in _ADDED if name in found["attributes"]}

@@ -1,4 +1,4 @@
-"""The store that a synthesis makes: each shard is written once, to its place, by whoever has simulated it.
+"""The store that a synthesis makes: each shard is written once, to its place, by the process that has simulated it.
 
 Every trial has its place from the start. One that diverged keeps it, as a row of length 0 that readers leave out.
 """
@@ -55,7 +55,7 @@ class Draft:
 
     @property
     def shards(self) -> int:
-        """How many the job has."""
+        """Number of shards of the job."""
         return -(-self.job.trials // self.job.shard)
 
     def draw(self, shard: int) -> Drawn:
@@ -67,13 +67,13 @@ class Draft:
         parts.put(self.path, self.parts_of(shard, drawn, arrays, labels))
 
     def parts_of(self, shard: int, drawn: Drawn, arrays: Arrays, labels: Arrays | None) -> list[Part]:
-        """What is written of a shard; that of the first one creates the store.
+        """The parts of the store that a shard makes; creates the store if there is none.
 
         Args:
             shard: its number.
             drawn: of :meth:`draw`.
             arrays: of its trials, as of :func:`sim_mjx.synthesis.records.of_trials`.
-            labels: theirs, as of :func:`sim_mjx.synthesis.records.of_labels`, if the job has a window.
+            labels: of its trials, as of :func:`sim_mjx.synthesis.records.of_labels`, if the job has a window.
         """
         (params, faults), index = drawn, np.array(indices(self.job, shard))
         rows = _without(arrays, arrays["diverged"])
@@ -87,7 +87,7 @@ class Draft:
         return [*labelled, *store_writer.parts_of(self.path, shard, recordings, simulation)]
 
     def finish(self) -> None:
-        """Complete the store, of which all shards are there, and have it on disk.
+        """Complete the store, all of whose shards are written, and flush it to disk.
 
         Raises:
             InputError: the physics diverged in all trials.
@@ -109,7 +109,7 @@ class Draft:
         return self.path / "labels" / f"online-W{self.job.window}"
 
     def _create(self, recordings: Recordings, simulation: Arrays, tracks: LabelTracks | None) -> None:
-        """Have an empty store at its place, this one or that of another process."""
+        """Create the empty store, unless another process has."""
         empty, arms = draft_of(self.path), len(self.scenario.arms)
         attrs: dict[str, Any] = {"frames": tables.frames_of(self.scenario), "simulated": provenance(self.manifest)}
         if not self.scenario.recorded:
@@ -120,7 +120,7 @@ class Draft:
             store_writer.create(empty, schema, attrs, CREATED)
             if tracks is not None:
                 config = encoder_config(self.job)
-                how = {  # as "rcbht encode" says it
+                how = {  # as "rcbht encode" writes them
                     "semantics": "online",
                     "window": config.window,
                     "config": asdict(config),
@@ -137,7 +137,7 @@ class Draft:
 
 
 def _without(rows: Arrays, diverged: Bool[np.ndarray, " trial"]) -> Arrays:
-    """The arrays of a shard with nothing in the rows of diverged trials, as long as the longest of the others."""
+    """The arrays of a shard with empty rows for diverged trials, as long as the longest of the others."""
     empty = {
         "length": 0, "wrench": 0, "onset": np.nan, "onset_harmonised": np.nan, "note": "", "seated": False, "passes": 0,
     }  # fmt: skip

@@ -29,7 +29,7 @@ from sim_mjx.synthesis.passes import passes_of
 from sim_mjx.synthesis.records import Arrays
 from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
 
-COPIES = 2  # batches that are copied to the host at the same time
+COPIES = 2  # batches whose copies to the host overlap
 BLOCK = 4096  # angles: whole blocks, since a compiler may round the last lanes differently
 
 
@@ -45,7 +45,7 @@ class Measured(NamedTuple):
     seated: Bool[Array, "trial tab"]
     past: UInt8[Array, "trial time byte"]  # tabs past their lips, eight to a byte, the first one in its lowest bit
     diverged: Bool[Array, " trial"]
-    tilt: Float[Array, "trial time"] | None  # rad, of the hand from the vertical; None = not asked for
+    tilt: Float[Array, "trial time"] | None  # rad, of the hand from the vertical; None = not needed
 
 
 def simulate_in_lanes(
@@ -63,8 +63,8 @@ def simulate_in_lanes(
 ) -> Iterator[Shard]:
     """Simulate and label batches that share the lanes of a device.
 
-    A batch comes when its last trial has ended, and the next trials that leave the device after it have: labels are
-    taken that much later. Copies to the host and what is done there overlap with the physics.
+    A batch is yielded once its last trial has ended and the next trials have left the device, because labels are
+    fetched that much later. Copies to the host and the work there overlap with the physics.
 
     Args:
         scene: what is simulated.
@@ -74,8 +74,8 @@ def simulate_in_lanes(
         at_once: trials that leave the device together, best those of a batch.
         config: of the encoder; None = no labels. limits: thresholds, N/s and Nm/s.
         recorded: as for :func:`sim_mjx.synthesis.records.of_trials`.
-        ready: whether the next batch is there without waiting.
-        room: whether shards are wanted now; else they wait on the device.
+        ready: whether the next batch is available without waiting.
+        room: whether the caller takes shards now; otherwise they stay on the device.
 
     Raises:
         InputError: unknown engine, or what it needs is not installed.
@@ -108,7 +108,7 @@ def simulate_in_lanes(
         def more() -> bool:
             return room() and sum(not one.done() for one in waiting) < COPIES
 
-        # Labels are asked for when trials have ended and taken when the next ones have: nobody waits for the device.
+        # Labels are requested when trials have ended and fetched when the next ones have, so that the host never waits.
         labelled = (
             (trials, measure(out, recorded), begun(out))
             for trials, out in machine.run(expected(), ready=ready, room=more)
@@ -122,14 +122,14 @@ def simulate_in_lanes(
 
 
 def give_back_memory() -> None:
-    """Give back to the system what this process has freed: the C library keeps a gigabyte that compilers used."""
+    """Return freed memory to the system: the C library keeps a gigabyte that compilers used."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None  # of glibc only
     if trim is not None:
         trim(0)
 
 
 def one_later(items: Iterable[Item]) -> Iterator[Item]:
-    """The items, each when the next one is there.
+    """The items, each once the next one is available.
 
     >>> list(one_later("abc"))
     ['a', 'b', 'c']
@@ -144,7 +144,7 @@ def one_later(items: Iterable[Item]) -> Iterator[Item]:
 
 @partial(jax.jit, static_argnums=1)
 def measure(out: Outcome, recorded: bool) -> Measured:
-    """Reduce trials to what is stored of them: the logs of all joints would be three quarters of what is copied.
+    """Reduce trials to the stored quantities: the logs of all joints would be three quarters of the copied bytes.
 
     Args:
         out: the trials.

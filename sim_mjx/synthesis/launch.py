@@ -1,7 +1,7 @@
 """Start workers in other processes: of this machine, as Ray tasks, or as an array of Slurm jobs.
 
-A worker is ``rcbht simulate STORE ... --worker``, whoever starts it: which shard it takes is settled by claims in the
-work folder, which all workers must see under the same name. What starts them here only passes on those words.
+A worker is ``rcbht simulate STORE ... --worker``, however it is started: claims in the work folder, which all workers
+must see under the same name, decide which shard it takes. The functions here only pass on these arguments.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import last_line
 from rcbht_jax.errors import InputError
 
-_LOOK = 0.2  # s between two looks at the workers
+_LOOK = 0.2  # s between two checks of the workers
 _GRACE = 20.0  # s for workers to give back their claims
 DEVICES = "CUDA_VISIBLE_DEVICES"
 # XLA's allocator keeps 8 bytes of the host's memory for each 256 that it takes of a GPU's: 2 GB for 64. (CUDA's own
@@ -35,7 +35,7 @@ _COUNT = "import jax; print(len([d for d in jax.local_devices() if d.platform ==
 
 
 def visible_devices() -> list[str]:
-    """What to give ``CUDA_VISIBLE_DEVICES`` for each GPU that this process may use; empty = none.
+    """The value of ``CUDA_VISIBLE_DEVICES`` that selects each GPU that this process may use; empty = none.
 
     Raises:
         InputError: JAX does not start.
@@ -61,8 +61,8 @@ def local(
     Args:
         words: of the worker, after ``rcbht``.
         environments: variables of each in addition to those of this process.
-        look: called now and then.
-        notice: called with a sentence that says which workers ended before their work was done.
+        look: called several times a second while workers run.
+        notice: called with a sentence on each worker that ended before its work was done.
     """
     with ExitStack() as files:
         reports = [files.enter_context(tempfile.TemporaryFile()) for _ in environments]
@@ -89,10 +89,10 @@ def local(
 
 
 def run_worker(words: Sequence[str], folder: str) -> str:
-    """Be one worker, in a process of its own that starts in a folder; what a task of a cluster calls.
+    """Run one worker in a process of its own that starts in a folder; called by the tasks of a cluster.
 
     Returns:
-        why it ended early; "" = it did not.
+        why it ended before its work was done; "" = it did not.
     """
     with tempfile.TemporaryFile() as report:
         worker = subprocess.Popen(
@@ -115,8 +115,8 @@ def ray(
         words: of the worker, after ``rcbht``.
         count: workers; None = one for each GPU, or for each node where none is needed.
         gpus: whether a worker needs a GPU of its own, which Ray then chooses.
-        look: called now and then.
-        notice: called with a sentence that says which workers ended before their work was done.
+        look: called several times a second while workers run.
+        notice: called with a sentence on each worker that ended before its work was done.
 
     Raises:
         InputError: Ray is not installed, cannot be reached, or has no GPU.
@@ -142,7 +142,7 @@ def ray(
             ended, waiting = cluster.wait(waiting, timeout=_LOOK)
             look()
             for one in ended:
-                _tell(partial(cluster.get, one), notice)
+                _report_ending(partial(cluster.get, one), notice)
     except (ConnectionError, cluster.exceptions.RayError) as error:
         raise InputError(
             f"Ray failed: {_first_line(error)} What was simulated is kept; run the same command again."
@@ -168,7 +168,7 @@ def _executor(folder: Path, gpus: bool, options: Mapping[str, Any]) -> Any:
             **({"timeout_min": 24 * 60} | ({"gpus_per_node": 1} if gpus else {}) | dict(options))
         )
     except (AssertionError, NameError, TypeError, ValueError) as error:
-        raise InputError(f"Slurm's options are wrong: {_first_line(error)}") from error
+        raise InputError(f"The options of the Slurm jobs are wrong (--launch-options): {_first_line(error)}") from error
     return executor
 
 
@@ -189,8 +189,8 @@ def slurm(
         gpus: whether a worker needs a GPU of its own.
         options: of the jobs, as submitit names them: timeout_min, slurm_partition and so on.
         folder: for the jobs' logs, shared by all nodes; deleted if all went well, or if no job began.
-        look: called now and then.
-        notice: called with a sentence that says where the jobs run, and which ended before their work was done.
+        look: called several times a second while workers run.
+        notice: called with a sentence on where the jobs run, and on each that ended before its work was done.
 
     Raises:
         InputError: submitit is not installed, an option is not one of its, or Slurm takes no job.
@@ -213,13 +213,13 @@ def slurm(
         for job in jobs:
             job.cancel()
         raise
-    well = [_tell(job.result, notice) for job in jobs]
+    well = [_report_ending(job.result, notice) for job in jobs]
     if all(well):
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _tell(result: Callable[[], str], notice: Callable[[str], None]) -> bool:
-    """Say why a worker ended early, if it did; a cluster may have killed it. Whether all went well."""
+def _report_ending(result: Callable[[], str], notice: Callable[[str], None]) -> bool:
+    """Report why a worker ended early, if it did; a cluster may have killed it. True = it did not."""
     try:
         reason = result()
     except Exception as error:  # whatever a cluster does with a task that is gone
@@ -239,7 +239,7 @@ def _command(words: Sequence[str]) -> list[str]:
 
 
 def _ending(status: int, report: Any) -> str:
-    """Why a worker ended: its last sentence, or the signal that ended it."""
+    """Why a worker ended: its last line of output, or the signal that ended it."""
     if status < 0:
         return f"it was ended by {signal.Signals(-status).name}."
     return last_line(report).removeprefix("rcbht: ") or f"exit status {status}."

@@ -1,4 +1,4 @@
-"""When tabs pass their lips in simulated trials: the truth about snaps, a track of annotations."""
+"""When tabs pass their lips in simulated trials: the ground truth of snaps, as a track of annotations."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def passes_of(
 ) -> Int32[np.ndarray, "trial pass 3"]:
     """The passes of trials in order of time: tab, first sample beneath its lip, first sample out again.
 
-    A tab that is pulled out may pass again; the last sample out is the trial's end where it stays in. A tab that is
-    in from the start has not passed. Zeros fill the rows of trials with fewer passes than others.
+    A tab that is pulled out may pass again; where it stays in, the trial's length takes the place of the first sample
+    out. A tab that is in from the start has not passed. Zeros fill the rows of trials with fewer passes than others.
 
     Args:
         past: which tabs are past their lips, ``Rollouts.past``.

@@ -196,7 +196,7 @@ def _is_result(target: Path, manifest: Mapping[str, Any]) -> bool:
 
 
 def _is_made_by(target: Path, manifest: Mapping[str, Any]) -> bool:
-    """Whether the target is a store that says that it was made with these options."""
+    """Whether the target is a store whose attributes state that it was made with these options."""
     if not target.exists():
         return False
     try:

@@ -1,4 +1,4 @@
-"""Arrays that are stored of a batch of trials: diverged trials marked, onsets as in recorded trials; and labels."""
+"""Arrays that are stored of a batch of trials, with diverged trials marked, and their labels."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def of_labels(tracks: LabelTracks, trials: int) -> Arrays:
 
 
 def _diverged(out: Rollouts) -> NDArray[np.bool_]:
-    """Trials [trial] that are not data: marked by the engine, or with a wrench or a motion that cannot be.
+    """Trials [trial] that are unusable: marked by the engine, or with an impossible wrench or motion.
 
     An engine may reset a trial that came apart, whose values are then finite again.
     """
@@ -161,7 +161,7 @@ def simulate_labelled(
 
     Returns:
         the trials, and host arrays of labels [trial * K, 6, slot], the wrists of a trial one after another. Labels of
-        a diverged trial mean nothing.
+        a diverged trial are undefined.
 
     Raises:
         InputError: unknown engine, or what it needs is not installed.

@@ -39,15 +39,15 @@ class Regroup:
         self._pieces: dict[Hashable, list[_Piece]] = {}
 
     def expect(self, key: Hashable, count: int) -> None:
-        """A shard of so many trials will come."""
+        """Announce a shard of ``count`` trials."""
         self._missing[key], self._pieces[key] = count, []
 
     def add(self, trials: Sequence[Trial], rows: Arrays, tracks: LabelTracks | None) -> list[Shard]:
-        """Trials that have ended.
+        """Add trials that have ended.
 
         Args:
             trials: shard and number in it of each.
-            rows: arrays of the trials; those behind the last of them are ignored.
+            rows: arrays of the trials; rows beyond the last trial are ignored.
             tracks: their labels ``[trial * wrist, axis, slot]``, or none.
 
         Returns:

@@ -1,9 +1,9 @@
-"""The work folder of a synthesis: ``manifest.json``, ``claims/``, and the store as far as it is there.
+"""The work folder of a synthesis: ``manifest.json``, ``claims/``, and the unfinished store.
 
 A shard is a batch of consecutive trials, and a part of the store; the manifest holds everything that determines its
 content, so that workers share, and a later run resumes, only their own shards. A shard counts as finished when its
-digest is there, which is written last: what a kill leaves of others is written again. Who is at work on what tell the
-claims (:mod:`sim_mjx.synthesis.claims`).
+digest is there, which is written last: what a kill leaves of others is written again. Claims
+(:mod:`sim_mjx.synthesis.claims`) record which worker makes which shard.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from sim_mjx.synthesis import claims, descriptions
 
 MANIFEST, PARTIAL = "manifest.json", ".*.partial-*"
 _TRIES = 25
-_DIGESTS = {  # whose numbers say nothing to people
+_DIGESTS = {  # described in words, since a digest says nothing to a reader
     "own_sha256": "your files", "scene_sha256": "what your files read", "sim_mjx_sha256": "the simulation's code",
     "encoding_sha256": "the encoder's code",
 }  # fmt: skip
@@ -68,7 +68,7 @@ def begin(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def renew(folder: Path) -> None:
-    """Where nobody is at work: forget failed attempts, delete partial files, and have damaged shards made again."""
+    """If no worker is active, delete the records of failed attempts, partial files and damaged shards."""
     with claims.wait_for(folder, "begin"):
         if any(tries[-1].state == "held" for task, tries in claims.board(folder).items() if task != "begin"):
             return
@@ -83,7 +83,7 @@ def renew(folder: Path) -> None:
             for shard in finished(folder):
                 if not _is_intact(stored, shard):
                     parts.discard(stored.path, shard)
-        except InputError:  # none yet, or one that is no use
+        except InputError:  # no store yet, or a damaged one
             delete(store_of(folder))
 
 
@@ -93,13 +93,13 @@ def store_of(folder: Path) -> Path:
 
 
 def finished(folder: Path) -> set[int]:
-    """Numbers of the shards that are there; none where the folder is gone."""
+    """Numbers of the finished shards; none if the folder is gone."""
     chunks = _digest(folder, 0).parent.parent
     try:
         names = os.listdir(chunks)
     except (FileNotFoundError, NotADirectoryError):
         return set()
-    # asked for often: no Path objects
+    # called often: no Path objects
     return {int(name) for name in names if name.isdecimal() and os.path.exists(f"{chunks}/{name}/0")}
 
 
@@ -118,14 +118,14 @@ def has_plan(folder: Path) -> bool:
 
 
 def task(shard: int) -> str:
-    """What a claim on a shard is called."""
+    """Name of a shard's task, for its claims."""
     return f"{shard:06d}"
 
 
 def remove(folder: Path) -> None:
     """Delete the shards, then the manifest: a kill leaves no shard without its manifest.
 
-    The caller holds the claim "join" meanwhile, so that nobody makes a deleted shard again.
+    The caller holds the claim "join" meanwhile, so that no worker makes a deleted shard again.
     """
     for entry in folder.iterdir():
         if entry.name not in (claims.FOLDER, MANIFEST):
@@ -134,12 +134,12 @@ def remove(folder: Path) -> None:
 
 
 def close(folder: Path) -> None:
-    """Delete what :func:`remove` left, once the claim is given back: open files can keep a shared folder from going."""
+    """Delete what :func:`remove` left, once the claim is released: shared folders with open files cannot be deleted."""
     for _ in range(_TRIES):
         if not folder.is_dir() or (folder / MANIFEST).exists():  # gone, or begun anew
             return
         shutil.rmtree(folder / claims.FOLDER, ignore_errors=True)
-        with suppress(OSError):  # another process has just looked for claims
+        with suppress(OSError):  # another process is reading the claims
             folder.rmdir()
             return
         time.sleep(claims.POLL)

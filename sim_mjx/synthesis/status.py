@@ -1,4 +1,4 @@
-"""How far a synthesis is, read from its work folder without disturbing those at work."""
+"""Progress of a synthesis, read from its work folder without disturbing its workers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WINDOW = 600.0  # s, of the last shards, over which the rate is taken
 
 @dataclass(frozen=True)
 class Worker:
-    """Who is at work on what."""
+    """One active worker."""
 
     host: str
     pid: int
@@ -29,7 +29,7 @@ class Worker:
 
 @dataclass(frozen=True)
 class Failure:
-    """A shard that failed and is not there yet."""
+    """A shard that failed and is not finished yet."""
 
     shard: int
     tries: int  # all attempts, those of killed workers included
@@ -40,21 +40,21 @@ class Failure:
 
 @dataclass(frozen=True)
 class SynthesisStatus:
-    """How far a synthesis is."""
+    """Progress of a synthesis."""
 
     complete: bool  # the store is there and the work folder gone
     trials: int
     done: int  # trials in finished shards
     shards: int
     shards_done: int
-    per_minute: float | None  # trials of the last ten minutes' shards; None = too few to say, or nobody at work
+    per_minute: float | None  # trials of the last ten minutes' shards; None = too few, or no active worker
     workers: list[Worker]
     failures: list[Failure]
-    killed: list[int]  # shards whose last worker died and that nobody has taken over
+    killed: list[int]  # shards whose last worker died and that no other has taken over
 
 
 def status_of(target: Path) -> SynthesisStatus:
-    """How far the synthesis of a store is.
+    """Progress of the synthesis of a store.
 
     Args:
         target: the store that is being made, or is there.
@@ -100,11 +100,11 @@ def status_of(target: Path) -> SynthesisStatus:
 
 def _complete(target: Path) -> SynthesisStatus:
     if not target.exists():
-        raise InputError(f'There is no {target} and nobody has begun it; make it with "rcbht simulate {target}".')
+        raise InputError(f'There is no {target} yet, nor a part of it; make it with "rcbht simulate {target}".')
     known: dict[str, Any] = store.read_attrs(target).get("simulated") or {}
     trials = int(known.get("job", {}).get("trials", 0))
     if not trials:
-        raise InputError(f"{target} was not made by rcbht simulate; there is nothing to say about its progress.")
+        raise InputError(f'{target} was not made by "rcbht simulate"; it has no progress to show.')
     return SynthesisStatus(True, trials, trials, 0, 0, None, [], [], [])
 
 
@@ -114,7 +114,7 @@ def _failure(shard: int, tries: list[claims.Attempt]) -> Failure:
 
 
 def _rate(folder: Path, size: int) -> float | None:
-    """Trials per minute from the times at which shards were saved; the first of them only begins the count."""
+    """Trials per minute from the times at which shards were saved, the first of which only begins the interval."""
     times = shards.finished_at(folder)
     if not times:
         return None

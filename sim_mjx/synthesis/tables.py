@@ -1,4 +1,4 @@
-"""What a store says of simulated trials: recordings with annotated phases and columns, and the drawn parameters."""
+"""What a store holds of simulated trials: recordings with annotated phases and columns, and the drawn parameters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WORLD = "Wrenches are in the world's axes, z up; moments are about the wrist's s
 
 
 def frames_of(scenario: Scenario) -> str:
-    """What axes and points the wrenches refer to."""
+    """The axes and reference points of the wrenches, in words."""
     return FRAMES if scenario.recorded else WORLD
 
 
@@ -35,7 +35,7 @@ def recordings_of(
     index: NDArray[np.int64],
     faults: list[Fault],
 ) -> Recordings:
-    """What a store holds of trials.
+    """The recordings of trials, as a store holds them.
 
     Args:
         preset: name of what was simulated. scenario: likewise.
@@ -73,7 +73,7 @@ def recordings_of(
         **dict(zip(DEVIATIONS, deviation.T, strict=True)),
     }
     marks = Annotations.from_starts(PHASES, scenario.states, each(rows["onset"]), trials["length"] * CONTROL_PERIOD)
-    # the phases come first: they are what a task is about where no track is named
+    # the phases come first: they are a task's default track
     return Recordings(**trials, annotations=Annotations.join([marks, *tracks]), columns=columns)
 
 

@@ -25,9 +25,9 @@ from sim_mjx.synthesis.regroup import Shard
 from sim_mjx.synthesis.writers import Writers
 
 TRIES = 3  # of a shard that fails
-AHEAD = 2  # shards that are drawn before lanes are free for them, if no more than SHARE asks for more
+AHEAD = 2  # shards that are drawn before lanes are free for them, unless SHARE allows more
 SHARE = 8  # one of so many missing shards, so that at the end no worker holds what another could begin
-_LONGEST_WAIT = 2.0  # s between two looks at what others hold
+_LONGEST_WAIT = 2.0  # s between two checks of what others hold
 
 Labelled = tuple[Rollouts, LabelTracks | None]
 
@@ -118,15 +118,15 @@ Stream = Callable[[Iterator[tuple[int, Any]], Callable[[], bool], Callable[[], b
 
 
 def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, share: int | None = None) -> int:
-    """Simulate and write the missing shards that nobody holds, as many at once as a device has lanes for.
+    """Simulate and write the missing shards that no worker holds, as many at once as a device has lanes for.
 
     A shard is claimed when lanes become free for its trials, and written beside the simulation of others. Shards
     that fail, or that others hold, are left to :func:`work`.
 
     Args:
         draft, tally: as in :func:`work`.
-        stream: simulates shards (number, parameters), asking for the next one when it has room; returns them in any
-            order. It is also given functions that say whether the next one is there without waiting, and whether
+        stream: simulates shards (number, parameters), taking the next one when it has room; returns them in any
+            order. It also receives two functions: whether the next shard is available without waiting, and whether
             another one can be written at once.
         lanes: trials that it simulates together.
         share: shards that this worker claims before lanes are free for them; those beyond it are left to workers whose
@@ -193,7 +193,7 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, share:
 
 
 def is_open(folder: Path) -> bool:
-    """Whether there is something to work on: the plan is there, and nobody completes the store."""
+    """Whether shards may be made: the manifest is there, and no process completes the store."""
     return shards.has_plan(folder) and all(
         one.state in ("failed", "released") for one in claims.attempts(folder, "join")
     )
@@ -206,7 +206,7 @@ def _failed(folder: Path) -> dict[int, list[claims.Attempt]]:
 
 
 def _claim(folder: Path, missing: list[int]) -> tuple[int, claims.Claim] | None:
-    """The first of these shards that nobody holds, claimed."""
+    """Claim the first of these shards that no worker holds."""
     held = {task for task, tries in claims.board(folder).items() if any(one.state == "held" for one in tries)}
     for shard in missing:
         if shards.task(shard) in held:
@@ -220,14 +220,14 @@ def _claim(folder: Path, missing: list[int]) -> tuple[int, claims.Claim] | None:
 def _make(draft: Draft, simulate: Callable[[Any], Labelled], shard: int, claim: claims.Claim) -> int:
     """Simulate and write a shard under its claim; 0 trials where it failed, or is there already."""
     try:
-        if shard in shards.finished(draft.folder) or not is_open(draft.folder):  # since we looked
+        if shard in shards.finished(draft.folder) or not is_open(draft.folder):  # since it was chosen
             claim.done()
             return 0
         drawn = draft.draw(shard)
         out, tracks = simulate(drawn[0])
         labels = None if tracks is None else records.of_labels(tracks, len(drawn[1]))
         draft.write(shard, drawn, records.of_trials(out, draft.scenario.recorded), labels)
-    except (InputError, OSError):  # of the input or the machine: the next shard would fare no better
+    except (InputError, OSError):  # of the input or the machine: the next shard would fail, too
         claim.release()
         raise
     except Exception as error:

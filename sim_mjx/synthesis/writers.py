@@ -16,20 +16,20 @@ from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.records import Arrays
 
 MOST = 4  # shards that are written at the same time; each takes a third of a megabyte of memory a trial
-FEWEST = 4  # cores from which on there are processes for it
+FEWEST = 4  # cores, and missing shards, from which on processes write
 
 
 class Writers:
-    """Writes shards of a store beside the simulation; a context that ends when all that was submitted is written.
+    """Writes shards of a store beside the simulation; leaving its context waits until all submitted ones are written.
 
     Args:
         draft: the store.
-        apart: in processes; default: where there are cores for it.
+        apart: write in processes; default: only if there are cores for them.
     """
 
     def __init__(self, draft: Draft, apart: bool | None = None) -> None:
         cores = os.cpu_count() or 1
-        missing = draft.shards - len(shards.finished(draft.folder))  # of a resumed job often few: none is begun in vain
+        missing = draft.shards - len(shards.finished(draft.folder))  # few of a resumed job: fewer processes
         self.count = max(1, min(MOST, cores, missing))
         if apart is None:
             apart = cores >= FEWEST and missing >= FEWEST

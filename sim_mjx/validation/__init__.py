@@ -1,4 +1,4 @@
-"""How far the simulation can be trusted: solver convergence, engine parity, likeness to recorded sessions."""
+"""Validation of the simulation: solver convergence, engine parity, similarity to recorded sessions."""
 
 from rcbht_jax._util.optional import require
 

@@ -1,8 +1,8 @@
 """The part pressed along a given path of the hand: the wrench is then a function of the parts alone.
 
-A controller answers to what it feels, so that a part that is a little softer changes the whole trial. Here the joint
+A controller reacts to the measured force, so that a slightly softer part changes the whole trial. Here the joint
 angles are given, for example as the encoders of a recorded trial had them: an arm a thousand times heavier and stiffer
-than the real one follows them whatever it presses against. Every engine runs it: it is one more ``Program``.
+than the real one follows them whatever it presses against. Every engine can run this ``Program``.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.sensor import SensorParams, SensorState
 from sim_mjx.assembly.task import CONTROL_PERIOD
 
-HEAVIER = 1e3  # times the arm's own inertia and the servos' stiffness
+HEAVIER = 1e3  # factor on the arm's own inertia and the servos' stiffness
 DRIVEN, ENDED = 0, 1  # phases
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DrivenParams:
-    """One trial; leaves of a batch lead with the trial. All trials of a batch have paths of one shape."""
+    """One trial; leaves of a batch have a leading trial axis. All trials of a batch have paths of one shape."""
 
     parts: PartParams
     sensor: SensorParams  # without its noise and quantisation
@@ -45,7 +45,7 @@ class DrivenParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DrivenState:
-    """What is remembered between control periods."""
+    """State between control periods."""
 
     tick: Int[Array, "*batch"]
     sensor: SensorState
@@ -87,7 +87,7 @@ def driven(scene: Scene, heavier: float = HEAVIER) -> Scene:
 
     Args:
         scene: of one arm.
-        heavier: times the arm's own inertia, stiffness and damping, so that it answers to its servos as before.
+        heavier: factor on the arm's own inertia, stiffness and damping, so that it follows its servos as before.
 
     >>> from sim_mjx.assembly.scene import hooked
     >>> plain = hooked(4)
@@ -110,11 +110,11 @@ def driven(scene: Scene, heavier: float = HEAVIER) -> Scene:
 def quicker_path(
     joints: Float[np.ndarray, "time 6"], begin: float, seconds: float, times: float
 ) -> Float64[np.ndarray, "period 6"]:
-    """A stretch of a path, followed as many times as quickly.
+    """A segment of a path, resampled to be followed faster.
 
     Args:
-        joints: rad, at control periods. begin: s, of the stretch. seconds: its length, s.
-        times: how many times as quickly.
+        joints: rad, at control periods. begin: s, of the segment. seconds: its length, s.
+        times: factor on the speed.
 
     >>> turning = np.linspace(0, 1, 101)[:, None] * np.ones(6)  # 0.5 s at control periods of 5 ms
     >>> quicker_path(turning, 0.1, 0.045, 2.0)[:, 0].round(2).tolist()

@@ -1,9 +1,8 @@
 """Parts identified from recorded motion: the wrench along the hand's recorded path, against the recorded one.
 
-Recorded joint angles say where the hand was. Moved along the same path, parts of the right shape and stiffness give the
-recorded wrench, whatever the controller was: nothing of the trial's course is fitted, only the parts and where they
-stand. As in :mod:`sim_mjx.validation.joint_fit` a parameter is shared by all sessions, or belongs to one
-(``B:parts.roll``).
+Recorded joint angles give the path of the hand. Moved along the same path, parts of the right shape and stiffness give
+the recorded wrench, whatever the controller was: only the parts and their places are fitted. As in
+:mod:`sim_mjx.validation.joint_fit` a parameter is shared by all sessions, or belongs to one (``B:parts.roll``).
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ BASE = slice(10, 100)  # samples before anything touches: what the sensor reads 
 EARLY = 20  # samples before the recorded start of rotation at which the comparison begins
 COMMAND_LAG = 5  # control periods from a command to its servo, 20 to 25 ms as recorded
 WINDOW = 10  # samples whose mean is one residual
-LEAST = np.array([0.5, 0.5, 0.5, 0.03, 0.03, 0.03])  # N and Nm, least unit of an axis: it may hardly change
+LEAST = np.array([0.5, 0.5, 0.5, 0.03, 0.03, 0.03])  # N and Nm, least unit of an axis, for axes that hardly change
 LOST = 10.0  # residual of a simulation that diverged
-PRESSED = 5.0  # N, along the hand, from which on it is said where the hand is loaded
-LOAD_UNIT, LOAD_LOST = 10e-3, 3.0  # m, by which differences of that place count, and the most that one counts
+PRESSED = 5.0  # N, along the hand, above which the load's place is compared
+LOAD_UNIT, LOAD_LOST = 10e-3, 3.0  # m, unit of differences of that place; largest residual, in units
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class DrivenTrial:
 def driven_trial(
     folder: Path, recordings: Recordings, row: int, name: str, preset: SessionPreset, after: float = AFTER
 ) -> DrivenTrial:
-    """A recorded trial as something to simulate.
+    """A recorded trial, prepared for simulation along its path.
 
     Args:
         folder: of the authors' data sets. recordings: imported from it. row: of the recording.
@@ -72,7 +71,7 @@ def driven_trial(
     >>> driven_trial(Path("hiro"), recordings, 0, "hooked-B", HOOKED["hooked-B"])  # doctest: +SKIP
     """
     angles = recorded_angles(folder, recordings, row, preset)
-    if preset.pose_lag:  # they are commands, which the servos get late
+    if preset.pose_lag:  # they are commands, which reach the servos late
         angles = np.concatenate([np.repeat(angles[:1], COMMAND_LAG, axis=0), angles[:-COMMAND_LAG]])
     starts = recordings.starts(HARMONISED)[row]
     first = max(round((starts[1] - BEFORE) / CONTROL_PERIOD), 0)
@@ -87,7 +86,7 @@ def _relative(wrench: Wrench) -> Wrench:
 
 
 def units(trials: Sequence[DrivenTrial]) -> Float64[np.ndarray, " 6"]:
-    """N and Nm, by which differences of an axis count: its recorded standard deviation.
+    """Unit of the differences of each axis, N and Nm: its recorded standard deviation, at least ``LEAST``.
 
     >>> wrench = np.zeros((200, 6))
     >>> wrench[100:, 2] = np.tile([2.0, 6.0], 50)  # Fz
@@ -102,8 +101,8 @@ def units(trials: Sequence[DrivenTrial]) -> Float64[np.ndarray, " 6"]:
 class DrivenObjective:
     """Residuals of candidates, all trials of all candidates in one batch.
 
-    The sum of a candidate's squares is the mean, over trials and axes, of the part of an axis's variance that is not
-    explained; the mean of each ``WINDOW`` samples counts, so that sensor noise does not.
+    The sum of a candidate's squares is the mean, over trials and axes, of the share of an axis's variance that is not
+    explained. Means of ``WINDOW`` samples are compared, so that sensor noise does not count.
 
     >>> from sim_mjx.assembly.scene import hooked
     >>> from sim_mjx.presets import HOOKED
@@ -119,13 +118,13 @@ class DrivenObjective:
     presets: dict[str, SessionPreset]
     trials: tuple[DrivenTrial, ...]
     engine: str = "native"
-    load_weight: float = 0.0  # of the places where the hand is loaded, in units of 10 mm, beside the wrench
+    load_weight: float = 0.0  # of the load's place, in units of 10 mm, beside the wrench; 0 = not compared
 
     def __call__(self, candidates: list[Values]) -> Residuals:
         return np.stack([self.residuals(wrenches) for wrenches in self.simulate(candidates)])
 
     def residuals(self, wrenches: list[Wrench]) -> Float64[np.ndarray, " residual"]:
-        """Of one candidate, from what :meth:`simulate` gave for it."""
+        """Residuals of one candidate, from its wrenches of :meth:`simulate`, one per trial."""
         unit = units(self.trials)
         parts = [_residual(*pair, unit) for pair in zip(self.trials, wrenches, strict=True)]
         residuals = np.concatenate(parts) / np.sqrt(6 * len(self.trials))
@@ -135,11 +134,11 @@ class DrivenObjective:
         return np.concatenate([residuals, np.concatenate(loads) * np.sqrt(self.load_weight / (2 * len(self.trials)))])
 
     def load_point(self, at: int, wrench: Wrench) -> Float64[np.ndarray, "time 2"]:
-        """Where one force at the height of the hooks' tips would give the moments, from the middle of the part.
+        """Point at the height of the hooks' tips at which one force would cause the moments, from the part's middle.
 
         Args:
-            at: number of the trial, whose path says how the hand is turned.
-            wrench: along it, or along its beginning.
+            at: number of the trial, whose path gives the hand's rotation.
+            wrench: along its path, or along the beginning of it; N and Nm.
 
         Returns:
             Forward and left, m; NaN where less than 1 N presses along the hand.
@@ -154,7 +153,7 @@ class DrivenObjective:
         return np.stack([-back, left], axis=1)
 
     def _load_residual(self, at: int, wrench: Wrench) -> Float64[np.ndarray, " residual"]:
-        """By windows in which the recorded hand was pressed."""
+        """Residuals of the load's place, by windows in which the recorded hand was pressed."""
         pressed, recorded = self._recorded_loads[at]
         away = (self.load_point(at, wrench) - recorded)[self.trials[at].begin :] / LOAD_UNIT
         means = block_means(away, WINDOW)[pressed]
@@ -201,7 +200,7 @@ def _residual(trial: DrivenTrial, wrench: Wrench, unit: Float64[np.ndarray, " 6"
 
 
 def block_means(values: Float64[np.ndarray, "time column"], samples: int) -> Float64[np.ndarray, "block column"]:
-    """Means of blocks of so many samples; what is left at the end is not used.
+    """Means of blocks of ``samples`` samples; an incomplete block at the end is not used.
 
     >>> block_means(np.arange(5.0)[:, None], 2).tolist()
     [[0.5], [2.5]]
@@ -228,7 +227,7 @@ def explained(trial: DrivenTrial, wrench: Wrench) -> Float64[np.ndarray, " 6"]:
 def rows_with_angles(
     folder: Path, recordings: Recordings, rows: Int[np.ndarray, " row"], preset: SessionPreset
 ) -> list[int]:
-    """Those of the recordings whose joint angles are there."""
+    """The rows of recordings that have joint angles."""
     out = []
     for row in rows.tolist():
         try:

@@ -1,4 +1,4 @@
-"""What the force does quickly: the first impact of the parts, and the ringing after the push that begins mating."""
+"""Fast events of the force: the first impact of the parts, and the ringing after the push that begins mating."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sim_mjx.assembly.task import CONTROL_PERIOD
 
 RINGING = 4.0  # s after mating begins, in which the ringing is measured
 IMPACT = 0.5  # s after touch, in which the first impact peaks
-PERIODS = 2  # of the ringing, over which its size is taken
+PERIODS = 2  # of the ringing, over which its amplitude is taken
 
 Floats = NDArray[np.floating]
 Forces = Float[np.ndarray, "trial time"]  # N, at the control period
@@ -25,12 +25,12 @@ class Ring(NamedTuple):
 
     hertz: float  # strongest frequency between 1 and 6 Hz
     peak: float  # N, in the first second
-    damping: float  # decay of its size over its angular frequency
+    damping: float  # damping ratio: decay rate of its amplitude over its angular frequency
 
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Quick events of a set of trials."""
+    """Fast events of a set of trials."""
 
     impact: Float64[np.ndarray, " _trial"]  # N, largest force within half a second of touch
     ring: Ring | None  # None where no trial lasts so long
@@ -77,7 +77,7 @@ def _frequency(force: Floats) -> float:
 
 
 def _damping(force: Floats, hertz: float) -> float:
-    """Decay of the logarithm of the ringing's size from one piece of two periods to the next."""
+    """Damping ratio, from the logarithm of the ringing's amplitude in successive pieces of two periods."""
     span = round(PERIODS / hertz / CONTROL_PERIOD)
     pieces = force[: len(force) // span * span].astype(np.float64).reshape(-1, span)
     size = np.log(np.maximum([np.std(_levelled(piece)) for piece in pieces], 1e-6))

@@ -1,7 +1,7 @@
 """Parity of an engine with C MuJoCo: equal wrenches until the first contact, equal labels and outcomes after it.
 
-A contact amplifies any difference, so that wrenches of two engines can only be held against each other sample by
-sample until the first contact of any pair, which comes up to half a second before the controller notices one.
+A contact amplifies any difference, so that wrenches of two engines can be compared sample by sample only until the
+first contact of any pair, which comes up to half a second before the controller notices one.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Parity:
 
     @property
     def holds(self) -> bool:
-        """Whether the engine may take the native one's place; of trials without contact nobody knows."""
+        """Whether the engine may replace the native one; False if nothing touched, since nothing was then tested."""
         wrench = self.force_until_contact <= FORCE_LIMIT and self.moment_until_contact <= MOMENT_LIMIT
         return (
             self.touched > 0

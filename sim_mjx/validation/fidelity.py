@@ -150,7 +150,7 @@ def _pose_errors(
 
 
 def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[dict[str, Any], Figure | None]:
-    """A session simulated as it was done, beside its recordings.
+    """A session simulated as it was recorded, compared with its recordings.
 
     Args:
         target: the recorded session.
@@ -195,7 +195,7 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
 
 
 def rerun(session: SessionPreset, count: int | None = None, seed: int = 0) -> tuple[Rollouts, Dynamics, dict[str, Any]]:
-    """A session simulated as it was done, its quick events, and the snaps of its seated trials."""
+    """A session simulated as it was recorded, its fast events, and the snaps of its seated trials."""
     params = sessions.trials_of(session, count, seed=seed)
     scene = session.scene()
     recorder = Recorder(scene, len(params.command_delay))

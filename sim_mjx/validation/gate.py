@@ -1,6 +1,6 @@
-"""What a simulated session must have in common with the recorded one, and what nonsense lacks.
+"""The gate: what a simulated session must have in common with the recorded one.
 
-Band, distance and time warping of :mod:`sim_mjx.validation.signature` look at one axis at a time: a constant in place
+Band, distance and time warping of :mod:`sim_mjx.validation.signature` measure one axis at a time: a constant in place
 of a wrench, or parts without tabs, can pass them. Here a classifier tries to separate simulated from recorded trials (a
 classifier two-sample test, Lopez-Paz & Oquab 2017), and the first impact, the ringing, the spread between trials and
 the signs of the moments are compared.
@@ -22,7 +22,7 @@ from sim_mjx.validation.dynamics import Dynamics
 from sim_mjx.validation.signature import Given
 
 MOMENTS = slice(3, 6)
-LEAST = 3  # trials of a set, without which nothing can be said about it
+LEAST = 3  # least number of trials in a set
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,14 @@ class Check:
 
 
 def cells(profiles: Given) -> Float64[np.ndarray, "_trial _cell"]:
-    """Mean and standard deviation of every state and axis: what the classifier sees of a trial."""
+    """Mean and standard deviation of every state and axis: the classifier's features of a trial."""
     return np.concatenate([profiles.mean(2), profiles.std(2)], axis=1).reshape(len(profiles), -1)
 
 
 def separability(reference: Given, test: Given) -> float:
     """How well a linear classifier separates two sets of trials: area under the ROC curve, 0.5 = not at all.
 
-    Each trial is judged by a linear discriminant (shrinkage of Ledoit and Wolf) of all others' :func:`cells`; its
+    Each trial is scored by a linear discriminant (shrinkage of Ledoit and Wolf) of all others' :func:`cells`; its
     decision counts in units of their spread. With few trials the area is below 0.5 where the sets are alike, because
     the mean of the others moves away from the trial that was left out.
 
@@ -72,12 +72,14 @@ def separability(reference: Given, test: Given) -> float:
     from sklearn.preprocessing import StandardScaler
 
     if min(len(reference), len(test)) < LEAST:
-        raise InputError(f"{len(reference)} and {len(test)} trials to be separated; expected at least {LEAST} each.")
+        raise InputError(
+            f"reference has {len(reference)} trials and test {len(test)}; expected at least {LEAST} of each."
+        )
     values = np.concatenate([cells(reference), cells(test)])
     labels = np.repeat([0, 1], [len(reference), len(test)])
-    judge = make_pipeline(StandardScaler(), LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"))
-    return float(roc_auc_score(labels, cross_val_predict(judge, values, labels, cv=LeaveOneOut(),
-                                                         method="decision_function")))  # fmt: skip
+    discriminant = make_pipeline(StandardScaler(), LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"))
+    scores = cross_val_predict(discriminant, values, labels, cv=LeaveOneOut(), method="decision_function")
+    return float(roc_auc_score(labels, scores))
 
 
 def wrong_signs(reference: Given, test: Given) -> Bool[np.ndarray, "4 3"]:
@@ -101,14 +103,14 @@ def checks(
     snaps: tuple[float, float] | None = None,
     late: float | None = None,
 ) -> dict[str, Check]:
-    """Every measure of a simulated session beside its limits.
+    """Every measure of a simulated session, with its limits.
 
     Args:
         limits: of the session.
         reference: recorded profiles ``[n, 4, 100, 6]``. test: simulated ones, at least three.
-        events: quick events, recorded and simulated; None = not compared, as the following.
-        snaps: shares of seated trials with a snap like the recorded ones, recorded and simulated.
-        late: s, largest error of a median onset.
+        events: fast events, recorded and simulated; None = not compared.
+        snaps: shares of seated trials with a snap like the recorded ones, recorded and simulated; None = not compared.
+        late: s, largest error of a median onset; None = not compared.
 
     Raises:
         InputError: profiles of a wrong shape, not finite, or fewer than three.
@@ -137,7 +139,7 @@ def checks(
 
 
 def _ratio(values: Sequence[float | None], factor: float) -> Check:
-    """Of the simulated value to the recorded one."""
+    """Ratio of the simulated value to the recorded one."""
     recorded, simulated = values
     ratio = None if recorded is None or simulated is None else simulated / recorded
     return Check(ratio, low=1 / factor, high=factor)

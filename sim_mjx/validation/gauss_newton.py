@@ -66,10 +66,10 @@ def fit(
 
     Args:
         objective: residuals of candidates; called twice an iteration, for all differences and for all dampings.
-        search: bounds and start; population, generations, spread and seed mean nothing here.
+        search: bounds and start; population, generations, spread and seed are not used.
         iterations: most points at which derivatives are taken.
-        step: of the first differences, in widths of the ranges: wide enough to bridge where single contacts begin. It
-            is halved, and looks to the other side, whenever no damping makes the loss smaller.
+        step: of the first differences, in widths of the ranges: wide enough to bridge the begin of single contacts.
+            Whenever no damping lowers the loss enough, it is halved and its sign changes.
         progress: called with each point at which derivatives are taken.
 
     Raises:
@@ -85,20 +85,20 @@ def fit(
     """
     check(search)
     if iterations < 1 or not FINEST <= step <= 0.5:
-        raise InputError(f"Iterations {iterations}, step {step}: expected at least 1, and {FINEST} to 0.5.")
+        raise InputError(f"iterations is {iterations} and step {step}; expected at least 1, and {FINEST} to 0.5.")
 
     def simulate(points: Float64[np.ndarray, "candidate parameter"]) -> Residuals:
         return np.asarray(objective([values_of(point, search.bounds) for point in points]), np.float64)
 
     point = np.clip(point_of(search), INSIDE, 1 - INSIDE)
     (here,) = simulate(point[None])
-    count, way, side, history = 1, step, 1.0, []
+    count, width, sign, history = 1, step, 1.0, []
     jacobian = np.zeros((len(here), len(point)))
     for _ in range(iterations):
-        history.append(Iteration(count, float(here @ here), way))
+        history.append(Iteration(count, float(here @ here), width))
         if progress is not None:
             progress(history[-1], values_of(point, search.bounds))
-        jacobian = _differences(simulate, point, here, side * way)
+        jacobian = _differences(simulate, point, here, sign * width)
         tried = _steps(point, jacobian, here)
         found = simulate(tried)
         count += len(point) + len(tried)
@@ -108,8 +108,8 @@ def fit(
         if losses[best] < here @ here:
             point, here = tried[best], found[best]
         if not enough:
-            way, side = way / 2, -side
-            if way < FINEST:
+            width, sign = width / 2, -sign
+            if width < FINEST:
                 break
     ends = zip(search.bounds, point.tolist(), strict=True)
     at_bound = [name for name, share in ends if not INSIDE < share < 1 - INSIDE]
@@ -124,13 +124,13 @@ def fit_together(
     step: float = 0.02,
     progress: Callable[[int, Iteration, Values], None] | None = None,
 ) -> list[LeastSquares]:
-    """Several fits in step, for example from several starts: what they simulate at a time is one batch.
+    """Several fits at once, for example from several starts; their candidates share one batch at each step.
 
-    Each is the fit that :func:`fit` finds alone, if candidates of a batch do not depend on each other.
+    Each result is that of :func:`fit` alone, if candidates of a batch do not depend on each other.
 
     Args:
-        objective, iterations, step: of :func:`fit`. searches: one a fit.
-        progress: called as that of :func:`fit`, with the number of the fit first; by one fit at a time.
+        objective, iterations, step: as of :func:`fit`. searches: one per fit.
+        progress: as of :func:`fit`, with the number of the fit as first argument; called by one fit at a time.
 
     Raises:
         InputError: as of :func:`fit`, or no search is given.
@@ -143,18 +143,18 @@ def fit_together(
         [-1.0, 1.0]
     """
     if not searches:
-        raise InputError("There is nothing to fit: at least one search is needed.")
+        raise InputError("searches is empty; expected at least one search.")
     shared, one_at_a_time = _Shared(objective, len(searches)), threading.Lock()
 
     def one(number: int) -> LeastSquares:
-        def told(at: Iteration, values: Values) -> None:
+        def report(at: Iteration, values: Values) -> None:
             if progress is not None:
                 with one_at_a_time:
                     progress(number, at, values)
 
         try:
             ask = partial(shared.ask, number)
-            return fit(ask, searches[number], iterations=iterations, step=step, progress=told)
+            return fit(ask, searches[number], iterations=iterations, step=step, progress=report)
         except BaseException as error:
             shared.fail(error)
             raise
@@ -166,7 +166,7 @@ def fit_together(
 
 
 class _Shared:
-    """Answers fits in threads as soon as all that have not ended have asked."""
+    """Simulates the candidates of fits in threads together, once every running fit has given its own."""
 
     def __init__(self, objective: Objective, fits: int) -> None:
         self.objective, self.fits = objective, fits
@@ -185,13 +185,13 @@ class _Shared:
             return self.answers.pop(number)
 
     def fail(self, error: BaseException) -> None:
-        """No fit goes on: what one of them raised is not to be found out at the end of the others."""
+        """End all fits at once with the error that one of them raised."""
         with self.turn:
             self.failed = self.failed or error
             self.turn.notify_all()
 
     def leave(self) -> None:
-        """A fit has ended: the others wait for it no longer."""
+        """End a fit, so that the others no longer wait for it."""
         with self.turn:
             self.fits -= 1
             self._answer()
@@ -214,10 +214,10 @@ def _differences(
     simulate: Callable[[Float64[np.ndarray, "candidate parameter"]], Residuals],
     point: Point,
     here: Float64[np.ndarray, " residual"],
-    way: float,
+    step: float,
 ) -> Jacobian:
-    """By one simulation a parameter, on the side of ``way`` unless the cube ends there."""
-    ahead = np.where((point + way >= 0.0) & (point + way <= 1.0), way, -way)
+    """Derivatives by one simulation per parameter, by ``step``, or by ``-step`` where that would leave the cube."""
+    ahead = np.where((point + step >= 0.0) & (point + step <= 1.0), step, -step)
     return ((simulate(point + np.diag(ahead)) - here) / ahead[:, None]).T
 
 
@@ -247,21 +247,21 @@ def _steps(
 
 
 def identifiability(jacobian: Jacobian, names: list[str], loss: float, samples: float) -> dict[str, Any]:
-    """What the Gauss-Newton matrix says of the parameters, in shares of their ranges.
+    """How well the residuals determine the parameters, in shares of their ranges, from the Gauss-Newton matrix.
 
     Args:
         jacobian: of residuals whose squares sum to ``loss``. names: of its columns.
-        loss: the sum of squares that is left.
-        samples: independent residuals; those of neighbouring samples are not, so that this is a judgement.
+        loss: the remaining sum of squares.
+        samples: number of independent residuals: an estimate, since those of neighbouring samples depend on each other.
 
     Returns:
         ``spectrum`` singular values, largest first; ``deviation`` the standard deviation that the residuals leave each
-        parameter, None where they say nothing of it; ``weakest`` the direction that they say least of, as its largest
-        components.
+        parameter, None where they do not depend on it; ``weakest`` the direction that they determine least, as its
+        largest components.
 
     Example:
-        >>> said = identifiability(np.array([[1.0, 1.0], [1.0, 1.0], [0.5, 0.0]]), ["a", "b"], 0.01, 10.0)
-        >>> [round(value, 2) for value in said["spectrum"]], said["weakest"]
+        >>> found = identifiability(np.array([[1.0, 1.0], [1.0, 1.0], [0.5, 0.0]]), ["a", "b"], 0.01, 10.0)
+        >>> [round(value, 2) for value in found["spectrum"]], found["weakest"]
         ([2.03, 0.35], {'b': 0.73, 'a': -0.68})
     """
     _, spectrum, turned = np.linalg.svd(jacobian, full_matrices=False)

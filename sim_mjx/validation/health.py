@@ -1,4 +1,4 @@
-"""What a machine has and does, and whether a store is whole: the library behind ``rcbht doctor``."""
+"""Versions, devices and speed of a machine, and checks of stores: the library behind ``rcbht doctor``."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ SAMPLES, RECORDINGS, TRIALS = 2000, 64, 64
 class StoreHealth:
     """What was found in a store."""
 
-    recordings: int  # that its lengths count
-    damage: list[str]  # sentences: what cannot be believed or is missing
-    notes: list[str]  # sentences: what is as it should be, but good to know
+    recordings: int  # number of recordings, by its lengths
+    damage: list[str]  # what is damaged or missing, in sentences
+    notes: list[str]  # what is no damage, but good to know, in sentences
     repairable: bool  # the installed code makes the same trials from the seed
 
 
@@ -48,7 +48,7 @@ def machine(folder: Path) -> dict[str, Any]:
     """Versions, devices, folder of compiled programs and free disk, as JSON values.
 
     Args:
-        folder: whose disk is looked at.
+        folder: on the disk whose free space is measured.
     """
     cache = compile_cache.default_folder()
     files = [path for path in cache.rglob("*") if path.is_file()] if cache.is_dir() else []
@@ -67,7 +67,7 @@ def machine(folder: Path) -> dict[str, Any]:
 
 
 def problems(found: dict[str, Any]) -> list[str]:
-    """What of :func:`machine` will keep something from working, in sentences."""
+    """Problems that the result of :func:`machine` shows, in sentences."""
     versions, sentences = found["versions"], []
     if versions["mujoco"] != versions["mujoco-mjx"]:
         sentences.append(
@@ -100,7 +100,7 @@ def benchmark() -> dict[str, float]:
 
 
 def check_store(path: Path) -> StoreHealth:
-    """Read everything in a store, part by part, compare it with its checksums, and its provenance with the installed.
+    """Read all of a store, part by part, and compare it with its checksums, and its provenance with the installed code.
 
     Raises:
         InputError: there is no store.
@@ -109,7 +109,7 @@ def check_store(path: Path) -> StoreHealth:
     damage: list[str] = []
     notes: list[str] = []
     _read(partial(store.verify, path), damage)
-    count = _read(partial(store.count_recordings, path), []) or 0  # damage of the lengths is reported already
+    count = _read(partial(store.count_recordings, path), []) or 0  # damage of the lengths is already reported
     names = _read(partial(list_tracks, path), damage) or []
     for name in names:
         _read(partial(verify_tracks, path, name), damage)
@@ -131,10 +131,10 @@ def check_store(path: Path) -> StoreHealth:
 
 
 def repair_job(path: Path) -> SynthesisConfig:
-    """What to simulate to make a store again, in shards of its parts' size.
+    """The job that simulates a store again, in shards of its parts' size.
 
     Raises:
-        InputError: it was not simulated, or not by what is installed.
+        InputError: it was not simulated, or not by the installed versions.
     """
     attrs = store.read_attrs(path)
     simulated = attrs.get("simulated")
@@ -153,7 +153,7 @@ def other_tracks(path: Path, job: SynthesisConfig) -> list[str]:
 
 
 def _made_by(simulated: dict[str, Any]) -> tuple[SynthesisConfig | None, str]:
-    """The job of a store, and in a sentence how what is installed differs from what made it; "" = not at all."""
+    """The job of a store, and in a sentence how the installed code differs from its maker; "" = not at all."""
     try:
         job = job_of(simulated["job"])
         now = shards.as_json(provenance(manifest_of(job)))
@@ -175,7 +175,7 @@ def _made_by(simulated: dict[str, Any]) -> tuple[SynthesisConfig | None, str]:
 
 
 def _read(part: Callable[[], Any], damage: list[str]) -> Any:
-    """A part of a store; None where it is damaged, which is noted."""
+    """A part of a store; None if it is damaged, with the reason added to ``damage``."""
     try:
         return part()
     except InputError as error:

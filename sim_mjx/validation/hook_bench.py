@@ -1,7 +1,7 @@
-"""A bench for snap hooks: a hand presses tabs past their lips and pulls them out again; forces are held against theory.
+"""A bench for snap hooks: a hand presses tabs past their lips and pulls them out; forces are compared with theory.
 
-The hand moves at constant speed and does not give way; the lips stand still. C MuJoCo, because the bench is about
-geometry and contact, which other engines take over (see engine_parity).
+The hand moves at constant speed and does not give way; the lips stand still. The bench uses C MuJoCo: agreement of the
+other engines with it is tested elsewhere (:mod:`sim_mjx.validation.engine_parity`).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def press_and_pull(
         (6, 15)
     """
     if not hooks or (lower is not None and len(lower) != len(hooks)):
-        raise InputError(f"The bench has {len(hooks)} hooks; expected at least one, and a number in lower for each.")
+        raise InputError(f"hooks has {len(hooks)} elements; expected at least one, and in lower as many or None.")
     model, depth = _rig(hooks, lower or [0.0] * len(hooks), step)
     data = mujoco.MjData(model)
     steps = round(depth / SPEED / step)

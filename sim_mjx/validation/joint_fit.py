@@ -1,8 +1,8 @@
 """One set of parts for several sessions: the loss of shared and of each session's own parameters.
 
-A name such as ``parts.friction`` holds for all sessions, ``B:parts.roll`` for one. Beside the similarity of the wrench
-the loss counts what the hooks do: which trials seat, and whether a tab gives way while the hand presses. Without that
-a search finds parts whose feet slide over the seat and whose hooks touch nothing.
+A name such as ``parts.friction`` holds for all sessions, ``B:parts.roll`` for one. Besides the similarity of the wrench
+the loss includes the effect of the hooks: which trials seat, and whether a tab gives way while the hand presses.
+Without it a search finds parts whose feet slide over the seat and whose hooks touch nothing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sim_mjx.validation.sessions import Target
 from sim_mjx.validation.system_id import Losses, Values
 
 CELL_WEIGHT, WORST_CELL, SIGN_WEIGHT, EVENT_WEIGHT, OUTCOME_WEIGHT, SNAP_WEIGHT = 0.25, 4.0, 0.05, 0.3, 1.0, 0.5
-WAIT_WEIGHT, WAIT, WAITS = 0.5, 7.4, 20.0  # median time of a recorded last snap, s into mating; ratio that counts whole
+WAIT_WEIGHT, WAIT, WAITS = 0.5, 7.4, 20.0  # median recorded time of the last snap, s into mating; ratio of loss 1
 SNAP, RUNG = 7.0, 1.0  # N, of a snap as recorded; s after mating begins, when the push has rung down
 LONGEST = 12.0  # s of mating that are simulated: by then most of the recorded tabs are in
 OWNED = re.compile(r"(?:([^:\[]+):)?(.+)")  # a colon in brackets is a range of elements
@@ -40,8 +40,8 @@ IMPOSSIBLE = 9.0  # loss of a session that cannot be simulated or compared
 class Share(NamedTuple):
     """What a session contributes to a joint fit."""
 
-    target: Target  # of the recorded trials that may be seen
-    placements: tuple[tuple[int, int], ...]  # of a session with a grid: the cells that may be seen
+    target: Target  # recorded trials to fit to
+    placements: tuple[tuple[int, int], ...]  # of a session with a grid: the cells to fit to
     trials: int  # simulated per candidate
 
 
@@ -100,7 +100,7 @@ class JointObjective:
 def session_loss(share: Share, run: Rollouts) -> float:
     """Distance of simulated whole trials from a session: that of :func:`sessions.loss` and, weighted, the mean distance
     of the 48 means and deviations of the gate's classifier in recorded deviations, wrong signs, logarithms of the
-    ratios of first impact and ring, wrong outcomes, and snaps that are missing.
+    ratios of first impact and ring, wrong outcomes, and missing snaps.
     """
     target = share.target
     simulated = sessions.profiles(run)
@@ -118,7 +118,7 @@ def session_loss(share: Share, run: Rollouts) -> float:
 
 
 def outcome_loss(share: Share, run: Rollouts) -> float:
-    """Share of the tabs that are out where a trial should seat, and of the trials that seat where they should not."""
+    """Weighted mean error of outcomes: share of unseated tabs if a trial should seat, else 1 if it seats."""
     expected = seats(share)
     wrong = np.where(expected, 1.0 - run.seated.mean(1), run.seated.all(1))
     return OUTCOME_WEIGHT * float(wrong.mean())
@@ -154,8 +154,8 @@ def _missing_snaps(share: Share, run: Rollouts) -> float:
 
 
 def _wrong_wait(share: Share, run: Rollouts) -> float:
-    """Mean logarithm of the ratio between when the last tab passed and when recorded ones do, at most 1; 1 where none
-    has passed in mating.
+    """Mean logarithm, to base ``WAITS``, of the ratio of the last tab's time to the recorded one; each at most 1, and 1
+    where no tab passes in mating.
     """
     passes = passes_of(run.past, run.length)
     last = [max((start for _, start, end in each.tolist() if end), default=0) * CONTROL_PERIOD for each in passes]

@@ -1,4 +1,4 @@
-"""Derivatives of the simulated wrench by what the parts are made of, in forward mode through MJX's physics.
+"""Derivatives of the simulated wrench by parameters of the parts, in forward mode through MJX's physics.
 
 Contact makes the wrench a rough function of the parts: an elliptic cone gives no derivative where it is entered, and
 a contact that begins with its full stiffness makes the wrench jump by when it begins. In the *smooth setting* friction
@@ -38,7 +38,7 @@ Statistics = Callable[[Wrenches], Float[Array, "trial statistic"]]
 
 
 def smooth(scene: Scene) -> Scene:
-    """The scene in the smooth setting; of hooks, whose hand should be :func:`sim_mjx.validation.driven.driven`.
+    """A scene with hooks in the smooth setting; its hand should be :func:`sim_mjx.validation.driven.driven`.
 
     >>> from sim_mjx.assembly.scene import hooked
     >>> smooth(hooked(4)).model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
@@ -113,7 +113,7 @@ def with_parts(trial: DrivenParams, name: str, by: float) -> DrivenParams:
 def wrench_and_derivatives(
     scene: Scene, params: Any, tangents: Sequence[Fields], statistics: Statistics
 ) -> tuple[Float64[np.ndarray, "trial statistic"], Float64[np.ndarray, "trial statistic parameter"]]:
-    """Statistics of the wrenches of a batch of trials, and their derivatives, in JAX's present precision.
+    """Statistics of the wrenches of a batch of trials, and their derivatives, in JAX's current precision.
 
     Args:
         scene: in the smooth setting. params: batch of driven trials.
@@ -160,7 +160,7 @@ class _Job:
         return jnp.asarray(leaf, self.real if leaf.dtype.kind == "f" else leaf.dtype)
 
     def run(self, fields: dict[str, Array]) -> Float[Array, "trial statistic"]:
-        """Settle, follow the path, and look at the wrench."""
+        """Settle, follow the path, and compute the statistics of the wrench."""
         fixed = replace(self.fixed, fields=fields)
         settling = -(-SETTLING // self.layout.substeps)
         stretches = -(-(settling + self.periods) // device.STRETCH)

@@ -1,4 +1,4 @@
-"""The recorded sessions simulated as they were done, and the similarity of their wrenches.
+"""The recorded sessions simulated as they were recorded, and the similarity of their wrenches.
 
 Session A repeated one pose; session B covered a grid of offsets, one trial per cell; of C and of the OpenHRP
 simulation only a mild variation between trials is known.
@@ -59,7 +59,7 @@ def trials_of(
         physical: parameters that replace the nominal ones.
         whole: to the session's end; otherwise just past the first second of mating, which the signature needs.
         placements: mm, of a session with a grid, one trial each; default all of the session.
-        longest: s, of mating; a trial that has not begun to mate in good time is cut, too.
+        longest: s, of mating; if finite, trials that begin mating more than ``SLACK`` s late are also cut.
 
     Raises:
         InputError: unknown parameter, or more trials than the session's grid has cells.
@@ -70,7 +70,7 @@ def trials_of(
     cells = session.placements if placements is None else placements
     count = count or len(cells) or REPEATS
     if cells and count > len(cells):
-        raise InputError(f"Session {session.name} has {len(cells)} cells; {count} trials are too many.")
+        raise InputError(f"The count is {count}; session {session.name} has {len(cells)} cells, for a trial each.")
     repeats: dict[str, Any] = session.repeats
     spec = DomainRandomization(nominal_share=1.0, longest=limit, physical=physical, **repeats)
     drawn, _ = trials.sample_batch(session, seed, range(count), spec)
@@ -205,7 +205,7 @@ def missing_snaps(target: Target, summary: dict[str, Any]) -> float:
 
 
 def agreement(session: SessionPreset, run: Rollouts) -> int:
-    """Number of whole trials that seat, or do not, as :func:`should_seat` says."""
+    """Number of whole trials whose seating is that of :func:`should_seat`."""
     seated = np.atleast_1d(run.seated.all(1))
     return int((seated == should_seat(session, len(seated), session.placements)).sum())
 

@@ -54,15 +54,15 @@ def profiles(recordings: Recordings, rows: Rows = None) -> Profiles:
         rows: which recordings, in this order; all if None.
 
     Returns:
-        the states [0, S1], [S1, S2'], [S2', S3], [S3, S3 + 1 s], interpolated linearly, ends included. A record
-        that ends within a second of S3 gives what there is.
+        the states [0, S1], [S1, S2'], [S2', S3], [S3, S3 + 1 s], interpolated linearly, ends included. The last state
+        of a record that ends within a second of S3 ends with the record.
 
     Raises:
         InputError: no recordings, or one of them lacks a state.
     """
     chosen = np.arange(len(recordings)) if rows is None else np.asarray(rows, int)
     if chosen.size == 0:
-        raise InputError("No recordings to take wrench profiles of; choose at least one.")
+        raise InputError("rows is empty, or there are no recordings; expected at least one.")
     edges = _edges(recordings, chosen)
     share = np.linspace(0.0, 1.0, POINTS)
     start, stop = edges[:, :-1, None], edges[:, 1:, None]

@@ -14,9 +14,9 @@ from sim_mjx.assembly.task import CONTROL_PERIOD
 LEAST_DROP = 5.0  # N
 FALL = 12  # control periods in which a snap falls
 BEFORE, LEVEL = 20, 200  # control periods: the level before a snap is the median from LEVEL to BEFORE of it
-BELOW = 0.75  # of that level: the overshoot of a force loop falls no lower, because the level before a push is low
+BELOW = 0.75  # of that level: the overshoot of a force loop stays above it, because the level before a push is low
 RELEASE, DROP = (11.0, 18.0), (7.0, 17.0)  # N, of session B's snaps
-APART = 100  # control periods between two snaps: a snap's own ringing is none
+APART = 100  # least control periods between two snaps: a snap's own ringing does not count
 SETTLED = 1.5  # s after touch, before which the hand still bounces
 
 
@@ -70,7 +70,7 @@ def find(force: Float64[np.ndarray, " time"], touch: float = 0.0, least: float =
 
 
 def summary(trials: Sequence[Sequence[Snap]]) -> dict[str, Any]:
-    """Numbers of the snaps of several trials, JSON values: how many, how strong, how many as recorded."""
+    """Statistics of the snaps of several trials as JSON values: counts, forces, and how many are as recorded."""
     snaps = [snap for trial in trials for snap in trial]
     shares = {
         name: np.round(np.percentile([getattr(snap, name) for snap in snaps], (5, 50, 95)), 1).tolist() if snaps else []
@@ -90,5 +90,5 @@ def share(summary: dict[str, Any]) -> float:
 
 
 def as_recorded(snap: Snap) -> bool:
-    """Whether a snap lies in the ranges that session B's do."""
+    """Whether a snap lies within the ranges of session B's snaps."""
     return RELEASE[0] <= snap.release <= RELEASE[1] and DROP[0] <= snap.drop <= DROP[1]

@@ -48,7 +48,7 @@ class Search:
 
 
 class Generation(NamedTuple):
-    """What one generation came to."""
+    """Outcome of one generation."""
 
     number: int  # from 1
     best: float  # lowest loss in it
@@ -107,24 +107,24 @@ def fit(
 
 
 def check(search: Search) -> None:
-    """Refuse an impossible search.
+    """Check the settings of a search.
 
     Raises:
         InputError: no parameters, an empty range, too small a population, or a start outside its range.
     """
     if not search.bounds:
-        raise InputError("A search needs at least one parameter.")
+        raise InputError("bounds is empty; expected those of at least one parameter.")
     if search.population < 4 or search.generations < 1 or not 0.0 < search.spread <= 1.0:
         raise InputError(
-            f"Population {search.population}, generations {search.generations}, spread {search.spread}: expected at "
-            "least 4, at least 1, and a spread above 0 up to 1."
+            f"population is {search.population}, generations {search.generations} and spread {search.spread}; expected "
+            "at least 4, at least 1, and above 0 up to 1."
         )
     for name, (low, high, log) in search.bounds.items():
         if not (math.isfinite(low) and math.isfinite(high) and low < high and (low > 0 or not log)):
             raise InputError(f"The range of {name} is {low} to {high}; expected it increasing, and positive if log.")
     for name, value in search.start.items():
         if name not in search.bounds or not search.bounds[name].low <= value <= search.bounds[name].high:
-            raise InputError(f"The search starts at {name} = {value}, which is outside its range.")
+            raise InputError(f"The search starts at {name} = {value}; expected a value within its range.")
 
 
 def _begin(search: Search) -> State:

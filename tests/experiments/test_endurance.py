@@ -55,7 +55,7 @@ def test_a_minute_through_the_chain(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_memory_that_grows_has_a_slope() -> None:
     noise = np.random.default_rng(0).normal(0, 0.1, 24 * 60)
     for hourly in (0.0, 1.0):
-        said = endurance.memory_told((600 + noise + hourly / 60 * np.arange(24 * 60)).tolist())
+        said = endurance.memory_summary((600 + noise + hourly / 60 * np.arange(24 * 60)).tolist())
         assert said["MB per simulated hour, warm"] == pytest.approx(hourly, abs=2 * said["its interval, plus or minus"])
         assert said["its interval, plus or minus"] < 0.01
 

@@ -41,7 +41,7 @@ def test_levels_of_its_own_nominal_trials_keep_a_monitor_calm_elsewhere(
 ) -> None:
     first, second = sessions
     found = {
-        way: [across.heard(second, [first], seed, way, tmp_path / f"{way}-{seed}.npz") for seed in (0, 1)]
+        way: [across.alarms_of(second, [first], seed, way, tmp_path / f"{way}-{seed}.npz") for seed in (0, 1)]
         for way in (across.OWN, across.CALM, across.OTHERS)
     }
     made = across.measure(second.trials, found)
@@ -54,9 +54,9 @@ def test_levels_of_its_own_nominal_trials_keep_a_monitor_calm_elsewhere(
 
 def test_its_own_way_is_that_of_the_experiment_beside_it(sessions: tuple[Watched, Watched], tmp_path: Path) -> None:
     first = sessions[0]
-    heard, run = across.heard(first, [], 3, across.OWN, tmp_path / "own.npz"), online.run(first, 3)
+    found, run = across.alarms_of(first, [], 3, across.OWN, tmp_path / "own.npz"), online.run(first, 3)
     for watcher, times in run.first.items():
-        np.testing.assert_array_equal(heard[across.EVERY].first[watcher], times)
+        np.testing.assert_array_equal(found[across.EVERY].first[watcher], times)
 
 
 def test_a_kind_that_is_never_seen_is_not_among_what_is_learned(
@@ -67,9 +67,9 @@ def test_a_kind_that_is_never_seen_is_not_among_what_is_learned(
     for kind, monitor in made.items():
         assert all(kind not in machine.svm.classes for machine in monitor.machines.values())
     path = tmp_path / "unseen.npz"
-    once = across.heard(first, [], 0, across.UNSEEN, path)
+    once = across.alarms_of(first, [], 0, across.UNSEEN, path)
     monkeypatch.setattr(across, "learned", lambda *_: pytest.fail("what is kept must not be learned again"))
-    again = across.heard(first, [], 0, across.UNSEEN, path)
+    again = across.alarms_of(first, [], 0, across.UNSEEN, path)
     for kind in KINDS:
         np.testing.assert_array_equal(once[kind].first["words"], again[kind].first["words"])
     assert not np.array_equal(once["jamming"].first["words"], once["early-stop"].first["words"])

@@ -205,9 +205,9 @@ class Spoilt(causal.Stream):
         return x + 3 * (np.arange(columns) % 4 == state[:, None])
 
     def x(self, which: str) -> np.ndarray:
-        snapshots = {"told": self.told, "trial": self.trial, "training": self.training}.get(which)
+        snapshots = {"regular": self.regular, "trial": self.trial, "training": self.training}.get(which)
         snapshots = causal.since_trial_start(self.training) if snapshots is None else snapshots
-        hidden = self.inside[snapshots.interval] == (which in ("told", "trial"))
+        hidden = self.inside[snapshots.interval] == (which in ("regular", "trial"))
         values = self.described(snapshots, "phase" if which.startswith("trial") else "state")
         return np.where(hidden[:, None], np.nan, values)
 
@@ -225,7 +225,7 @@ def stream() -> Spoilt:
 
 def test_a_stream_trains_on_one_side_and_is_scored_on_the_other(stream: Spoilt) -> None:
     assert isinstance(stream.method.stream_learning("state")[0], Grid)
-    assert causal.told(stream, False, stream.inside, SEED)["macro step accuracy"] > 0.8
+    assert causal.given_starts(stream, False, stream.inside, SEED)["macro step accuracy"] > 0.8
     beliefs = causal.unaided(stream, False, stream.inside, SEED)
     assert set(beliefs) == {"phase", "filter", "state"}
     assert beliefs["phase"]["macro step accuracy"] > 0.6

@@ -225,7 +225,7 @@ def test_sums_stay_exact_over_ten_million_words():
 
 
 def test_errors():
-    with pytest.raises(InputError, match="family sentence looks at the whole past"):
+    with pytest.raises(InputError, match="family sentence needs the whole interval"):
         check_online(FeatureSpec(families=("sentence",)))
     wrench = np.zeros((100, 6), np.float32)
     for begin, now in [([0, 0], [10, 10]), ([5], [5]), ([0], [101]), ([0, 9], [10, 20]), ([-1], [3])]:

@@ -236,5 +236,5 @@ def test_grammars_stand_side_by_side():
     assert concatenate_features({"W5": coarse}).names == coarse.names
     short = Features(fine.values[:1], fine.names, fine.families, fine.meanings)
     for bad in ({"W5": coarse, "fine": short}, {}):
-        with pytest.raises(InputError, match="side by side"):
+        with pytest.raises(InputError, match="cannot be concatenated"):
             concatenate_features(bad)

@@ -230,7 +230,7 @@ def test_model_files_that_do_not_fit(tmp_path):
         model_files.load(path)
     with pytest.raises(InputError, match="has no class"):
         replace(model().heads[0], alarm="fire")
-    with pytest.raises(InputError, match="at least one head"):
+    with pytest.raises(InputError, match="has the heads none; expected one or more"):
         replace(model(), heads=())
 
 

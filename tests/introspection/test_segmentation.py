@@ -73,7 +73,7 @@ def test_no_group_is_on_both_sides(monkeypatch: pytest.MonkeyPatch):
     assert len(taught) == 2 + 6
 
 
-def test_words_of_the_fit_rule_whose_tolerance_the_teachers_tell():
+def test_the_tolerance_of_the_fit_rule_comes_from_the_training_recordings():
     data = made()
     y = [data.annotations.of_samples(i, "phase", n, data.dt) for i, n in enumerate(data.length.tolist())]
     train, test = data.take(np.arange(5)), data.take(np.array([5]))

@@ -151,10 +151,10 @@ def test_after_a_snap_the_axis_is_quiet_for_a_while() -> None:
     ("options", "sentence"),
     [
         ({"rate": 0.0}, "rate"),
-        ({"least": 0.0}, "positive"),
-        ({"least": 3.0, "most": 2.0}, "no larger"),
+        ({"least": 0.0}, "least is 0.0"),
+        ({"least": 3.0, "most": 2.0}, "expected 0 < least <= most"),
         ({"least": [1.0, 2.0]}, "one for each of 1 axes"),
-        ({"load": (5.0, 2.0)}, "loads"),
+        ({"load": (5.0, 2.0)}, "load 5.0 to 2.0"),
     ],
 )
 def test_sizes_that_mean_nothing_are_refused(options: dict[str, object], sentence: str) -> None:
@@ -173,7 +173,7 @@ def test_together_merges_events_by_sample_and_refuses_other_axes() -> None:
     assert both.received == 1000
     both.reset()
     assert both.received == 0
-    with pytest.raises(InputError, match="Snaps are asked for on Fy"):
+    with pytest.raises(InputError, match="The detector needs Fy at 200 Hz"):
         Together(words, snaps=SnapDetector(RATE, ["Fy"], LEAST))
     slow = WordIntrospector(rj.EncoderConfig(dt=0.01), rj.preset("hiro", AXES), AXES, ["N"] * 3)
     with pytest.raises(InputError, match="100 Hz; the model reads"):
@@ -195,7 +195,7 @@ def test_stream_reports_snaps_on_request(store: Path, capsys: pytest.CaptureFixt
     snapped = [event for event in events if event["event"] == "Snap"]
     assert [event["published"] is None for event in snapped] == [True, False]
     assert main(["stream", str(store), "--snap", "z=3", *limits]) == 2
-    assert "Snaps are asked for on z" in capsys.readouterr().err
+    assert "The detector needs z at" in capsys.readouterr().err
     for wrong in ("a", "a=", "a=1,2,3", "=3", "a=much"):
         assert main(["stream", str(store), "--snap", wrong, *limits]) == 2
         assert "expected AXIS=LEAST" in capsys.readouterr().err

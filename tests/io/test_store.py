@@ -273,7 +273,7 @@ def test_counts_of_another_version_are_not_compared(path: Path, monkeypatch: pyt
     monkeypatch.setattr(store_reader, "summary_of", lambda recordings: {"other": 1})
     store.verify(path)
     counts[0] = json.dumps({"counting": COUNTING + 1, **first})
-    with pytest.raises(InputError, match="what is counted in part 0"):
+    with pytest.raises(InputError, match="the summary of part 0"):
         store.verify(path)
 
 
@@ -309,7 +309,7 @@ def test_foreign_folders_are_one_sentence(tmp_path: Path, path: Path) -> None:
             {"annotations": Annotations.from_rows([(3, "phase", "push", 0.0, 1.0)])},
             "are about recordings 3 to 3;",
         ),
-        ({"annotations": Annotations.from_rows([(0, "phase", "push", np.inf, 1.0)])}, "no finite start"),
+        ({"annotations": Annotations.from_rows([(0, "phase", "push", np.inf, 1.0)])}, "expected a finite start"),
         ({"columns": {"grip": np.zeros(2)}}, "grip is float64 of shape"),
         ({"columns": {"a/b": np.zeros(3)}}, "not a name for a column"),
         ({"columns": {"wrench": np.zeros(3)}}, "not a name for a column"),

@@ -263,5 +263,5 @@ def test_a_grid_without_a_choice_is_refused(empty):
 
 def test_costs_that_do_not_increase_are_refused() -> None:
     """A path of costs stops at the first that is too hard; smaller ones behind it would get its answers."""
-    with pytest.raises(InputError, match="do not increase"):
+    with pytest.raises(InputError, match="expected increasing ones"):
         Grid(costs=(1e4, 1.0, 1e-5))

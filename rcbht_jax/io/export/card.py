@@ -93,7 +93,7 @@ def _axes(recordings: Recordings) -> str:
 
 
 def confounds(data: DataSet) -> Sequence[str]:
-    """What may be mistaken for a result on this data: one sentence each, derived from the data."""
+    """Confounds: what may be mistaken for a result on this data, one sentence each, derived from the data."""
     recordings, sentences = data.recordings, list[str]()
     arm = max(recordings.arm.tolist())  # R before L
     tasks = [TaskSpec("outcome", arms=arm)]

@@ -1,4 +1,4 @@
-"""What is exported: the recordings of a store with one set of label tracks, read block by block."""
+"""The data of an export: the recordings of a store with one set of label tracks, read block by block."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class DataSet:
         return DataSet(recordings, lambda: iter([Block(recordings, tracks)]), rows, digests, samples, **more)
 
     def data_hash(self) -> str:
-        """The digest that models hold of what they were trained on; all wrenches are read."""
+        """The digest of the training data that models hold; reads all wrenches."""
         return data_hash(self.recordings, (block.recordings.wrench for block in self.blocks()), self.samples)
 
 
@@ -102,9 +102,9 @@ def load(
             tolerance without ``window``, or a tolerance for the other rule.
     """
     if window is None and (rule != "paper" or tolerance):
-        raise InputError("--rule and --tolerance are for labels that are made now; add --window, or leave them out.")
+        raise InputError("--rule and --tolerance need --window, which makes new labels; add it, or leave them out.")
     if window is not None and tracks:
-        raise InputError("Labels are either read from the store or made now; give --tracks or --window, not both.")
+        raise InputError("Labels are either read from the store or made anew; give --tracks or --window, not both.")
     labels = _Labels()
     if window is not None:
         labels = _made_now(store, window, rule, tolerance, thresholds)
@@ -136,10 +136,10 @@ class _Labels:
 
 def _made_now(store: Path, window: int, rule: str, tolerance: Sequence[float], thresholds: AnyLimits | None) -> _Labels:
     learns = rule == "fit" and not tolerance
-    teachers = read_sample(store)[0] if learns else read_table(store)
-    config = config_of(rule, window, teachers.dt)
-    gradients = preset("hiro", teachers.axes) if thresholds is None else thresholds
-    limits = limits_for(config, gradients, tolerance or None, teachers.wrench, teachers.length)
+    training = read_sample(store)[0] if learns else read_table(store)
+    config = config_of(rule, window, training.dt)
+    gradients = preset("hiro", training.axes) if thresholds is None else thresholds
+    limits = limits_for(config, gradients, tolerance or None, training.wrench, training.length)
 
     def encode(recordings: Recordings) -> LabelTracks:
         return encode_batch(config, limits, recordings.wrench, recordings.length)

@@ -83,7 +83,7 @@ def _check_names(data: DataSet, kind: str) -> None:
     try:
         json.dumps([dict(data.attrs), dict(data.tracks_attrs)], ensure_ascii=False).encode()
     except UnicodeEncodeError:
-        raise InputError("What the store says of its origin is not valid Unicode.") from None
+        raise InputError("The store's attributes of its origin are not valid Unicode; correct them.") from None
 
 
 def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:

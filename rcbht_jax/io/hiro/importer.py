@@ -94,7 +94,7 @@ def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, I
         return spelled(path.relative_to(directory))
 
     def into(problems: list[tuple[str, str]]) -> Report:
-        # The report is stored: it must not name folders of the importing machine.
+        # The report is stored: it must not contain folders of the importing machine.
         prefix = f"{directory}/"
         return lambda path, text: problems.append((name(path), spelled(text.replace(prefix, ""))))
 
@@ -149,7 +149,7 @@ def _links_out(directory: Path) -> list[Path]:
 
 
 def _is_table(path: Path, root: Path) -> bool:
-    """Whether a file may be one: pipes and devices never end, a film takes long to read, a link out is not ours."""
+    """Whether a file may be a table: pipes and devices never end, a film takes long to read, a link may lead out."""
     return path.is_file() and path.stat().st_size <= MAX_TEXT_BYTES and not leads_out(path, root)
 
 

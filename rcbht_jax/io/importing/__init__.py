@@ -1,1 +1,1 @@
-"""Recordings of any robot from files of any common format; :mod:`rcbht_jax.io.importing.importer` is the entrance."""
+"""Recordings of any robot from files of any common format; :mod:`rcbht_jax.io.importing.importer` is the entry."""

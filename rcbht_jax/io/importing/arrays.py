@@ -132,7 +132,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
 
 
 def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
-    """Sub-groups that are there, not elsewhere by a link."""
+    """Sub-groups that are in the file itself, not linked from elsewhere."""
     hard = [key for key in group if group.get(key, getlink=True, getclass=True) is h5py.HardLink]
     return [(key, group[key]) for key in hard if group.get(key, getclass=True) is h5py.Group]
 

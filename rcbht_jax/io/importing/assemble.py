@@ -24,7 +24,7 @@ _TAKEN = (*VARIABLES, "dt", "axis", "time", "axes", "units", "annotations", "col
 
 
 def assemble(records: list[Record], source: Path, rate: float | None, report: ImportReport) -> Recordings:
-    """The data set of recordings with the same axes; what was changed stands in the notes and in the report.
+    """The data set of recordings with the same axes; notes and report list what was changed.
 
     Args:
         records: at least one.
@@ -85,7 +85,7 @@ def _remarks(report: ImportReport, period: float, rates: Counter[str], filtered:
 
 
 def _words(records: list[Record]) -> None:
-    """What changes in one recording is a track in all: a constant value there spans the whole recording."""
+    """Make a column that changes within any recording a track in all; a constant value spans the whole recording."""
     tracks = {track for record in records for track, *_ in record.intervals}
     for record in records:
         for name in tracks & set(record.columns):

@@ -63,8 +63,8 @@ def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
                 left -= topics[connection.topic].add(message, received)
                 if left < 0:
                     raise InputError(f"{path} has more than {MAX_VALUES} numbers on {', '.join(topics)}; split it.")
-            elif isinstance(said := getattr(message, "data", None), str):
-                spoken.setdefault(connection.topic, []).append((received, said))
+            elif isinstance(text := getattr(message, "data", None), str):
+                spoken.setdefault(connection.topic, []).append((received, text))
             else:  # the file defines the type otherwise
                 problems.append(f"a text of {connection.topic} cannot be read")
     notes = tuple(dict.fromkeys(problem.split(" (")[0].replace(" ", "-") for problem in problems))
@@ -86,7 +86,7 @@ class _Topic:
         self.other = 0  # messages of another shape than the first
 
     def add(self, message: Any, received: int) -> int:
-        """Keep a message; how many numbers that are."""
+        """Keep a message; returns its count of numbers."""
         numbers: dict[str, float] = {}
         _flatten("", message, numbers)
         if not self._names:
@@ -101,7 +101,7 @@ class _Topic:
     def table(self, name: str, spoken: dict[str, list[tuple[int, str]]], notes: tuple[str, ...]) -> Table:
         values = np.frombuffer(self._values).reshape(len(self.received), -1)
         columns = dict(zip(("stamp", *self._names), np.ascontiguousarray(values.T), strict=True))
-        # a file may define the type with other fields, of which nobody knows the unit
+        # a file may define the type with other fields, whose units are unknown
         units = {key: _UNITS[key] for key in self._names if key in _UNITS} if self._wrench else {}
         flags = (*notes, f"other-shape:{self.other}") if self.other else notes
         first, last = self.received[0], self.received[-1]

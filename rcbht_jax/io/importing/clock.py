@@ -47,7 +47,7 @@ def seconds_of(texts: Sequence[str]) -> Float[np.ndarray, " row"]:
 
 
 def _local(text: str) -> tuple[str, int]:
-    """A time without its zone, as NumPy reads it, and what the zone is before UTC, s."""
+    """A time without its zone, as NumPy reads it, and the offset of the zone from UTC, s."""
     zone = _ZONE.search(text)
     offset = 3600 * int(zone[2]) + 60 * int(zone[3] or 0) if zone and zone[1] else 0
     return _ZONE.sub("", text).replace(",", "."), -offset if zone and zone[1] == "-" else offset

@@ -66,7 +66,7 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
     size = check_file(path)
     pa, pq = require("pyarrow", "import"), require("pyarrow.parquet", "import")
     limits = {"thrift_string_size_limit": 2**24, "thrift_container_size_limit": 2**20}
-    with path.open("rb") as raw, pq.ParquetFile(raw, **limits) as file:  # pyarrow takes no name that is not UTF-8
+    with path.open("rb") as raw, pq.ParquetFile(raw, **limits) as file:  # pyarrow accepts only names in UTF-8
         meta, schema = file.metadata, file.schema_arrow
         if meta.num_columns > MAX_COLUMNS:
             raise InputError(f"{path} has {meta.num_columns} columns; expected at most {MAX_COLUMNS}.")

@@ -1,4 +1,4 @@
-"""One steady grid for samples as they were recorded: filter, interpolation, and what is odd about them as notes."""
+"""One steady grid for samples as they were recorded: filter, interpolation, and notes of irregularities."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_VALUES
 from rcbht_jax.errors import InputError
 
-JITTER = 0.25  # of a period: largest distance of a sample from a steady grid that is left as it is
-DRIFT = 0.02  # of a period, after a whole recording: what rounding its period may cost
+JITTER = 0.25  # of a period: largest distance of a sample from the grid at which a recording is still steady
+DRIFT = 0.02  # of a period: largest error that rounding the period may cause at a recording's end
 GAP = 5  # periods without a sample
 MISSING = 5  # samples in a row without a value that are interpolated
 SPAN = 7  # steps in a row whose mean is a period
 HELD = 10  # samples in a row at the largest or smallest value
 SHORTEST, LONGEST = 1e-6, 1e3  # s: periods of samples that sensors have
 EQUAL = 1e-3  # relative difference below which two rates are one
-NEAR = 0.05  # the same for recordings whose samples are not evenly spaced
+NEAR = 0.05  # the same difference for recordings whose samples are not evenly spaced
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def tidy(
 
     Raises:
         InputError: a value is infinite, times are missing, run backwards or repeat with other values, fewer than two
-            samples are left, or more than ``MISSING`` values in a row are missing. The sentence names no file.
+            samples are left, or more than ``MISSING`` values in a row are missing. The message names no file.
     """
     notes: list[str] = []
     if not np.isfinite(time).all():
@@ -112,7 +112,7 @@ def runs(mask: Bool[np.ndarray, " sample"]) -> NDArray[np.int64]:
 
 
 def clock(time: Float[np.ndarray, " sample"]) -> Clock:
-    """How increasing times of at least two samples are spaced.
+    """The clock of increasing times of at least two samples.
 
     >>> clock(np.arange(100) * 0.021).steady
     True
@@ -122,9 +122,9 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
     if np.abs(away).max() <= JITTER * period:
         return Clock(_short(period, DRIFT / len(time)), True)
     middle = float(np.median(np.diff(time)))
-    if middle < SHORTEST:  # no sensor is as fast; its rate need not even be a finite number
+    if middle < SHORTEST:  # no sensor is this fast, and the rate may not even be finite
         return Clock(middle, False)
-    # The mean knows the rate better; of spans of several steps, jitter hides less which of them lost samples.
+    # The mean gives the rate more exactly; over several steps, jitter hides lost samples less.
     steps = min(SPAN, len(time) // 2)
     spans = time[steps:] - time[:-steps]
     period = float(spans[spans < (1 + 0.5 / steps) * np.median(spans)].mean()) / steps

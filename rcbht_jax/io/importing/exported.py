@@ -1,4 +1,4 @@
-"""What ``rcbht export`` writes, read back: CSV, Parquet, MCAP and LeRobot folders with a ``dataset.json``."""
+"""Reader of the folders of ``rcbht export``: CSV, Parquet, MCAP and LeRobot, with a ``dataset.json``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def read_export(folder: Path) -> Recordings:
-    """The recordings of an export, as the store had them that was exported.
+    """The recordings of an export, equal to those of the exported store.
 
     Text and numbers of further columns are distinguished by ``column_types`` of ``dataset.json``, else by their form.
 

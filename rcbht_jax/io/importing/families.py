@@ -50,7 +50,7 @@ def families(arrays: Arrays) -> dict[str, dict[str, NDArray[Any]]]:
 
 
 def _recordings(head: str, parts: Mapping[str, Arrays]) -> bool:
-    """Whether numbers behind a head separate recordings: it says so, or each has a time or a length of its own."""
+    """Whether numbers after a head separate recordings: by its name, or because each has its own time or length."""
     names = {name for own in parts.values() for name in own}
     lengths = [{len(own[name]) for own in parts.values() if name in own and own[name].size > 1} for name in names]
     signals = any(length and max(length) > 1 for length in lengths)

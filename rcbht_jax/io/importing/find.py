@@ -31,7 +31,7 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
     """What to read of a source, sorted, and the names of other files in it.
 
     Args:
-        source: a file, or a folder of files in any sub-folders; hidden ones are not looked at.
+        source: a file, or a folder of files in any sub-folders; hidden ones are skipped.
         kind: one of ``KINDS``; "auto" = by suffix.
 
     Raises:
@@ -45,7 +45,7 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
         chosen = SUFFIXES.get(source.suffix.lower(), "") if kind == "auto" else kind
         if not chosen or chosen == "lerobot":
             raise InputError(
-                f"{source} is not a file of a known kind; say which, for example: rcbht import csv {source}."
+                f"{source} is not a file of a known kind; name its kind, for example: rcbht import csv {source}."
             )
         return [Item(spelled(source.name), source, chosen)], []
     if (whole := _whole(source)) and (whole == kind or kind in ("auto", "bag", "mcap") or whole == "export"):
@@ -80,7 +80,7 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
 
 
 def _whole(folder: Path) -> str:
-    """The kind of a folder that is one thing; "" = it is just a folder."""
+    """The kind of a folder that is one recording or data set; "" = a folder of files."""
     marks = {"dataset.json": "export", "meta/info.json": "lerobot", "metadata.yaml": "bag"}
     return next((kind for mark, kind in marks.items() if (folder / mark).is_file()), "")
 

@@ -1,4 +1,4 @@
-"""The meaning of columns from names and values, where no mapping states it; never a channel's unit out of nothing."""
+"""The meaning of columns from names and values, where no mapping states it; units of channels are never guessed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 
 
 def outcome_words(column: str) -> dict[str, str]:
-    """What texts in a column of that name say of the outcome: an anomaly that is true is a failure.
+    """The outcome that each text means in a column of that name: an anomaly that is true is a failure.
 
     >>> outcome_words("result")["true"], outcome_words("anomaly")["true"], outcome_words("anomaly")["ok"]
     ('success', 'failure', 'success')
@@ -37,7 +37,7 @@ def outcome_words(column: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Understood:
-    """What a column was taken for."""
+    """The meaning that was assigned to a column."""
 
     column: str
     role: str  # "time", "channel Fx", "annotations phase", "column class", "group", "left out", ...
@@ -196,7 +196,7 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         ):
             continue
         target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
-        # An outcome that changes is a mistake, not a track, which would take its place in every recording.
+        # An outcome that changes is a mistake, not a track, which would replace it in every recording.
         if short == "outcome" or all(_constant(values[rows], short in names.LABELS) for rows in groups):
             if is_outcome(short, _distinct(values).tolist()):
                 columns.setdefault("outcome", Value(name, words=OUTCOMES))
@@ -205,7 +205,7 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
             numbers.append(name)
         elif len(_distinct(values)) <= max(MAX_LABELS, len(values) // 20) and not mapping.annotations:
             tracks.append(Track(target, name))
-    if not tracks:  # numbers stand for labels only where no text says them
+    if not tracks:  # numbers stand for labels only where no column of text does
         tracks = [
             Track(names.column_name(name), name)
             for name in numbers
@@ -251,7 +251,7 @@ def _distinct(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _constant(values: NDArray[Any], label: bool) -> bool:
-    """Whether a column says one thing; a label that only some rows have marks those."""
+    """Whether a column has one value; a label that only some rows have is not constant."""
     gone = values == "" if values.dtype.kind == "U" else ~np.isfinite(values)
     return len(_distinct(values)) <= 1 and not (label and gone.any() and not gone.all())
 
@@ -279,7 +279,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
 
 
 def more_wrenches(table: Table, mapping: Mapping) -> str:
-    """What to say of wrenches that are not imported; "" = there are none, or the mapping is not of a wrench."""
+    """A remark on wrenches that are not imported; "" = there are none, or the mapping is not of a wrench."""
     taken = {channel.column for channel in mapping.channels}
     found = names.wrenches(name for name, values in table.columns.items() if values.dtype.kind != "U")
     others = [wrench["Fx"] for wrench in found if not taken & set(wrench.values())]

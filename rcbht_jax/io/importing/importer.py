@@ -36,7 +36,7 @@ _ENDINGS = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-a
 
 @dataclass(frozen=True)
 class Imported:
-    """Recordings, the mapping that was used, and what became of every file."""
+    """Recordings, the mapping that was used, and the report on every file."""
 
     recordings: Recordings
     mapping: Mapping  # of the first file
@@ -79,7 +79,7 @@ def read_source(
     if others:
         listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
         were = plural(len(others), "other file was", "other files were")
-        report.remarks.append(f"{were} not looked at: {listed}.")
+        report.remarks.append(f"{were} not read: {listed}.")
     read, used, tables = _read(source, items, base, report, progress)
     found = [record for record, _ in read]
     names = marks.Names((record.file, record.part) for record in found)
@@ -180,7 +180,7 @@ def _read(
                     for record, meaning in _understood(table, base, rows, report):
                         found.append((record, item))
                         used[record.name] = meaning
-                except InputError as error:  # the other tables of the file may be sound
+                except InputError as error:  # the other tables of the file may be usable
                     report.skipped.append((table.name, _reason(error, source)))
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
@@ -190,7 +190,7 @@ def _read(
 def _understood(
     table: Table, base: Mapping, rows: dict[str, Row], report: ImportReport
 ) -> Iterator[tuple[Record, tuple[Mapping, list[Understood]]]]:
-    """The recordings of a table, and what its columns were taken for."""
+    """The recordings of a table, and the meaning of its columns."""
     mapping, understood = guess(table, base)
     more = "" if base.channels else more_wrenches(table, mapping)
     if more and more not in report.remarks:
@@ -207,7 +207,7 @@ def _understood(
 
 
 def _reason(error: InputError, source: Path) -> str:
-    """A sentence for the report, which is stored: it must not name folders of the importing machine."""
+    """The reason for the report, which is stored: it must not contain folders of the importing machine."""
     return spelled(str(error).replace(f"{source}/", ""))
 
 
@@ -251,7 +251,7 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
 
 
 def _from_start(record: Record, interval: Interval) -> Interval:
-    """An interval in s from the first sample, also where it is on the recording's clock and can be nothing else."""
+    """An interval in s from the first sample, converted if its times can only be on the recording's clock."""
     track, label, start, end = interval
     late = record.end <= start and record.origin - 1e-6 <= start < record.origin + record.end
     return (track, label, max(start - record.origin, 0.0), end - record.origin) if late else interval

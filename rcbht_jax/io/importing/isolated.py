@@ -1,4 +1,4 @@
-"""Decoders of other libraries in a process of their own: that one crashes, hangs or floods memory is one sentence here.
+"""Decoders of other libraries in a separate process: a crash, hang or excess of memory becomes one error message.
 
 A damaged file can end the process that decodes it (scipy, Arrow) or keep it busy without end (HDF5). The child is begun
 with the first file (about a second for MATLAB, half of one for the others), serves the files that follow, and is begun
@@ -58,12 +58,12 @@ def isolated(decode: Decode, path: Path, name: str, *libraries: str) -> Iterator
             "decode": f"{decode.__module__}:{decode.__qualname__}", "path": os.path.abspath(path), "shown": str(path),
             "name": name, "out": folder, "libraries": libraries, "memory": memory, "seconds": seconds,
         }  # fmt: skip
-        said = _decoder(os.getpid()).ask(path, request, seconds)
-        if "missing" in said:
-            raise MissingPackage(*said["missing"])
-        if "error" in said:
-            raise InputError(said["error"])
-        for number, table in enumerate(said["tables"]):
+        answer = _decoder(os.getpid()).ask(path, request, seconds)
+        if "missing" in answer:
+            raise MissingPackage(*answer["missing"])
+        if "error" in answer:
+            raise InputError(answer["error"])
+        for number, table in enumerate(answer["tables"]):
             files = {key: Path(folder, f"{number}-{k}.npy") for k, key in enumerate(table["columns"])}
             columns = {key: np.load(file, allow_pickle=False) for key, file in files.items()}
             intervals = tuple(map(tuple, table["intervals"]))
@@ -81,7 +81,7 @@ class _Decoder:
         """The child's answer.
 
         Raises:
-            InputError: it died over this file.
+            InputError: it ended at this file.
         """
         with self._lock:
             child = self._child = self._child or _begun()
@@ -100,17 +100,17 @@ class _Decoder:
                     child.stdin.write(json.dumps(request).encode() + b"\n")
                     child.stdin.flush()
                 line = child.stdout.readline()
-            except BaseException:  # an interruption: the answer to come is nobody's
+            except BaseException:  # an interruption: nobody will read the answer
                 self._end()
                 raise
             finally:
                 timer.cancel()
             if line.endswith(b"\n"):
                 return json.loads(line)
-            with suppress(subprocess.TimeoutExpired):  # its own end says more than being killed
+            with suppress(subprocess.TimeoutExpired):  # its own exit status tells more than that of a kill
                 child.wait(1)
             status = self._end()
-            if late.is_set():  # the processor had time left: that says nothing of the file
+            if late.is_set():  # the processor had time left: the file need not be at fault
                 raise InputError(f"{path} was not decoded within {patience:.0f} s; try again when the machine is idle.")
             how = f"was stopped after {seconds:.0f} s" if status in _STOPPED else f"crashed (status {status})"
             raise InputError(f"{path} is damaged: what decodes such files {how}.")
@@ -132,7 +132,7 @@ class _Decoder:
 
 @cache
 def _decoder(process: int) -> _Decoder:
-    """The decoder of this process: after a fork another one, since two askers would mix their answers."""
+    """The decoder of this process; after a fork another one, since two processes would mix their answers."""
     decoder = _Decoder()
     atexit.register(decoder.close)
     return decoder
@@ -151,7 +151,7 @@ def _begun() -> subprocess.Popen[bytes]:
 
 
 def serve() -> None:
-    """Answer requests on standard input until it ends; what the child runs."""
+    """Answer requests on standard input until it ends; the main function of the child."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a decoder prints is no answer
     for line in sys.stdin.buffer:
@@ -162,10 +162,10 @@ def serve() -> None:
 def _answer(request: dict[str, Any]) -> dict[str, Any]:
     module, _, function = request["decode"].partition(":")
     try:
-        _unlimit()  # what the last file may take is no measure of an import
+        _unlimit()  # imports are not limited as the last file was
         decode: Decode = getattr(importlib.import_module(module), function)
         for library in request["libraries"]:
-            with suppress(ImportError):  # the decoder says which one it lacks, if this file needs it
+            with suppress(ImportError):  # the decoder names the missing one, if this file needs it
                 importlib.import_module(library)
         _limit(request["memory"], request["seconds"])
         return {"tables": list(_saved(decode(Path(request["path"]), request["name"]), Path(request["out"])))}
@@ -189,7 +189,7 @@ def _saved(tables: Iterable[Table], folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def _unlimit() -> None:
-    """Bound neither memory nor work of this process any more."""
+    """Remove the limits of memory and work of this process."""
     with suppress(ImportError, OSError, ValueError):
         import resource
 

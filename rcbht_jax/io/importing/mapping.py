@@ -1,4 +1,4 @@
-"""What the columns of a file mean, as a small TOML file: channels, time, annotations, columns, frame."""
+"""The meaning of a file's columns as a small TOML file: channels, time, annotations, columns, frame."""
 
 from __future__ import annotations
 
@@ -248,11 +248,12 @@ def check(mapping: Mapping) -> Mapping:
     """The mapping, if it does not contradict itself.
 
     Raises:
-        InputError: names repeat, a unit of time or a rate is impossible, a rotation is none, or an entry says where
-            to look twice or not at all.
+        InputError: names repeat, a unit of time or a rate is impossible, a rotation is invalid, or an entry names
+            several sources or none.
     """
     if len(set(mapping.axes)) < len(mapping.axes) or "" in mapping.axes:
-        raise InputError("two channels have one name, or one has none; give each its own.")
+        names = ", ".join(map(repr, mapping.axes))
+        raise InputError(f"two channels have one name, or one has none: {names}; give each its own.")
     if mapping.time_unit not in SECONDS:
         raise InputError(f"the unit of time is {mapping.time_unit!r}; expected one of {', '.join(SECONDS)}.")
     for rate in (mapping.rate, mapping.source_rate):

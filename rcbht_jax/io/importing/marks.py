@@ -70,7 +70,7 @@ def is_naming(columns: Iterable[str]) -> bool:
 
 
 def ambiguous(word: str) -> str:
-    """What to say of a word that means several recordings."""
+    """A warning about a word that means several recordings."""
     return f"{word!r} is the name of several recordings and is used for none; write it with its folder."
 
 
@@ -93,7 +93,7 @@ class Names:
                     rank.setdefault(word, set()).add(place)
 
     def meant(self, word: str) -> set[int]:
-        """Places of the recordings; more than one if the word does not say which."""
+        """Indices of the recordings that the word means; more than one if it is ambiguous."""
         return set(next((rank[word] for rank in self._ranks if word in rank), ()))
 
 
@@ -139,8 +139,8 @@ def track_intervals(
         rows = intervals_of(table, track)
         if is_naming(table.columns):
             meant = {word: names.meant(word) for word, _ in rows}
-            said = [(path.name, ambiguous(word)) for word, places in meant.items() if len(places) > 1]
-            warnings += [row for row in said if row not in warnings]  # the file may be read for every recording
+            ambiguities = [(path.name, ambiguous(word)) for word, places in meant.items() if len(places) > 1]
+            warnings += [row for row in ambiguities if row not in warnings]  # the file may be read for every recording
             rows = [(word, interval) for word, interval in rows if meant[word] == {place}]
         return [interval for _, interval in rows]
     ends, ids = (_lines(beside(source, file, pattern)) for pattern in (track.ends, track.ids))
@@ -173,7 +173,7 @@ def rows_of(
         source: a file or a folder.
         mapping: names the table, its column of files and the columns to read.
         files: names of all files of recordings.
-        warnings: gets what is odd: a file that is named twice, a word that means several files.
+        warnings: gets warnings of a file that is named twice, or a word that means several files.
         table: what the file holds, if :func:`with_table` has found it.
 
     Raises:

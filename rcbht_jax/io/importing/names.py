@@ -1,4 +1,4 @@
-"""What names of columns say: axes of a wrench, units, time, labels, groups."""
+"""The meaning of names of columns: axes of a wrench, units, time, labels, groups."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅-](?=[a-z])")  # N-m, N·mm, lbf in
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 FORCES, MOMENTS = ("N", "mN", "kN", "kgf", "lbf"), ("Nm", "mNm", "Nmm", "Ncm", "kNm", "lbf in", "lbf ft")
 _AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|t|m)(?:_?ext)?[._/ \-]*([xyz])$")
-_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)[._/ \-]*([xyz])$")  # in any language, where a unit says what it is
+_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)[._/ \-]*([xyz])$")  # in any language, where a unit tells the quantity
 _ELEMENT = re.compile(
     r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|f_ext_hat_k|force|f|torque|moment|t|m)(?:_|\[)([0-5])\]?$"
 )
@@ -98,7 +98,7 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
 
 
 def group_base(name: str) -> str:
-    """The lower-case name of a column that may number recordings, without what says that it does.
+    """The lower-case name of a column that may number recordings, without a suffix such as "_id" or "_nr".
 
     >>> group_base("Trial_ID"), group_base("sample_nr")
     ('trial', 'sample')

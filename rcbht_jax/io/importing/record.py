@@ -51,7 +51,7 @@ class Record:
 
     @property
     def arm(self) -> str:
-        """The topic that the part names, or what a column arm says; "" = neither."""
+        """The topic that the part names, or the value of a column "arm"; "" = neither."""
         return self.part if self.part.startswith("/") else str(self.columns.get("arm", ""))
 
     @property
@@ -265,7 +265,7 @@ def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float
 
 
 def bounded(record: Record) -> tuple[Record, list[str]]:
-    """The recording without the intervals that it cannot have, and what was wrong with them.
+    """The recording without its impossible intervals, and what was wrong with them.
 
     An interval that begins after the end, or whose start is missing, is left out; the others stay.
     """

@@ -19,7 +19,7 @@ class ImportReport:
     imported: list[str] = field(default_factory=list)
     skipped: list[tuple[str, str]] = field(default_factory=list)  # name, reason
     duplicates: list[tuple[str, str]] = field(default_factory=list)  # name of the copy, what it copies
-    warnings: list[tuple[str, str]] = field(default_factory=list)  # name, what is odd
+    warnings: list[tuple[str, str]] = field(default_factory=list)  # name, irregularity
     remarks: list[str] = field(default_factory=list)  # about all recordings
     understood: list[dict[str, str]] = field(default_factory=list)  # column, role, unit: of the first file
     content_sha256: str = ""  # of every file read
@@ -61,7 +61,7 @@ def without_copies(records: Sequence[Record], report: ImportReport, keep: bool =
             continue
         if same:
             first, name = records[same[0]], records[number].name
-            text = f"identical to {first.name}, which says something else about it; both are imported."
+            text = f"identical to {first.name}, whose columns or annotations differ; both are imported."
             report.warnings.append((name, text))
             _note(records[number], f"contradictory-duplicate:{first.name}")
             _note(first, f"contradictory-duplicate:{name}")

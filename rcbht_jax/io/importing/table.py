@@ -1,4 +1,4 @@
-"""What every reader yields: tables of columns over time."""
+"""The output of every reader: tables of columns over time."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
 
     Arrays ``[row]`` and ``[row, element]`` of the most frequent length are columns (elements are ``name_0``,
     ``name_1``, ...); an array ``[recording, row, element]`` makes a table of each recording, and arrays
-    ``[recording]`` beside it are facts; one called lengths says where the padding begins.
+    ``[recording]`` beside it are facts; one called lengths states where the padding begins.
     Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own.
     Scalars called dt or rate state the sampling, other scalars are facts.
 

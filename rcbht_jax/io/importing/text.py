@@ -68,7 +68,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
 
 
 def _encoding(file: BinaryIO) -> str:
-    """That of the whole file, which is not moved."""
+    """Encoding of the whole file, whose position is kept."""
     decoder, encoding = codecs.getincrementaldecoder("utf-8-sig")(), "utf-8-sig"
     try:
         while block := file.read(MAX_TABLE_LINE):
@@ -81,7 +81,7 @@ def _encoding(file: BinaryIO) -> str:
 
 
 def _preamble(file: BinaryIO) -> int:
-    """Goes to the line of names, if lines with fewer cells stand before it; how many lines are passed.
+    """Move to the line of names, if lines with fewer cells stand before it; returns the number of skipped lines.
 
     Only a line of text with as many cells as all lines after it is one of names: rows that are cut off, or too few
     names, remain mistakes.

@@ -84,7 +84,7 @@ def test_every_file_is_imported_or_has_a_reason(tmp_path: Path) -> None:
     assert "has the axes Fx; 2 others have Fz" in reasons["other.csv"]
     assert "not a readable NPZ" in reasons["bad.npz"]
     assert not any(str(tmp_path) in reason for reason in reasons.values())
-    assert report.remarks[0] == "1 other file was not looked at: notes.docx."
+    assert report.remarks[0] == "1 other file was not read: notes.docx."
 
 
 def test_mixed_rates_become_the_most_common_one(tmp_path: Path) -> None:

@@ -221,7 +221,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
             scenario.draw(0, 0, scenario.spec(**values))
     with pytest.raises(InputError, match=r"no assembly 'bolt'; expected one of peg-in-hole"):
         get_scenario("bolt@panda")
-    with pytest.raises(InputError, match="camera-snap is simulated with the robot hiro"):
+    with pytest.raises(InputError, match="camera-snap cannot use the robot 'panda'; expected 'hiro'"):
         get_scenario("camera-snap@panda")
     assert get_scenario("camera-snap@hiro").preset.name == "hooked-B"
     far = Robot("far", ROBOTS["panda"].build, "WRIST", ROBOTS["panda"].home, (2.0, 0.0, 0.1))

@@ -131,7 +131,7 @@ def test_a_trial_is_simulated_again_and_shown(clips: Path, tmp_path: Path, capsy
         (["--assembly", "bolt"], "There is no assembly 'bolt'"),
         (["--assembly", "clip", "--robot", "pr2"], "There is no robot 'pr2'"),
         (["--assembly", "clip", "--preset", "B"], "--preset and --physical belong to the assembly camera-snap"),
-        (["--robot", "panda"], "camera-snap is simulated with the robot hiro"),
+        (["--robot", "panda"], "camera-snap cannot use the robot 'panda'; expected 'hiro'"),
         (["--assembly", "nowhere.py:PIN"], "There is no Python file nowhere.py"),
     ],
 )

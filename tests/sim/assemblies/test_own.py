@@ -101,9 +101,9 @@ def test_mistakes_in_own_files_are_one_sentence(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(InputError, match=r"key.py has no assembly named LOCK"):
         get_scenario("key.py:LOCK@panda")
     for name, old, new, sentence in (
-        ("touch", 'touch(spec, f"CORNER_{i}"', 'touch(spec, f"NONE_{i}"', "no model of key on panda: geom 'NONE_0'"),
-        ("twice", 'box(body, "FLOOR"', 'box(body, "WALL_0"', "no model of key on panda: repeated name 'WALL_0'"),
-        ("phases", 'Phase("insertion"', 'Phase("rest"', "phases of key are approach, rest, rest; each has"),
+        ("touch", 'touch(spec, f"CORNER_{i}"', 'touch(spec, f"NONE_{i}"', "cannot compile key on panda: geom 'NONE_0'"),
+        ("twice", 'box(body, "FLOOR"', 'box(body, "WALL_0"', "cannot compile key on panda: repeated name 'WALL_0'"),
+        ("phases", 'Phase("insertion"', 'Phase("rest"', "key has the phases approach, rest, rest; expected"),
     ):
         (tmp_path / f"{name}.py").write_text(blocks()["key.py"].replace(old, new))
         with pytest.raises(InputError, match=sentence):

@@ -50,7 +50,7 @@ def test_it_simulates_parts_that_snap() -> None:
 
 def test_too_few_trials_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["demo", "--out", str(tmp_path / "out"), "--trials", "3"]) == 2
-    assert "3 trials are too few" in capsys.readouterr().err
+    assert "--trials is 3; expected at least 40" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

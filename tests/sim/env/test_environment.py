@@ -287,7 +287,7 @@ def test_words_and_beliefs_are_those_of_the_stream() -> None:
     [
         ({"action": "torque"}, "no action 'torque'"), ({"controller": "pid"}, "no controller"),
         ({"observe": ("camera",)}, "no observation 'camera'"), ({"observe": ()}, "one part or more"),
-        ({"controller": "none"}, "steer the recorded controller"), ({"periods": 0}, "0 control periods"),
+        ({"controller": "none"}, 'needs controller="recorded"'), ({"periods": 0}, "periods is 0"),
         ({"hold": 0.0}, "hold is 0.0"),
     ],
 )  # fmt: skip
@@ -315,7 +315,7 @@ def test_words_without_a_model_take_any_thresholds(tmp_path: Path) -> None:
 def test_what_does_not_fit_the_scenario_is_refused() -> None:
     with pytest.raises(InputError, match="multiple of the encoder's window, 5"):
         new_senses(EnvConfig(periods=3), 6, 6)
-    with pytest.raises(InputError, match="beliefs need a model"):
+    with pytest.raises(InputError, match="beliefs, which need a model"):
         new_senses(EnvConfig(observe=("beliefs",)), 6, 6)
     with pytest.raises(InputError, match="6 axes every"):
         new_senses(EnvConfig(), 12, 12, model())
@@ -324,7 +324,10 @@ def test_what_does_not_fit_the_scenario_is_refused() -> None:
     scene = environment(JOINT)
     with pytest.raises(InputError, match="no force law"):
         environments.Environment(scene.program, scene.physics, replace(scene.trials, params=1), scene.senses, STEERED)
-    for options, sentence in (({"engine": "native"}, "runs on the device"), ({"trials": 0}, "There are 0 trials")):
+    for options, sentence in (
+        ({"engine": "native"}, "engine 'native'; expected mjx or warp"),
+        ({"trials": 0}, "trials is 0"),
+    ):
         with pytest.raises(InputError, match=sentence):
             environments.load("B", **options)
     for params in (jax.tree.map(lambda leaf: leaf[0], trials()), jax.tree.map(lambda leaf: leaf[:0], trials())):

@@ -79,5 +79,5 @@ def test_misuse_is_refused(many: VectorEnv) -> None:
     with pytest.raises(InputError, match="An action is NaN"):
         many.step(np.full((3, 6), np.nan))
     many.step(np.full((3, 6), np.inf))  # as 1, the largest
-    with pytest.raises(InputError, match="There are 0 environments"):
+    with pytest.raises(InputError, match="num_envs is 0"):
         VectorEnv(many.env, 0)

@@ -61,7 +61,7 @@ def test_failures_are_one_sentence_each(out: device.Outcome) -> None:
     data = calibration_data.whole_corpus(out, np.array([0, 1, 1, 0, 1]), ("a", "b"), CONFIG)
     np.testing.assert_array_equal(data.edges, [[0, 270]])
     np.testing.assert_array_equal(data.y, [[0]])
-    with pytest.raises(InputError, match="none of the 5"):
+    with pytest.raises(InputError, match="None of the 5"):
         calibration_data.whole_corpus(out, np.full(5, -1), ("a", "b"), CONFIG)
 
 
@@ -74,5 +74,5 @@ def test_scores_of_rollouts_are_those_of_the_corpus(out: device.Outcome, monkeyp
         made = calibration_data.simulated_scores(one_arm(), None, "jax", CONFIG, limits)
     np.testing.assert_array_equal(made, score_candidates(calibration_data.states_corpus(out, CONFIG), CONFIG, limits))
     assert len(calibration_data.states_corpus(many, CONFIG)) == 6
-    with pytest.raises(InputError, match="none of the"):
+    with pytest.raises(InputError, match="None of the"):
         calibration_data.states_corpus(replace(out, past=jnp.zeros_like(out.past)), CONFIG)

@@ -140,7 +140,7 @@ def test_each_device_has_a_worker_that_sees_it_alone(monkeypatch: pytest.MonkeyP
     assert environments("all", True) == [{launch.DEVICES: name} for name in ("0", "3", "GPU-7")]
     assert environments("2", True) == [{launch.DEVICES: "0"}, {launch.DEVICES: "3"}]
     assert environments("all", False) == [{}]  # the native engine has all cores
-    with pytest.raises(InputError, match="--devices is 4; this machine has 3"):
+    with pytest.raises(InputError, match="--devices is 4; expected at most 3"):
         environments("4", True)
     for wrong in ("0", "some", "-1"):
         with pytest.raises(InputError, match="expected"):
@@ -166,11 +166,11 @@ def test_devices_are_those_that_this_process_may_use(monkeypatch: pytest.MonkeyP
         (["--processes", str(10**30)], "expected 1 to 4096"),
         (["--devices", "all", "--processes", "2"], "leave --processes and --launch out"),
         (["--devices", "none"], 'expected "all"'),
-        (["--launch-options", "timeout_min=5"], "are for --launch slurm"),
+        (["--launch-options", "timeout_min=5"], "belong to --launch slurm"),
         (["--launch", "slurm", "--launch-options", "fast"], "expected KEY=VALUE"),
         (["--worker", "--processes", "2"], "--worker is one process"),
         (["--worker", "--overwrite"], "--worker is one process"),
-        (["--status"], "nobody has begun it"),
+        (["--status"], "nor a part of it"),
     ],
 )
 def test_mistakes_are_one_sentence(
@@ -195,7 +195,7 @@ def test_an_array_of_jobs_makes_the_same_bytes(
     assert os.listdir(tmp_path) == ["t.zarr"]
     for wrong in ("a=b", "timeout_min=soon"):
         assert main(["simulate", str(tmp_path / "u.zarr"), *SHORT, "--launch", "slurm", "--launch-options", wrong]) == 2
-        assert "Slurm's options are wrong" in capsys.readouterr().err
+        assert "options of the Slurm jobs are wrong (--launch-options)" in capsys.readouterr().err
         assert os.listdir(tmp_path) == ["t.zarr"]
 
 

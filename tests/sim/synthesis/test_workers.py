@@ -239,7 +239,7 @@ def test_status_tells_who_works_and_how_fast(tmp_path: Path) -> None:
     folder.mkdir()
     synthesise(tmp_path / "again.zarr", SMALL, simulate=fake_engine)
     assert status_of(tmp_path / "again.zarr").complete
-    for words, path in (("nobody has begun it", tmp_path / "none.zarr"),):
+    for words, path in (("nor a part of it", tmp_path / "none.zarr"),):
         with pytest.raises(InputError, match=words):
             status_of(path)
 

@@ -60,7 +60,7 @@ def test_processes_write_the_same_bytes_and_say_what_is_wrong(tmp_path: Path) ->
         for process in killed:
             os.kill(process.pid, signal.SIGKILL)
             process.wait()
-        with pytest.raises(RuntimeError, match="a process that writes parts ended: it did not say why"):
+        with pytest.raises(RuntimeError, match="a process that writes parts ended: no reason given"):
             apart.submit(1, here.draw(1), rows, labels).result()
     assert tree(there.path) == tree(here.path)
 

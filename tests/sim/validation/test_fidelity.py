@@ -106,7 +106,7 @@ def test_session_b_is_a_grid_and_a_repeats_one_pose() -> None:
     assert repeats.parts.friction.tolist() == [0.4] * 5
     short = sessions.trials_of(preset("B"), 2, whole=False)
     assert short.task.mating_time.tolist() == [pytest.approx(signature.MATING + 0.1)] * 2
-    with pytest.raises(InputError, match="25 cells; 26"):
+    with pytest.raises(InputError, match="count is 26; session B has 25 cells"):
         sessions.trials_of(preset("B"), 26)
 
 
@@ -240,7 +240,7 @@ def test_misses_are_said() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--trials", "2"], "2 trials of 13.0 s"),
+        (["--trials", "2"], "--trials is 2 and --max-seconds 13.0"),
         (["--trials", "9" * 20], "expected 4 to 100000"),
         (["--data", "nowhere"], "nowhere is not a folder"),
         (["--data", "."], "holds no trial"),
@@ -278,7 +278,7 @@ def test_the_fit_lowers_the_loss_and_writes_parameters(
         (["--parameters", "parts.colour"], "no physical parameter"),
         (["--parameters", "parts.position[0]"], "has no default range"),
         (["--bound", "parts.roll=0:1"], "not fitted"),
-        (["--bound", "parts.friction"], "not NAME=VALUE"),
+        (["--bound", "parts.friction"], "has no =; expected NAME=VALUE"),
         (["--fixed", "parts.friction=much"], "not a number"),
     ):
         assert main.main([*words, *wrong]) == 2

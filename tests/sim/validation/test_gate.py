@@ -106,5 +106,5 @@ def test_recordings_pass_their_own_gate(hiro_recordings: Recordings) -> None:
 def test_wrong_profiles_are_refused() -> None:
     with pytest.raises(InputError, match="shape"):
         gate.checks(LIMITS, trials(0), trials(1)[:, :3])
-    with pytest.raises(InputError, match="2 trials to be separated"):
+    with pytest.raises(InputError, match="test 2; expected at least 3 of each"):
         gate.checks(LIMITS, trials(0), trials(1)[:2])

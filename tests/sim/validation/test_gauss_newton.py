@@ -92,7 +92,7 @@ def test_what_the_residuals_say_nothing_of_has_no_deviation() -> None:
 
 @pytest.mark.parametrize(("iterations", "step"), [(0, 0.02), (5, 0.0), (5, 0.9)])
 def test_impossible_settings_are_refused(iterations: int, step: float) -> None:
-    with pytest.raises(InputError, match="Iterations"):
+    with pytest.raises(InputError, match=f"iterations is {iterations} and step {step}"):
         gauss_newton.fit(rosenbrock, Search(BOUNDS), iterations=iterations, step=step)
 
 

@@ -128,7 +128,7 @@ def test_profiles_mistakes(ramp: Recordings) -> None:
     onset[1, 3] = 2.0
     with pytest.raises(InputError, match=r"mating state of recording 1 \(two\)"):
         profiles(marked(ramp, onset_harmonised=onset))
-    with pytest.raises(InputError, match="No recordings"):
+    with pytest.raises(InputError, match="rows is empty"):
         profiles(ramp, [])
 
 

@@ -96,7 +96,7 @@ def test_a_foreign_or_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
     ("search", "sentence"),
     [
         (Search({}), "at least one parameter"),
-        (replace(SEARCH, population=3), "Population 3"),
+        (replace(SEARCH, population=3), "population is 3"),
         (replace(SEARCH, spread=0.0), "spread 0.0"),
         (Search({"a": Bound(1.0, 1.0)}), "range of a"),
         (Search({"a": Bound(-1.0, 1.0, log=True)}), "positive if log"),
