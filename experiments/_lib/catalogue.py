@@ -209,7 +209,7 @@ EXPERIMENTS = (
     ),
     Experiment(
         "calibration_device", "calibration.on_device", 10, ("--engine", "warp"), (),
-        ("calibration_device_warp_failure_type",), GPU,
+        ("calibration_device_warp_failure_type_hooked_b", "calibration_device_warp_failure_type_openhrp"), GPU,
     ),
     Experiment(
         "environment_speed", "simulation.environment_speed", 4, ("--engine", "mjx", "warp"), elsewhere=GPU

@@ -111,7 +111,8 @@ def rollouts(run: Run) -> dict[str, Any]:
     return {
         "trials": given.trials, "usable": len(run.data), "training": run.training,
         "seconds to draw": round(drawn, 2), "seconds to compile (with trials of 0.2 s)": round(compiling, 2),
-        "seconds to simulate": round(simulated, 2), "physics steps per second": round(2 * periods / simulated),
+        "seconds to simulate": round(simulated, 2),
+        "physics steps per second": round(scene.substeps * periods / simulated),
         "mean length, s": round(periods * CONTROL_PERIOD / given.trials, 2),
         "implicit copies to the host": copies,
     }  # fmt: skip
@@ -295,7 +296,7 @@ def main() -> None:
     given = parser.parse_args()
     run = Run(given, {"engine": given.engine, "task": given.task, "preset": given.preset})
     options = f"--engine {given.engine} --task {given.task} --preset {given.preset} --trials {given.trials}"
-    name_of_result = f"calibration_device_{given.engine}_{given.task.replace('-', '_')}"
+    name_of_result = f"calibration_device_{given.engine}_{given.task}_{given.preset}".replace("-", "_").lower()
     for name, part in PARTS.items():
         start = time.perf_counter()
         try:

@@ -30,7 +30,10 @@ from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import extract_features, labelled_intervals
 
-SOURCE = "calibration_device_warp_failure_type"
+SOURCES = {  # preset of the simulated trials -> result with the limits
+    "openhrp": "calibration_device_warp_failure_type_openhrp",
+    "hooked-B": "calibration_device_warp_failure_type_hooked_b",
+}
 COSTS = (0.1, 1.0, 10.0, 100.0)
 SEED = 0
 
@@ -38,9 +41,10 @@ SEED = 0
 def main(
     store: tyro.conf.Positional[Path], repeats: Annotated[int, tyro.conf.arg(help="Of the five folds.")] = 2
 ) -> None:
-    device = committed(SOURCE)  # the committed one: it takes a GPU to make it
     limits = {"preset": np.asarray(preset().limits)}
-    limits |= {f"simulated, {name}": np.array(device[name]["limits"]) for name in ("search", "gradient")}
+    for simulated, result in SOURCES.items():
+        device = committed(result)  # the committed one: it takes a GPU to make it
+        limits |= {f"{simulated}, {name}": np.array(device[name]["limits"]) for name in ("search", "gradient")}
     recordings = of_sources(read_recordings(store), (FAILURES,))
     items = labelled_intervals(recordings, failure_types())
     config, measure = EncoderConfig(5, recordings.dt), folds(repeats)

@@ -107,21 +107,23 @@ def _share(true: list[bool]) -> str:
     return f"{sum(true)} of {len(true)}" if true else NONE
 
 
-@table("calibration-simulated", "calibration_device_warp_failure_type", "calibration_transfer")
-def calibration_simulated(device: dict[str, Any], transfer: dict[str, Any]) -> str:
-    """Thresholds chosen on simulated failures: on other simulated ones, and on the authors'."""
-    there, here = device["svm"], transfer["rows"]
-    named = {"preset": "preset", "search": "simulated, search", "gradient": "simulated, gradient"}
-    lines = [
-        (
-            name,
-            score(there[own]),
-            *(score(here[f"{name} | {scaled}"]["accuracy"]) for scaled in ("ranks", "deviation")),
-        )
-        for own, name in named.items()
-    ]
-    lines.append(("duration alone", score(there["duration alone"]), score(here["duration alone"]["accuracy"]), NONE))
-    return markdown(("", "held-out simulated trials", "the authors' failures, ranks", "deviation"), lines)
+@table(
+    "calibration-simulated", "calibration_device_warp_failure_type_openhrp",
+    "calibration_device_warp_failure_type_hooked_b", "calibration_transfer",
+)  # fmt: skip
+def calibration_simulated(openhrp: dict[str, Any], hooked: dict[str, Any], transfer: dict[str, Any]) -> str:
+    """Thresholds chosen on simulated failures: on other simulated ones of each preset, and on the authors'."""
+    presets, authors = {"openhrp": openhrp["svm"], "hooked-B": hooked["svm"]}, transfer["rows"]
+    lines = []
+    for name in ("preset", *(f"{place}, {method}" for place in presets for method in ("search", "gradient"))):
+        place, _, method = name.rpartition(", ")
+        own = [score(scores[method]) if place in ("", one) else NONE for one, scores in presets.items()]
+        of_authors = [score(authors[f"{name} | {scaled}"]["accuracy"]) for scaled in ("ranks", "deviation")]
+        lines.append((name, *own, *of_authors))
+    durations = [score(scores["duration alone"]) for scores in presets.values()]
+    lines.append(("duration alone", *durations, score(authors["duration alone"]["accuracy"]), NONE))
+    held_out = (f"held-out trials of {place}" for place in presets)
+    return markdown(("", *held_out, "the authors' failures, ranks", "deviation"), lines)
 
 
 def _of(accuracy: dict[str, float], title: str, headline: dict[str, Any]) -> str:
