@@ -264,7 +264,8 @@ def step_trial(model: mjx.Model, empty: mjx.Data, fields: dict[str, Array], at: 
     model = model.tree_replace(fields)
     if not isinstance(at, mjx.Data):
         at = empty.replace(qpos=at.qpos, qvel=at.qvel, qacc_warmstart=at.qacc_warmstart)
-    return forward_only(mjx.step(model, at.replace(ctrl=ctrl)))
+    data = mjx.step(model, at.replace(ctrl=ctrl))
+    return forward_only(data) if model.impl == mjx.Impl.JAX else data  # Warp has none, and its buffers stay as they are
 
 
 def body_of(data: mjx.Data) -> Body:

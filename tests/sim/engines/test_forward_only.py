@@ -55,3 +55,17 @@ def test_a_step_of_the_physics_says_so() -> None:
     loose = jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard")  # which MJX asks for
     with loose[0], loose[1], pytest.raises(InputError, match="in reverse mode"):
         jax.make_jaxpr(jax.grad(force))(jnp.zeros(scene.model.nu))  # traced, not compiled
+
+
+def test_a_step_of_warp_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its buffers pass from step to step untouched; a function between two steps ended every program on a GPU."""
+
+    def fail(values: Any) -> Any:
+        raise AssertionError(values)
+
+    model, empty = device.put_scene(get_scenario("A").scene(), 1, "jax")
+    monkeypatch.setattr(device, "forward_only", fail)
+    monkeypatch.setattr(device.mjx, "step", lambda _, data: data)
+    monkeypatch.setattr(device.mjx.Model, "impl", device.mjx.Impl.WARP)
+    after = device.step_trial(model, empty, {}, empty, empty.ctrl + 1)
+    np.testing.assert_array_equal(after.ctrl, empty.ctrl + 1)
