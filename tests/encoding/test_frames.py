@@ -50,7 +50,7 @@ def test_a_column_of_time_is_no_axis(make: Any, name: str, scale: float) -> None
     assert rj.encode(frame).info.axes == NAMES
     assert rj.encode(frame).words("Fz") == rj.encode(WRENCH).words("Fz")
     assert rj.WrenchFeatures().fit([frame]).n_features_in_ == 6
-    with pytest.raises(InputError, match="The time says 100 samples per second, the rate 200"):
+    with pytest.raises(InputError, match="The rate is 200, but the time has 100 samples per second"):
         rj.encode(wrong)
 
 

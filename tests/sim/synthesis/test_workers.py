@@ -151,7 +151,7 @@ def test_workers_of_other_options_or_code_are_refused(tmp_path: Path, monkeypatc
     target = tmp_path / "t.zarr"
 
     def second(params: TrialParams) -> Rollouts:
-        with pytest.raises(InputError, match=r"job\.seed 5, not 6"):
+        with pytest.raises(InputError, match="--seed 5, not 6"):
             work_on(target, replace(SMALL, seed=6), simulate=fake_engine)
         with monkeypatch.context() as patch:
             patch.setattr(plan, "code_hash", lambda: "other")

@@ -167,7 +167,7 @@ def test_a_store_that_was_not_simulated_has_no_seed(tmp_path: Path, capsys: pyte
     assert main(["doctor", str(tmp_path / "t.zarr"), "--repair"]) == 2
     assert "was not simulated" in capsys.readouterr().err
     assert main(["doctor", "--repair"]) == 2
-    assert "name it" in capsys.readouterr().err
+    assert "--repair needs a store" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["B", "two", "hooked-A", "peg-in-hole@panda"])
