@@ -37,6 +37,7 @@ GROUP = "rcbht.commands"  # entry points of other packages, each a table such as
 USAGE = "usage: rcbht COMMAND [options]; every command has --help, and --json for a machine-readable result"
 
 
+LONGEST_ERROR = 2000  # letters of a sentence about what is wrong; the middle of a longer one is left out
 AGAIN = 0.05  # s until a signal is sent again whose exception was lost: what loses one takes less
 
 
@@ -257,6 +258,8 @@ def _suggestion(close: Sequence[str], command: str, what: str) -> str:
 
 
 def _fail(sentence: str, status: int) -> int:
+    if len(sentence) > LONGEST_ERROR:  # it may quote values of a stranger's file
+        sentence = f"{sentence[: LONGEST_ERROR // 2]} ... {sentence[-LONGEST_ERROR // 2 :]}"
     print(f"rcbht: {printable(sentence)}".replace("\n", "\\n"), file=sys.stderr)  # a name must not make lines
     return status
 

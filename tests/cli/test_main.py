@@ -83,6 +83,7 @@ def test_wrong_input_is_one_sentence_and_status_two(
     last = captured.err.splitlines()[-1]
     assert last.startswith("rcbht: ")
     assert sentence in last
+    assert len(last) < 2050  # whatever it quotes
     assert "Traceback" not in captured.err
 
 
