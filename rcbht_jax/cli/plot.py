@@ -55,11 +55,10 @@ class PlotTrial(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.label_store import list_tracks
-        from rcbht_jax.io.simulation import FAULT, simulation_batches, with_faults
-        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.io.simulation import recordings_with_faults
         from rcbht_jax.plots import save, trial_figure
 
-        recordings = with_faults(read_recordings(self.store), simulation_batches(self.store, FAULT))
+        recordings = recordings_with_faults(self.store)
         index = find_recording(recordings, self.trial, self.arm, self.source)
         name, labels, attrs = None, None, dict[str, Any]()
         if self.tracks or list_tracks(self.store):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.io.store import SIMULATION, open_store, read_simulation_batches
+from rcbht_jax.io.store import SIMULATION, open_store, read_recordings, read_simulation_batches
 from rcbht_jax.types import Recordings
 
 FAULT = "fault"  # array of the kind of fault that each trial was given, "none" = none
@@ -19,6 +19,11 @@ FAULT = "fault"  # array of the kind of fault that each trial was given, "none" 
 def simulation_batches(store: Path, *names: str) -> Iterator[dict[str, NDArray[Any]]]:
     """As :func:`rcbht_jax.io.store.read_simulation_batches`; nothing of recordings that were not simulated."""
     return read_simulation_batches(store, *names) if SIMULATION in open_store(store) else iter(())
+
+
+def recordings_with_faults(store: Path) -> Recordings:
+    """All recordings of a store, with the kind of their simulated fault; see :func:`with_faults`."""
+    return with_faults(read_recordings(store), simulation_batches(store, FAULT))
 
 
 def with_faults(recordings: Recordings, simulation: Iterable[Mapping[str, NDArray[Any]]]) -> Recordings:

@@ -105,12 +105,12 @@ class Demo(Command):
         return str(Train(store, task=task, kernels=KERNELS, costs=COSTS, out=path).run()["model"])
 
     def _draw(self, store: Path) -> list[Path]:
-        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.io.simulation import recordings_with_faults
         from rcbht_jax.plots import label_map, save
         from sim_mjx.plots.trial_overview import trial_overview
         from sim_mjx.validation.replay import events, simulated
 
-        recordings, (_, tracks, _) = read_recordings(store), drawn_words(store, "", self.rule)
+        recordings, (_, tracks, _) = recordings_with_faults(store), drawn_words(store, "", self.rule)
         paths = []
         for name, fault in (("success", "none"), ("failure", "jamming")):
             row = _first(recordings, store, fault, name)

@@ -54,8 +54,7 @@ class View(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.cli.plot import find_recording
-        from rcbht_jax.io.simulation import FAULT, simulation_batches, with_faults
-        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.io.simulation import recordings_with_faults
         from rcbht_jax.plots import save
         from rcbht_jax.plots.trial import outcome_of
         from sim_mjx.plots import animation
@@ -66,7 +65,7 @@ class View(Command):
         if self.out is None and out is not None and out.name != f"{self.trial}.png":
             raise InputError(f"The trial {self.trial!r} has no name for a file; choose one with -o.")
         self._check(out)
-        recordings = with_faults(read_recordings(self.store), simulation_batches(self.store, FAULT))
+        recordings = recordings_with_faults(self.store)
         row = find_recording(recordings, self.trial, self.arm, self.source)
         film = out is not None and out.suffix.lower() in animation.SUFFIXES
         drawn = None if out is None or film else self._labelled(recordings, row)  # refused before the simulation

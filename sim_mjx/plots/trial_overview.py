@@ -166,7 +166,7 @@ def _tabs(ax: Axes, replay: Replay) -> None:
         _legend(ax, 4, 0.7)
         return
     ax.axhline(0, color=SEATED, linewidth=1.2)
-    ax.annotate("below the lip\n(past it: sprung back, too)", (0.015, 0), (0, -4), xycoords=ax.get_yaxis_transform(),
+    ax.annotate("below the lip\n(past: sprung back)", (0.005, 0), (0, -4), xycoords=ax.get_yaxis_transform(),
                 textcoords="offset points", va="top", color=SEATED, fontsize=9)  # fmt: skip
     ax.set(ylim=(-5, 12))
     ax.set_ylabel("tips above\ntheir lips, mm", fontsize=11)

@@ -12,6 +12,7 @@ from rcbht_jax.cli import main
 from rcbht_jax.io.store import read_simulation
 from sim_mjx.cli import demo
 from sim_mjx.cli.simulate import Simulate
+from sim_mjx.plots import trial_overview
 from sim_mjx.presets import HOOKED
 
 
@@ -21,6 +22,8 @@ def test_the_chain_runs_without_data(
     monkeypatch.setattr(demo, "KERNELS", ("linear",))
     monkeypatch.setattr(demo, "COSTS", (1.0,))
     monkeypatch.setattr(demo, "REPEATS", 1)
+    titles, headline = list[str](), trial_overview.headline
+    monkeypatch.setattr(trial_overview, "headline", lambda *given: titles.append(headline(*given)) or titles[-1])
     # a session whose trials take 10 s in place of 20, and no jammed one waits for 40 s
     monkeypatch.setattr(demo, "PRESET", "hooked-C")
     monkeypatch.setattr(demo, "Simulate", partial(Simulate, max_seconds=10.5))
@@ -39,6 +42,7 @@ def test_the_chain_runs_without_data(
         assert (out / f"{task}.model").exists()
     for picture in result["pictures"]:
         assert Path(picture).stat().st_size > 10_000
+    assert any("(fault: none)" in title for title in titles)
     summary = (out / "summary.txt").read_text()
     assert f"{result['simulated']['seated']} of 40" in summary
     assert "duration alone" in summary
