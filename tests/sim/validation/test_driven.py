@@ -152,6 +152,15 @@ def test_fields_change_with_what_a_name_covers(scene: Scene) -> None:
         sensitivity.field_derivatives(scene, [PRESET.parts], "parts.colour", 1.0)
 
 
+def test_derivatives_are_traced_in_double_precision(path: np.ndarray) -> None:
+    """The engine alone would go back to single precision."""
+    loose = jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow")  # MJX is not strict
+    with jax.enable_x64(True), loose[0], loose[1]:
+        scene = sensitivity.smooth(driven(hooked(4, impratio=PRESET.impratio)))
+        job = sensitivity._Job(scene, stack([pressed(path[60:])]), lambda wrench: jnp.mean(wrench, axis=1))
+        assert jax.eval_shape(job.run, job.fixed.fields).dtype == np.float64
+
+
 def test_forward_derivatives_are_central_differences(path: np.ndarray) -> None:
     scene = sensitivity.smooth(driven(hooked(4, impratio=PRESET.impratio)))
     one = pressed(path[60:])
