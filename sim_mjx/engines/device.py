@@ -188,14 +188,8 @@ def _most_rows(model: mujoco.MjModel) -> int:
     return int(contacts.sum() + model.jnt_limited.sum())
 
 
-@single
 def start(layout: Layout, fixed: Fixed) -> State:
-    """The initial state in single precision: home pose, where all angles are zero, not yet settled."""
-    return start_as_given(layout, fixed)
-
-
-def start_as_given(layout: Layout, fixed: Fixed) -> State:
-    """As :func:`start`, in the precision of ``fixed``."""
+    """The initial state: home pose, where all angles are zero, not yet settled."""
     count = batch_size(fixed.params)
     body: Any = jax.vmap(lambda _: fixed.empty.replace(qpos=jnp.zeros_like(fixed.empty.qpos)))(jnp.arange(count))
     if fixed.model.impl == mjx.Impl.JAX:
@@ -208,18 +202,12 @@ def _begin(layout: Layout, fixed: Fixed, body: Any) -> Any:
     return jax.vmap(layout.program.begin)(fixed.params, _raw(layout, body))
 
 
-@single
 def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
-    """``STRETCH`` control periods in single precision; the log has a leading time axis.
+    """``STRETCH`` control periods; the log has a leading time axis.
 
     Settling runs in the same program, in which the controller begins anew each period until time zero: the physics
     takes a minute to compile, and this way it is compiled once.
     """
-    return stretch_as_given(layout, fixed, state)
-
-
-def stretch_as_given(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
-    """As :func:`stretch`, in the precision of the state."""
     home = layout.program.home(fixed.params)
 
     def period(state: State, _: None) -> tuple[State, Log]:

@@ -25,7 +25,7 @@ from sim_mjx.assembly.rollout import Program, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import device
-from sim_mjx.engines.common import SETTLING, select_lanes
+from sim_mjx.engines.common import SETTLING, select_lanes, single
 from sim_mjx.engines.device import Fixed, Layout, Log, Outcome, State
 
 Trial = tuple[Hashable, int]  # key of its batch, and number in it
@@ -281,12 +281,15 @@ class _Programs:
 
 @lru_cache
 def _programs(backend: str) -> _Programs:
-    """Compiled functions of a backend."""
+    """Compiled functions of a backend, in single precision."""
     jit = partial(jax.jit, static_argnums=0, compiler_options=compiler_options(backend))
     return _Programs(
-        jit(device.start), jit(device.stretch, donate_argnums=2), jit(_refill, donate_argnums=2),
-        jax.jit(_write, donate_argnums=0), jax.jit(_ended, static_argnums=0),
-    )  # fmt: skip
+        jit(single(device.start)),
+        jit(single(device.stretch), donate_argnums=2),
+        jit(single(_refill), donate_argnums=2),
+        jax.jit(_write, donate_argnums=0),
+        jax.jit(_ended, static_argnums=0),
+    )
 
 
 def _refill(layout: Layout, fixed: Fixed, state: State, pool: Any, rows: Array) -> tuple[Fixed, State]:

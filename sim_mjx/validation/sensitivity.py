@@ -164,9 +164,9 @@ class _Job:
         fixed = replace(self.fixed, fields=fields)
         settling = -(-SETTLING // self.layout.substeps)
         stretches = -(-(settling + self.periods) // device.STRETCH)
-        start = device.start_as_given(self.layout, fixed)
+        start = device.start(self.layout, fixed)
         _, log = jax.lax.scan(
-            lambda at, _: device.stretch_as_given(self.layout, fixed, at), start, length=stretches
+            lambda at, _: device.stretch(self.layout, fixed, at), start, length=stretches
         )  # fmt: skip
         wrench = log.wrench.reshape(-1, *log.wrench.shape[2:])[settling : settling + self.periods]
         return self.statistics(jnp.swapaxes(wrench, 0, 1))
