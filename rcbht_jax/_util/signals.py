@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
 from numbers import Real
 from typing import Any
@@ -10,16 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from rcbht_jax._util.columns import unit_of_time
 from rcbht_jax.errors import InputError
 
 RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
 LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would be read as a steep line
-TIMES = (
-    "time", "t", "stamp", "timestamp", "times", "timestamps", "secs", "sec", "seconds", "elapsed", "%time", "clock",
-    "header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt",
-)  # fmt: skip
-_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_TIME = re.compile(rf"({'|'.join(map(re.escape, TIMES))})(?:[ _]*[\[(]? *({'|'.join(_UNITS)})[\])]?)?")
 
 
 def period(rate: float) -> float:
@@ -71,7 +65,7 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
         index = getattr(wrench, "index", None)
         if index is not None and (index.name == "time" or index.dtype.kind in "mM"):
             _check_time(index, dt)
-        times = {name: unit for name in wrench.columns if (unit := _unit_of_time(name))}
+        times = {name: unit for name in wrench.columns if isinstance(name, str) and (unit := unit_of_time(name))}
         for name, unit in times.items():
             if (count := list(wrench.columns).count(name)) > 1:
                 raise InputError(f"There are {count} columns of the name {name}; keep one.")
@@ -173,12 +167,6 @@ def _coordinate_names(wrench: Any) -> tuple[str, ...] | None:
     if axis not in wrench.coords or (axis != "axis" and wrench.coords[axis].dtype.kind in "fiub"):
         return None
     return tuple(map(str, wrench.coords[axis].to_numpy()))
-
-
-def _unit_of_time(name: Any) -> float:
-    """Seconds per unit of a column that is a time by its name; 0 = it is none."""
-    match = _TIME.fullmatch(name.strip().lower()) if isinstance(name, str) else None
-    return _UNITS[match[2] or "s"] if match else 0.0
 
 
 def _check_time(time: Any, dt: float, unit: float = 1.0) -> None:

@@ -42,7 +42,8 @@ class Polars:
 
 @pytest.mark.parametrize("make", [pd.DataFrame, Polars])
 @pytest.mark.parametrize(
-    ("name", "scale"), [("time", 1), ("t", 1), ("Timestamp", 1), ("stamp", 1), ("Time [s]", 1), ("t_ms", 1e3)]
+    ("name", "scale"),
+    [("time", 1), ("t", 1), ("Timestamp", 1), ("stamp", 1), ("Time [s]", 1), ("t_ms", 1e3), ("ts", 1)],
 )
 def test_a_column_of_time_is_no_axis(make: Any, name: str, scale: float) -> None:
     columns = dict(zip(NAMES, WRENCH.T, strict=True))

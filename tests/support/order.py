@@ -5,7 +5,6 @@ from __future__ import annotations
 LONGEST = (  # over half a minute each on two cores without the longest tests, the longest first
     "tests/sim/synthesis/test_resume.py",
     "tests/sim/engines/test_engines.py",
-    "tests/encoding/test_provisional.py",
     "tests/project/test_examples.py",
     "tests/sim/synthesis/test_pipeline.py",
     "tests/project/test_docs.py",

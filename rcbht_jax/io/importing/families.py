@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.signals import TIMES
-from rcbht_jax.io.importing.names import GROUPS, base_and_unit, group_base
+from rcbht_jax._util.columns import TIMES, base_and_unit
+from rcbht_jax.io.importing.names import GROUPS, group_base
 
 _NUMBERED = re.compile(r"^(.*?)(\d+)(?:[./](.+))?$")
 Arrays = Mapping[str, NDArray[Any]]

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.signals import TIMES
+from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit, split_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
-from rcbht_jax.io.importing.mapping import SECONDS, Channel, Mapping, Track, Value
+from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.record import OUTCOMES, is_outcome
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.types import STANDARD_COLUMNS
@@ -70,7 +70,7 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     if not base.group:
         mapping = replace(mapping, group=_group(table, mapping.time, free))
         free = [name for name in free if name != mapping.group]
-    if names.base_and_unit(mapping.group)[0] == "arm":
+    if base_and_unit(mapping.group)[0] == "arm":
         mapping = replace(mapping, columns={"arm": Value(mapping.group), **mapping.columns})
     mapping = _words(table, mapping, free)
     mapping = replace(mapping, channels=_channels(table, [name for name in free if name not in _used(mapping)]))
@@ -84,7 +84,7 @@ def _used(mapping: Mapping) -> set[str]:
 
 
 def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
-    parsed = {name: names.base_and_unit(name) for name in free}
+    parsed = {name: base_and_unit(name) for name in free}
     bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
     bases |= {base: name for name, (base, _) in reversed(parsed.items())}
     # Where several columns could be it, the order of the list decides.
@@ -158,7 +158,7 @@ def _clocklike(values: NDArray[Any]) -> bool:
 
 
 def _group(table: Table, time: str, free: list[str]) -> str:
-    bases = {names.group_base(name): name for name in free} | {names.base_and_unit(name)[0]: name for name in free}
+    bases = {names.group_base(name): name for name in free} | {base_and_unit(name)[0]: name for name in free}
     for base in names.GROUPS:
         values = table.columns[bases[base]] if base in bases else np.empty(0)
         if len(_distinct(values)) > 1 and (values.dtype.kind == "U" or _integers(values)):
@@ -185,7 +185,7 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     facts = _facts(table, mapping.group, free)
     numbers: list[str] = []
     for name in free:
-        values, base = table.columns[name], names.base_and_unit(name)[0]
+        values, base = table.columns[name], base_and_unit(name)[0]
         short = re.split(r"[./]", base)[-1]
         text = values.dtype.kind == "U"
         stamps = text and ((base in TIMES and _dates(values)) or _clock(values))  # that --source-rate replaces
@@ -237,7 +237,7 @@ def _groups(table: Table, group: str) -> list[NDArray[np.bool_]]:
 
 def _is_label(name: str) -> bool:
     """Whether whole numbers in a column of this name stand for words."""
-    short = re.split(r"[./]", names.base_and_unit(name)[0])[-1]
+    short = re.split(r"[./]", base_and_unit(name)[0])[-1]
     return short in (*names.LABELS, *STANDARD_COLUMNS, "success", "trial")
 
 
@@ -263,7 +263,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
         best = max(found, key=len)
         return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in best.items())
     other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
-    rest = [name for name in numeric if not other & {names.base_and_unit(name)[0], names.group_base(name)}]
+    rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]
     rest = [name for name in rest if np.isfinite(table.columns[name]).any()]  # an empty column is none
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
@@ -273,7 +273,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
         raise InputError(
             f"{table.name} has {len(rest)} columns of numbers and none is a wrench; choose some with --map."
         )
-    short = [names.split_unit(name)[0] for name in rest]
+    short = [split_unit(name)[0] for name in rest]
     titles = short if len(set(short)) == len(rest) else rest
     return tuple(Channel(name, title, _unit_of(table, name)) for name, title in zip(rest, titles, strict=True))
 
@@ -300,7 +300,7 @@ def _some(texts: Iterable[str]) -> str:
 
 
 def _unit_of(table: Table, name: str) -> str:
-    return table.units.get(name, "") or names.base_and_unit(name)[1]
+    return table.units.get(name, "") or base_and_unit(name)[1]
 
 
 def _table(table: Table, mapping: Mapping) -> list[Understood]:

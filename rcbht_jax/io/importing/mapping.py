@@ -14,11 +14,10 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.columns import SECONDS
 from rcbht_jax._util.untrusted import MAX_MAP_BYTES, read_bytes
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.conform import checked_rate
-
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,13 @@
-"""The meaning of names of columns: axes of a wrench, units, time, labels, groups."""
+"""The meaning of names of columns: axes of a wrench, counters, labels, groups."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
 
+from rcbht_jax._util.columns import base_and_unit
 from rcbht_jax.labels import AXES
 
-UNITS = {
-    "n": "N", "nm": "Nm", "mn": "mN", "mnm": "mNm", "kn": "kN", "nmm": "Nmm", "ncm": "Ncm", "knm": "kNm", "kgf": "kgf",
-    "lbf": "lbf", "lbfin": "lbf in", "lbfft": "lbf ft", "newton": "N", "newtons": "N", "newtonmeter": "Nm",
-    "newtonmeters": "Nm",
-    "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "nsec": "ns",
-    "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
-}  # fmt: skip
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanoseconds")
 COUNTERS = (
     "index", "sample", "samples", "frame", "frame_index", "step", "row", "seq", "header.seq", "unnamed: 0",
@@ -30,39 +24,12 @@ LABELS = (
     "category", "fault",
 )  # fmt: skip
 
-_PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅-](?=[a-z])")  # N-m, N·mm, lbf in
-_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 FORCES, MOMENTS = ("N", "mN", "kN", "kgf", "lbf"), ("Nm", "mNm", "Nmm", "Ncm", "kNm", "lbf in", "lbf ft")
 _AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|t|m)(?:_?ext)?[._/ \-]*([xyz])$")
 _WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)[._/ \-]*([xyz])$")  # in any language, where a unit tells the quantity
 _ELEMENT = re.compile(
     r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|f_ext_hat_k|force|f|torque|moment|t|m)(?:_|\[)([0-5])\]?$"
 )
-
-
-def split_unit(name: str) -> tuple[str, str]:
-    """Name of a column without its unit, and the unit that it states, "" = none.
-
-    >>> split_unit("Force_X [N]"), split_unit("Tx (N-mm)"), split_unit("t_ms"), split_unit("Fx")
-    (('Force_X', 'N'), ('Tx', 'Nmm'), ('t', 'ms'), ('Fx', ''))
-    """
-    match = _BRACKETS.match(name.strip())
-    if match and match[1] and (unit := UNITS.get(_PRODUCT.sub("", match[2].lower().strip()))):
-        return match[1], unit
-    head, _, tail = name.strip().rpartition("_")
-    if head and (tail in ("N", "Nm", "mN", "mNm") or tail.lower() in ("ms", "us", "ns", "sec", "s")):
-        return head, UNITS[tail.lower()]
-    return name.strip(), ""
-
-
-def base_and_unit(name: str) -> tuple[str, str]:
-    """As :func:`split_unit`, the name in lower case.
-
-    >>> base_and_unit("Fx [N]")
-    ('fx', 'N')
-    """
-    base, unit = split_unit(name)
-    return base.lower(), unit
 
 
 def wrenches(names: Iterable[str]) -> list[dict[str, str]]:

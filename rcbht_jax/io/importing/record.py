@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from rcbht_jax._util.signals import TIMES
+from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
 from rcbht_jax.io.importing.clock import seconds_of
-from rcbht_jax.io.importing.mapping import SECONDS, Mapping, Track, Value
-from rcbht_jax.io.importing.names import base_and_unit, column_name
+from rcbht_jax.io.importing.mapping import Mapping, Track, Value
+from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.labels import AXES
 

@@ -16,9 +16,9 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.columns import split_unit
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTES, check_file
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.names import split_unit
 from rcbht_jax.io.importing.table import Table
 
 PREAMBLE, PREAMBLE_LINE = 64, 2**14  # lines at most before the names of the columns, and bytes of one

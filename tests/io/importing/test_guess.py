@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rcbht_jax._util.columns import base_and_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.guess import guess
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
-from rcbht_jax.io.importing.names import base_and_unit, wrenches
+from rcbht_jax.io.importing.names import wrenches
 from rcbht_jax.io.importing.table import Table
 
 N = 30
@@ -62,6 +63,7 @@ def test_channels(names: str, axes: str, units: str) -> None:
     [
         ("time", np.arange(N) * 0.1, "s"),
         ("Time [ms]", np.arange(N) * 10.0, "ms"),
+        ("ts", np.arange(N) * 0.01, "s"),
         ("t_us", np.arange(N) * 10.0, "us"),
         ("timestamp", 1.5e18 + np.arange(N) * 1e7, "ns"),
         ("stamp", 1.5e15 + np.arange(N) * 1e4, "us"),

@@ -1,0 +1,56 @@
+"""Names of columns: the unit that a name states, and the names of a time."""
+
+from __future__ import annotations
+
+import re
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s per unit of time
+UNITS = {
+    "n": "N", "nm": "Nm", "mn": "mN", "mnm": "mNm", "kn": "kN", "nmm": "Nmm", "ncm": "Ncm", "knm": "kNm", "kgf": "kgf",
+    "lbf": "lbf", "lbfin": "lbf in", "lbfft": "lbf ft", "newton": "N", "newtons": "N", "newtonmeter": "Nm",
+    "newtonmeters": "Nm",
+    "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "nsec": "ns",
+    "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
+}  # fmt: skip
+TIMES = (
+    "time", "t", "stamp", "timestamp", "times", "timestamps", "secs", "sec", "seconds", "elapsed", "%time", "clock",
+    "header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt", "ts",
+)  # fmt: skip
+
+_PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅-](?=[a-z])")  # N-m, N·mm, lbf in
+_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Name of a column without its unit, and the unit that it states, "" = none.
+
+    >>> split_unit("Force_X [N]"), split_unit("Tx (N-mm)"), split_unit("t_ms"), split_unit("Fx")
+    (('Force_X', 'N'), ('Tx', 'Nmm'), ('t', 'ms'), ('Fx', ''))
+    """
+    match = _BRACKETS.match(name.strip())
+    if match and match[1] and (unit := UNITS.get(_PRODUCT.sub("", match[2].lower().strip()))):
+        return match[1], unit
+    head, _, tail = name.strip().rpartition("_")
+    if head and (tail in ("N", "Nm", "mN", "mNm") or tail.lower() in ("ms", "us", "ns", "sec", "s")):
+        return head, UNITS[tail.lower()]
+    return name.strip(), ""
+
+
+def base_and_unit(name: str) -> tuple[str, str]:
+    """As :func:`split_unit`, the name in lower case.
+
+    >>> base_and_unit("Fx [N]")
+    ('fx', 'N')
+    """
+    base, unit = split_unit(name)
+    return base.lower(), unit
+
+
+def unit_of_time(name: str) -> float:
+    """Seconds per unit of a column that is a time by its name; 0 = it is none.
+
+    >>> unit_of_time("Time [ms]"), unit_of_time("stamp"), unit_of_time("T [Nm]")
+    (0.001, 1.0, 0.0)
+    """
+    base, unit = base_and_unit(name)
+    return SECONDS.get(unit or "s", 0.0) if base in TIMES else 0.0
