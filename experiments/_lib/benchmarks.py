@@ -33,12 +33,12 @@ CONFOUNDS = {
     ),
     "outcome": (
         "Success and failure were recorded in different sessions, with other sensor bias and other lengths, and are "
-        "separable before contact: duration alone tells nearly all real trials, and two success sessions are told "
-        "apart just as well. A mixed-session score does not show that failure was recognised."
+        "separable before contact: duration alone tells nearly all real trials, and two success sessions are "
+        "separated just as well. A mixed-session score does not show that failure was recognised."
     ),
     "failure-type": (
-        "The failures of one batch share starting pose and length: types are told far worse in a batch that was held "
-        "out than in mixed ones."
+        "The failures of one batch share starting pose and length: types are recognised far less well in a batch that "
+        "was held out than in mixed ones."
     ),
 }
 

@@ -11,8 +11,8 @@ from rcbht_jax.learning.metrics import rule_of_three
 
 Record = dict[str, Any]
 MEASURE = "macro step accuracy"  # of streamed states
-NOTICED = "noticed | "
-ELAPSED, FOREST = f"{NOTICED}elapsed time", f"{NOTICED}last 0.1 s and elapsed time, forest"
+DETECTED = "detected | "
+ELAPSED, FOREST = f"{DETECTED}elapsed time", f"{DETECTED}last 0.1 s and elapsed time, forest"
 
 # Benchmark of headline.json -> what it is called, what the paper prints, flags of the report.
 OFFLINE = {
@@ -124,8 +124,8 @@ def _streamed(result: Record, titles: dict[str, str], source: str) -> Iterator[H
     for name, title in titles.items():
         row, belief = result["rows"][name], result["belief of the method"]
         yield HeadlineRow(
-            title, "", row[f"{NOTICED}frozen, {belief}"][MEASURE],
-            row[f"{NOTICED}frozen, relative, {belief}"][MEASURE],
+            title, "", row[f"{DETECTED}frozen, {belief}"][MEASURE],
+            row[f"{DETECTED}frozen, relative, {belief}"][MEASURE],
             row[ELAPSED][MEASURE], ("last 0.1 s and elapsed time, forest", row[FOREST][MEASURE]),
             None, row["trials tested"], row["method"], ("lengths",), source,
         )  # fmt: skip

@@ -31,7 +31,7 @@ from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import by_trial, with_width
 from experiments._lib.tasks import states
-from experiments.online.detected_starts import noticed, with_beginnings
+from experiments.online.detected_starts import detected_beginnings, with_beginnings
 from experiments.online.table2 import SETS, halves
 from rcbht_jax.features.online import names
 from rcbht_jax.introspection.alarms import PhaseFilter
@@ -152,7 +152,7 @@ def unaided(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[st
     filtered, starts = np.empty_like(p), {}
     for recording in np.unique(snapshots.recording).tolist():
         mine = snapshots.recording == recording
-        starts[recording] = noticed(p[mine], snapshots.now[mine] * dt, items.classes)
+        starts[recording] = detected_beginnings(p[mine], snapshots.now[mine] * dt, items.classes)
         filtered[mine] = followed(p[mine], snapshots.now[mine] * dt, items.classes)
     own = with_beginnings(snapshots, starts, dt)
     order = np.lexsort((own.now, own.recording))
@@ -199,14 +199,14 @@ def little(stream: Stream, inside: Flags, seed: int, from_trial: bool, wrench: b
 def split(stream: Stream, sessions: tuple[str, ...], seed: int) -> dict[str, dict[str, float]]:
     """All rows of one split."""
     inside = inside_of(stream, sessions, seed)
-    out = {"told | counting beginnings": counted(stream, inside)}
+    out = {"given | counting beginnings": counted(stream, inside)}
     for wrench, name in ((False, "elapsed time"), (True, "last 0.1 s and elapsed time, forest")):
-        out[f"told | {name}"] = little(stream, inside, seed, from_trial=False, wrench=wrench)
-        out[f"noticed | {name}"] = little(stream, inside, seed, from_trial=True, wrench=wrench)
+        out[f"given | {name}"] = little(stream, inside, seed, from_trial=False, wrench=wrench)
+        out[f"detected | {name}"] = little(stream, inside, seed, from_trial=True, wrench=wrench)
     for name, relative in KINDS.items():
-        out[f"told | {name}"] = given_starts(stream, relative, inside, seed)
+        out[f"given | {name}"] = given_starts(stream, relative, inside, seed)
         for belief, scores in unaided(stream, relative, inside, seed).items():
-            out[f"noticed | {name}, {belief}"] = scores
+            out[f"detected | {name}, {belief}"] = scores
     return out
 
 
@@ -250,8 +250,8 @@ def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
     data = recorded()
     streams = {name: cache(partial(Stream, method, data, sources=(SETS[name],))) for name in ("REAL", "SIM1")}
     about = {
-        "what": "states of a stream by the frozen method, with beginnings told and noticed, beside simple baselines",
-        "confound": "where beginnings are told, counting them is enough",
+        "what": "states of a stream by the frozen method, with beginnings given and detected, beside simple baselines",
+        "confound": "where beginnings are given, counting them is enough",
         "sha256 of the method": method.sha256,
         "belief of the method": method.streamed["belief"],
         "repeats": repeats,

@@ -80,7 +80,7 @@ def fitted(items: LabelledIntervals, view: View, inside: NDArray[np.bool_], seed
     return learn(x, view.snapshots.take(rows), items, view.head.view.spec, *view.head.learning, seed)
 
 
-def noticed(p: Floats, time: Floats, classes: tuple[str, ...]) -> dict[int, float]:
+def detected_beginnings(p: Floats, time: Floats, classes: tuple[str, ...]) -> dict[int, float]:
     """When each sub-task but the first is detected, s: state -> time."""
     phases, starts = PhaseFilter(classes), {}
     for row, t in zip(p, time.tolist(), strict=True):
@@ -122,7 +122,7 @@ def repeat(
     starts, errors = {}, []
     for recording in np.unique(snapshots.recording).tolist():
         mine = snapshots.recording == recording
-        starts[recording] = noticed(p[mine], snapshots.now[mine] * dt, items.classes)
+        starts[recording] = detected_beginnings(p[mine], snapshots.now[mine] * dt, items.classes)
         onset = data.starts(HARMONISED)[recording]
         errors.append([starts[recording].get(s, np.nan) - onset[s] for s in range(1, len(items.classes))])
     own = with_beginnings(snapshots, starts, dt)
@@ -131,7 +131,7 @@ def repeat(
     mine = ~inside[given.snapshots.interval]
     scores = {
         "given": (items.y[given.snapshots.interval[mine]], state.probability(given.x[mine].astype(np.float64))),
-        "noticed": (items.y[own.interval[order]], state.probability(x.astype(np.float64))),
+        "detected": (items.y[own.interval[order]], state.probability(x.astype(np.float64))),
         "phase alone": (items.y[snapshots.interval], p),
         "filter alone": (items.y[snapshots.interval], np.eye(len(items.classes))[going_on(snapshots, starts, dt)]),
     }
@@ -151,7 +151,7 @@ def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, A
         seen = e[np.isfinite(e)]
         quantiles = np.quantile(seen, [0.05, 0.25, 0.5, 0.75, 0.95]) if len(seen) else np.full(5, np.nan)
         out[f"beginning of {name}"] = {
-            "noticed": round(float(np.isfinite(e).mean()), 3),
+            "detected": round(float(np.isfinite(e).mean()), 3),
             f"within {NEAR:g} s": round(float((np.abs(seen) <= NEAR).sum() / len(e)), 3),
             "s late, quantiles .05 .25 .5 .75 .95": [round(float(q), 2) for q in quantiles],
         }
@@ -188,7 +188,7 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
     data = recorded()
     tolerance = tolerances(data)
     about = {
-        "what": "beginnings of sub-tasks noticed from the stream, held against the harmonised ones",
+        "what": "beginnings of sub-tasks detected in the stream, held against the harmonised ones",
         "repeats": repeats,
         "fit rule": FIT_RULE,
         "tolerance": {source: values.tolist() for source, values in tolerance.items()},

@@ -13,7 +13,7 @@ def detected(result: dict[str, Any]) -> str:
     rows = result["rows"]
     ways = {
         "onsets given (harmonised)": "given",
-        'onsets detected by the head "phase"': "noticed",
+        'onsets detected by the head "phase"': "detected",
         "the detected state itself": "filter alone",
         'the belief of the head "phase" itself': "phase alone",
     }

@@ -111,7 +111,7 @@ def classes(result: dict[str, Any]) -> str:
 @table("fit-streamed", "detected_starts")
 def streamed(result: dict[str, Any]) -> str:
     """Step accuracy of streamed states by words of both rules."""
-    ways = {"onsets given": "given", "onsets detected": "noticed", "the detected state": "filter alone"}
+    ways = {"onsets given": "given", "onsets detected": "detected", "the detected state": "filter alone"}
     kinds = dict.fromkeys(name.split(" | ")[1] for name in result["rows"])
     sets = ("REAL", "SIM1")
     rows = [

@@ -153,9 +153,9 @@ class Evaluate(_Learning):
         items = ", ".join(f"{name} {count}" for name, count in result["items"].items())
         lines = [f"{result['task']['task']} from {result['tracks']}: {result['trials']} trials; {items}"]
         lines += left_out(result["dropped"])
-        if result["untaught"]:
-            verb = "is" if len(result["untaught"]) == 1 else "are"
-            lines.append(f"{', '.join(result['untaught'])} {verb} in no training session, so none of it can be right")
+        if result["untrained"]:
+            verb = "is" if len(result["untrained"]) == 1 else "are"
+            lines.append(f"{', '.join(result['untrained'])} {verb} in no training session, so none of it can be right")
         lines.append(f"{'':24}accuracy (95% interval)    balanced accuracy")
         rows = (
             ("labels + SVM", "score"),

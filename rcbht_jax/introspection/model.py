@@ -185,7 +185,7 @@ def save(path: Path | str, model: IntrospectionModel) -> None:
         arrays |= members | {prefix + "sigmoid": head.machine.sigmoid}
         plain = {name: getattr(head, name) for name in ("name", "scope", "alarm", "alarm_level")}
         progress = {} if head.progress is None else {"progress": asdict(head.progress)}
-        heads.append({**plain, "sight": asdict(head.view), **described, **progress})
+        heads.append({**plain, "view": asdict(head.view), **described, **progress})
     rest = {k: getattr(model, k) for k in ("data_hash", "version", "extra")}
     write_archive(path, {"format": FORMAT, "encoder": config_fields(model.encoder), "heads": heads, **rest}, arrays)
 
@@ -213,13 +213,14 @@ def load(path: Path | str) -> IntrospectionModel:
 def _read_head(
     path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], prefix: str, axes: int
 ) -> Head:
-    spec = FeatureSpec.from_dict(meta["sight"]["spec"])
+    seen = meta["view"] if "view" in meta else meta["sight"]  # as files before 0.2 call it
+    spec = FeatureSpec.from_dict(seen["spec"])
     svm = read_svm(path, meta, archive, len(names(spec, axes)), prefix)
     sigmoid = archive[prefix + "sigmoid"]
     if sigmoid.shape != (svm.intercept.size, 2):
         raise InputError(f"{path} is damaged: sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}.")
     check_finite(path, "sigmoid", sigmoid)
-    view = FeatureView(spec, bool(meta["sight"]["provisional"]))
+    view = FeatureView(spec, bool(seen["provisional"]))
     machine = ProbabilisticSvm(svm, sigmoid)
     name, alarm = checked_texts("a head's name and alarm", [meta["name"], meta["alarm"]])
     # Files older than alarm levels and calibration by progress lack them.

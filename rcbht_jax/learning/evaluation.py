@@ -66,7 +66,7 @@ class EvaluationResult:
     classes: tuple[str, ...]
     items: dict[str, int]  # class -> items, where sessions were chosen those of these
     trials: int
-    untaught: tuple[str, ...]  # classes that are tested, but in no training session
+    untrained: tuple[str, ...]  # classes that are tested, but in no training session
     tested: int  # of the trials, or of the protocol's groups
     dropped: dict[str, int]  # reason -> trials left out
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
@@ -182,13 +182,13 @@ def score(
         "duration": validation.forest(items.seconds, items.y),
         "majority": validation.majority(items.y),
     }
-    used, untaught = np.arange(len(items.y)), tuple[str, ...]()
+    used, untrained = np.arange(len(items.y)), tuple[str, ...]()
     if protocol.train_on:
         split = _split(items, protocol)
         tested = len(np.unique(items.trial[split[1]]))
         used = np.concatenate(split)
         trained, scored = (set(items.y[rows].tolist()) for rows in split)
-        untaught = tuple(items.classes[k] for k in sorted(scored - trained))
+        untrained = tuple(items.classes[k] for k in sorted(scored - trained))
         scores = {
             k: validation.holdout_score(e, items.y, items.trial, split, protocol.seed) for k, e in estimators.items()
         }
@@ -211,7 +211,7 @@ def score(
         classes=items.classes,
         items=dict(zip(items.classes, np.bincount(items.y[used], minlength=len(items.classes)).tolist(), strict=True)),
         trials=len(np.unique(items.trial[used])),
-        untaught=untaught,
+        untrained=untrained,
         tested=tested,
         dropped=items.dropped,
         score=tables["svm"][0],

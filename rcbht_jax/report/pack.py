@@ -99,7 +99,7 @@ def pack(
         "step": step.tolist(),
         "words": counts,
         "marks": [[mark.seconds, mark.text, mark.dashed] for mark in state_marks(recordings, row)],
-        "told": describe_recording(recordings, row),
+        "description": describe_recording(recordings, row),
         "beliefs": [{"head": b.head, "classes": b.classes, "steps": len(b.sample)} for b in beliefs],
     }
     return about, base64.b64encode(zlib.compress(raw)).decode("ascii")

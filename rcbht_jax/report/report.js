@@ -73,7 +73,7 @@ async function show(number) {
   byId("about").textContent = `${a.trial}: ${a.source}, session ${a.session}, ${a.facts}, ${arm}, ${trial.seconds.toFixed(2)} s`;
   byId("word").textContent = "Point at a word, or move from word to word with the arrow keys.";
   byId("previous").disabled = number === 0;
-  byId("told").replaceChildren(...a.told.map(([time, text]) => {
+  byId("description").replaceChildren(...a.description.map(([time, text]) => {
     const row = document.createElement("li"), go = document.createElement("button");
     go.type = "button";
     go.textContent = `${time.toFixed(2)} s`;

@@ -203,12 +203,28 @@ def test_model_file_keeps_everything(tmp_path):
     assert [h.progress for h in back.heads] == [None, None, BY_PROGRESS]
 
 
+def members_and_meta(path):
+    with np.load(path) as archive:
+        members = {k: archive[k] for k in archive.files}
+    return members, json.loads(str(members.pop("meta")))
+
+
+def test_files_of_0_1_are_read(tmp_path):
+    path = tmp_path / "m"
+    model_files.save(path, model())
+    members, meta = members_and_meta(path)
+    added = ("view", "alarm_level", "progress")  # since then
+    heads = [{k: v for k, v in head.items() if k not in added} | {"sight": head["view"]} for head in meta["heads"]]
+    write_archive(path, meta | {"heads": heads}, members)
+    back = model_files.load(path)
+    assert [head.view for head in back.heads] == [head.view for head in model().heads]
+    assert [head.progress for head in back.heads] == [None] * 3
+
+
 def test_model_files_that_do_not_fit(tmp_path):
     path = tmp_path / "m"
     model_files.save(path, model())
-    with np.load(path) as archive:
-        members = {k: archive[k] for k in archive.files}
-    meta = json.loads(str(members.pop("meta")))
+    members, meta = members_and_meta(path)
     for wrong in ({"0.sigmoid": np.zeros((2, 2))}, {"limits": np.zeros((6, 4))}, {"1.dual": np.zeros((3, 3))}):
         write_archive(path, meta, members | wrong)
         with pytest.raises(InputError):

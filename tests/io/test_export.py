@@ -130,7 +130,7 @@ def test_codes_at_samples_are_what_was_known_then(block: Block) -> None:
 
 
 def test_no_recording_is_in_two_row_groups(data: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rcbht_jax.io.export.write.ROWS", 500)
+    monkeypatch.setattr("rcbht_jax.io.export.parquet.ROWS", 500)
     export(data, tmp_path / "out", "parquet")
     file = pq.ParquetFile(tmp_path / "out/wrench.parquet")
     assert [file.metadata.row_group(number).num_rows for number in range(file.num_row_groups)] == [650, 333]
@@ -391,4 +391,7 @@ def test_simulation_becomes_columns(tmp_path: Path) -> None:
     assert AXES[0] not in found
     export(load(path), tmp_path / "mcap", "mcap")
     assert (tmp_path / "mcap/simulation.csv").is_file()
+    export(load(path), tmp_path / "lerobot", "lerobot")
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "lerobot/simulation.parquet"), found)
+    assert "`simulation.parquet`" in (tmp_path / "lerobot/README.md").read_text()
     assert "`simulation.csv`" in (tmp_path / "mcap/README.md").read_text()

@@ -275,12 +275,12 @@ def test_sessions_can_be_held_out(recordings):
     assert same.score["accuracy"] == {"mean": 1.0, "low": low, "high": 1.0}
     assert other.score["accuracy"]["mean"] == 0
     assert np.sum(same.confusion) == 40  # the ten successes of B
-    assert (same.trials, same.untaught) == (20, ())
+    assert (same.trials, same.untrained) == (20, ())
     third = replace(recordings, session=np.where(recordings.trial == "A0", "C", recordings.session))
     tool = with_columns(third, tool=np.where(third.session == "C", "clip", np.where(np.arange(28) % 2, "peg", "hole")))
     protocol = EvaluationProtocol(grid=QUICK, train_on=("A",), test_on=("C",))
     new = evaluate(tool, tracks, TaskSpec("tool"), FeatureSpec(("histogram",)), protocol)
-    assert new.untaught == ("clip",)
+    assert new.untrained == ("clip",)
     assert new.trials == sum(new.items.values()) == 11  # one has two names; none of session B
     json.dumps(same.to_json(), allow_nan=False)
 

@@ -288,10 +288,12 @@ def test_page_works_at_this_width(width: int, height: int, report: Path, data: D
         pixels = "c.getContext('2d').getImageData(0, 0, c.width, c.height).data"
         assert driver.execute_script(f"const c = arguments[0]; return new Set({pixels}).size", plot) > 20
         told = describe_recording(block.recordings, 0)
-        rows = driver.execute_script("return Array.from(document.querySelectorAll('#told li'), row => row.textContent)")
+        rows = driver.execute_script(
+            "return Array.from(document.querySelectorAll('#description li'), row => row.textContent)"
+        )
         assert rows == [f"{seconds:.2f} s {text}" for seconds, text in told]
         driver.execute_script("look(0, 1)")
-        driver.execute_script("document.querySelectorAll('#told button')[1].click()")
+        driver.execute_script("document.querySelectorAll('#description button')[1].click()")
         assert driver.execute_script("return view.to - view.from") == pytest.approx(3.0)  # the whole: it has no 4 s
         # Keyboard: the first word of Fx's behaviours, then the next one, zoom, next trial.
         driver.execute_script("arguments[0].focus()", plot)

@@ -18,6 +18,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import tables
 from rcbht_jax.io.export.card import write_card
 from rcbht_jax.io.export.dataset import Block, DataSet, codes_at_samples, states_at_samples
+from rcbht_jax.io.export.parquet import ParquetFiles
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.labels import LAYERS
 
@@ -30,7 +31,8 @@ DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
 _LAYOUT = """LeRobotDataset v3.0: `LeRobotDataset("any/name", root="this folder")` reads it. One episode is one
 recording (one arm of one trial); names, outcome and further columns are in `meta/episodes`, annotations in
-`annotations.parquet`. The tasks are the data sets. There are no actions and no images.
+`annotations.parquet`, parameters and ground truth of simulated trials in `simulation.parquet`. The tasks are the data
+sets. There are no actions and no images.
 
 * `observation.wrench`: axes and units as in `dataset.json`;
 * `observation.state_index`: number, from 0, of the annotated label of the first track of `dataset.json`, or of its
@@ -54,9 +56,10 @@ def write_lerobot(data: DataSet, folder: Path, progress: Callable[[int], None]) 
     with _Episodes(meta / "episodes" / "chunk-000" / "file-000.parquet") as episodes:
         frames = _write_frames(data, folder, fps, tasks, episodes, progress)
         episodes.flush()
-    if intervals := tables.intervals(data.recordings):
-        table = require("pyarrow", "export").table(intervals)
-        require("pyarrow.parquet", "export").write_table(table, folder / "annotations.parquet")
+    with ParquetFiles(folder) as files:
+        for title, rows in tables.optional(data):
+            files.add(title, rows)
+        files.flush()
     named = pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks, name="task"))
     named.to_parquet(meta / "tasks.parquet")
     _write_json(meta / "info.json", _info(data, fps, len(tasks), episodes.count, frames))

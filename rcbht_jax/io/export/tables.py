@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.io.export.dataset import Block, words
+from rcbht_jax.io.export.dataset import Block, DataSet, words
 from rcbht_jax.labels import LAYERS, MEANING, name
 from rcbht_jax.types import Recordings
 
@@ -118,3 +118,13 @@ def simulation(arrays: Mapping[str, NDArray[Any]], first: int = 0) -> Table:
         for index in np.ndindex(values.shape[1:]):
             table[f"{key}[{','.join(map(str, index))}]"] = values[(slice(None), *index)]
     return table
+
+
+def optional(data: DataSet) -> Iterator[tuple[str, Table]]:
+    """Tables that not every data set has, with their names; the rows of one may come in several pieces."""
+    if marks := intervals(data.recordings):
+        yield "annotations", marks
+    first = 0
+    for arrays in data.simulation():
+        yield "simulation", simulation(arrays, first)
+        first += len(next(iter(arrays.values())))

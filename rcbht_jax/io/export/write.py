@@ -5,25 +5,22 @@ from __future__ import annotations
 import csv
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.cells import cell
-from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import SubtaskStarted
 from rcbht_jax.io.export import tables
 from rcbht_jax.io.export.card import write_card
 from rcbht_jax.io.export.dataset import Block, DataSet, codes_at_samples
 from rcbht_jax.io.export.lerobot import write_lerobot
+from rcbht_jax.io.export.parquet import ParquetFiles
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.io.rosbags import McapWriter
 
 Progress = Callable[[int], None]  # called with the number of recordings done since the last call
-
-ROWS = 2**18  # of a Parquet file, at which a row group is full
 
 _TABLES = """* `trials.{0}`: one row per recording: names, outcome, further columns;
 * `annotations.{0}`: one row per annotated interval, where there are some;
@@ -87,9 +84,9 @@ def _check_names(data: DataSet, kind: str) -> None:
 
 
 def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:
-    with _ParquetFiles(folder, {"wrench": {"dt_seconds": repr(data.recordings.dt)}}) as files:
+    with ParquetFiles(folder, {"wrench": {"dt_seconds": repr(data.recordings.dt)}}) as files:
         files.add("trials", tables.trials(data.recordings))
-        for title, rows in _optional(data):
+        for title, rows in tables.optional(data):
             files.add(title, rows)
         for block in data.blocks():
             for row in range(len(block.recordings)):
@@ -100,57 +97,6 @@ def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:
         files.flush()
     layout = "`wrench.parquet`: one row per sample, recordings one after the other, none in two row groups"
     write_card(data, folder, _TABLES.format("parquet", layout))
-
-
-class _ParquetFiles:
-    """Parquet files that grow piece by piece; what is added at once is in one row group.
-
-    A row group takes memory until its file is closed, so that a row group per recording would not do.
-    """
-
-    def __init__(self, folder: Path, metadata: Mapping[str, Mapping[str, str]]) -> None:
-        self._pa, self._pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
-        self._folder, self._metadata = folder, metadata
-        self._waiting: dict[str, list[Any]] = {}
-        self._writers: dict[str, Any] = {}
-
-    def __enter__(self) -> _ParquetFiles:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for writer in self._writers.values():
-            writer.close()
-
-    def add(self, title: str, rows: Table) -> None:
-        """Append rows to a file."""
-        waiting = self._waiting.setdefault(title, [])
-        waiting.append(self._pa.table(rows).replace_schema_metadata(self._metadata.get(title)))
-        if sum(len(table) for table in waiting) >= ROWS:
-            self._write(title)
-
-    def flush(self) -> None:
-        """Write what waits for its row group to be full."""
-        for title in self._waiting:
-            self._write(title)
-
-    def _write(self, title: str) -> None:
-        if waiting := self._waiting[title]:
-            if title not in self._writers:
-                path = self._folder / f"{title}.parquet"
-                self._writers[title] = self._pq.ParquetWriter(path, waiting[0].schema)
-            table = self._pa.concat_tables(waiting)
-            self._writers[title].write_table(table, row_group_size=len(table) or None)
-            self._waiting[title] = []
-
-
-def _optional(data: DataSet) -> Iterator[tuple[str, Table]]:
-    """Tables that not every data set has, with their names; the rows of one may come in several pieces."""
-    if marks := tables.intervals(data.recordings):
-        yield "annotations", marks
-    first = 0
-    for arrays in data.simulation():
-        yield "simulation", tables.simulation(arrays, first)
-        first += len(next(iter(arrays.values())))
 
 
 def _write_csv(path: Path, table: Table) -> None:
@@ -173,7 +119,7 @@ def _write_csv(path: Path, table: Table) -> None:
 
 def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
     _write_csv(folder / "trials.csv", tables.trials(data.recordings))
-    for title, rows in _optional(data):
+    for title, rows in tables.optional(data):
         _write_csv(folder / f"{title}.csv", rows)
     (folder / "wrench").mkdir()
     for block in data.blocks():
@@ -187,7 +133,7 @@ def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
 
 def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
     _write_csv(folder / "trials.csv", tables.trials(data.recordings))
-    for title, rows in _optional(data):
+    for title, rows in tables.optional(data):
         _write_csv(folder / f"{title}.csv", rows)
     for block in data.blocks():
         for row in range(len(block.recordings)):

@@ -1,0 +1,53 @@
+"""Parquet files that grow piece by piece."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rcbht_jax._util.optional import require
+from rcbht_jax.io.export.tables import Table
+
+ROWS = 2**18  # of a file, at which a row group is full
+
+
+class ParquetFiles:
+    """Parquet files that grow piece by piece; what is added at once is in one row group.
+
+    A row group takes memory until its file is closed, so that a row group per recording would not do.
+    """
+
+    def __init__(self, folder: Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
+        self._pa, self._pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
+        self._folder, self._metadata = folder, metadata or {}
+        self._waiting: dict[str, list[Any]] = {}
+        self._writers: dict[str, Any] = {}
+
+    def __enter__(self) -> ParquetFiles:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for writer in self._writers.values():
+            writer.close()
+
+    def add(self, title: str, rows: Table) -> None:
+        """Append rows to a file."""
+        waiting = self._waiting.setdefault(title, [])
+        waiting.append(self._pa.table(rows).replace_schema_metadata(self._metadata.get(title)))
+        if sum(len(table) for table in waiting) >= ROWS:
+            self._write(title)
+
+    def flush(self) -> None:
+        """Write what waits for its row group to be full."""
+        for title in self._waiting:
+            self._write(title)
+
+    def _write(self, title: str) -> None:
+        if waiting := self._waiting[title]:
+            if title not in self._writers:
+                path = self._folder / f"{title}.parquet"
+                self._writers[title] = self._pq.ParquetWriter(path, waiting[0].schema)
+            table = self._pa.concat_tables(waiting)
+            self._writers[title].write_table(table, row_group_size=len(table) or None)
+            self._waiting[title] = []
