@@ -25,7 +25,7 @@ from rcbht_jax.introspection.stablehlo import write_chain
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.labels import AXES, LAYERS
 from rcbht_jax.learning.model_io import write_archive
-from tests.support.introspection_models import CONFIG, FIT, FIT_LIMITS, LIMITS, VIEW, fit_model, trial
+from tests.support.introspection_models import CONFIG, FIT, FIT_LIMITS, LIMITS, VIEW, archive_of, fit_model, trial
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples/run_chain.py"
 WRENCH = np.concatenate([trial(0, 90, 61), trial(1, 91, 102), trial(2, 93, 91)])
@@ -44,9 +44,7 @@ def test_a_file_keeps_rule_window_limits_and_tolerance(tmp_path: Path) -> None:
 def test_files_whose_limits_are_of_the_other_rule(tmp_path: Path) -> None:
     path = tmp_path / "m"
     model_files.save(path, fit_model())
-    with np.load(path) as archive:
-        members = {name: archive[name] for name in archive.files}
-    meta = json.loads(str(members.pop("meta")))
+    members, meta = archive_of(path)
     for wrong_meta, wrong in (
         ({"encoder": asdict(CONFIG)}, {}),
         ({}, {"limits.tolerance": np.zeros(6)}),

@@ -34,7 +34,7 @@ from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.labels import AXES
 from rcbht_jax.learning.model_io import write_archive
-from tests.support.introspection_models import BY_PROGRESS, CONFIG, VIEW, model, trial
+from tests.support.introspection_models import BY_PROGRESS, CONFIG, VIEW, archive_of, model, trial
 
 
 def story() -> np.ndarray:
@@ -203,16 +203,10 @@ def test_model_file_keeps_everything(tmp_path):
     assert [h.progress for h in back.heads] == [None, None, BY_PROGRESS]
 
 
-def members_and_meta(path):
-    with np.load(path) as archive:
-        members = {k: archive[k] for k in archive.files}
-    return members, json.loads(str(members.pop("meta")))
-
-
 def test_files_of_0_1_are_read(tmp_path):
     path = tmp_path / "m"
     model_files.save(path, model())
-    members, meta = members_and_meta(path)
+    members, meta = archive_of(path)
     added = ("view", "alarm_level", "progress")  # since then
     heads = [{k: v for k, v in head.items() if k not in added} | {"sight": head["view"]} for head in meta["heads"]]
     write_archive(path, meta | {"heads": heads}, members)
@@ -224,7 +218,7 @@ def test_files_of_0_1_are_read(tmp_path):
 def test_model_files_that_do_not_fit(tmp_path):
     path = tmp_path / "m"
     model_files.save(path, model())
-    members, meta = members_and_meta(path)
+    members, meta = archive_of(path)
     for wrong in ({"0.sigmoid": np.zeros((2, 2))}, {"limits": np.zeros((6, 4))}, {"1.dual": np.zeros((3, 3))}):
         write_archive(path, meta, members | wrong)
         with pytest.raises(InputError):

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
@@ -81,3 +85,10 @@ def few_axes(count: int) -> IntrospectionModel:
     spec = SvmSpec("linear", 1.0, True, floor=0.1, ranks=True)
     machine = fit_probabilistic(np.concatenate(x), y, group, ("calm", "push"), spec, weight=weights(VIEW.spec, count))
     return IntrospectionModel(CONFIG, limits, (Head("states", "subtask", VIEW, machine),), "abc")
+
+
+def archive_of(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Arrays and description of a model file, as ``write_archive`` takes them."""
+    with np.load(path) as archive:
+        members = {name: archive[name] for name in archive.files}
+    return members, json.loads(str(members.pop("meta")))

@@ -94,7 +94,7 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         values = table.columns[candidate]
         if values.dtype.kind == "U" and not _dates(values):
             continue
-        unit = table.units.get(candidate) or (unit if unit in ("s", "ms", "us", "ns") else _unit(values))
+        unit = table.units.get(candidate) or (unit if unit in SECONDS else _unit(values))
         return replace(mapping, time=candidate, time_unit=unit, nanoseconds=rest)
     if table.rate is not None:
         return mapping
