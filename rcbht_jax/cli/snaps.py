@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 SnapSize = Annotated[
     tuple[str, ...],
     option(
-        "Report snaps, forces that are released within 50 ms: AXIS=LEAST, the smallest fall in N or Nm; "
+        "Report snaps, forces that are released within 40 ms: AXIS=LEAST, the smallest fall in N or Nm; "
         "AXIS=LEAST,MOST, the largest as well; or AXIS=LEAST,MOST,LOW,HIGH, the load before the fall as well.",
         "none",
         metavar="[AXIS=LEAST ...]",

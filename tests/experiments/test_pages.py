@@ -48,7 +48,7 @@ CELLS = [
     ("fit-running", "fit", "primitives revised", ".2f fit_latency > rows > fit > revised > primitive"),
     ("fit-provisional", "SIM1 | if it ended now", "behaviours revised",
      ".3f fit_latency > labels > SIM1 > if it ended now > llb > revised"),
-    ("snap-events", "plug@panda, seed 5 | words", "false", ".0f snaps > rows > plug@panda, seed 5 > words > false"),
+    ("snap-events", "plug@panda, seed 7 | words", "false", ".0f snaps > rows > plug@panda, seed 7 > words > false"),
     ("fit-classes", "plain words, fit", "SIM1 states",
      ".3f fit_classification > rows > SIM1 states | plain words, fit > accuracy > mean"),
     ("fit-calibration", "rest", "REAL states, A to B",

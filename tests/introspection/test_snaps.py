@@ -14,7 +14,8 @@ from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Snap
-from rcbht_jax.introspection.snaps import SnapConfig, SnapDetector
+from rcbht_jax.introspection.snap_rule import SnapConfig
+from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.store import read_recordings, write_recordings
@@ -110,6 +111,12 @@ def test_a_release_is_seen_at_once_and_published_with_its_size() -> None:
     assert published.seen == seen.seen
     assert published.release == pytest.approx(9.0, abs=0.1)
     assert 5.0 <= published.fall <= 6.1
+
+
+def test_a_small_fall_between_a_push_and_a_stop_is_a_snap() -> None:
+    """The push rises by more than it falls, in many times the time, and the stop follows within 15 ms."""
+    stopped = np.interp(SECONDS, [3.5, 4.0, 4.015, 4.03, 4.1], [0.0, 20.0, 16.5, 17.0, 35.0])
+    assert detector().push(wide(stopped))[0].start == pytest.approx(4.0, abs=0.01)
 
 
 def test_a_negative_load_and_stamps_of_the_source() -> None:
