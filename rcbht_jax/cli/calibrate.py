@@ -138,34 +138,14 @@ class Calibrate(RuleCommand):
     FORMER: ClassVar[dict[str, str]] = {"--ledger": "--checkpoint"}
 
     def run(self) -> dict[str, Any]:
-        import jax
-
         from rcbht_jax._util import compile_cache
         from rcbht_jax.calibration.dataset import calibration_data
-        from rcbht_jax.calibration.objective import SCORES, Objective
         from rcbht_jax.calibration.sample import read_sample
-        from rcbht_jax.calibration.search import score_candidates
         from rcbht_jax.encoding.limit_files import write_limits
-        from rcbht_jax.encoding.rules import config_fields, gradients_of
+        from rcbht_jax.encoding.rules import config_fields
         from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 
-        checked_tolerance(self.rule, self.tolerance)
-        if self.rule == "fit" and self.method == "context":
-            raise InputError(
-                "The method context is for the paper's rule; with --rule fit choose rest, search or gradient."
-            )
-        if self.rule == "fit" and self.plot is not None:
-            raise InputError("--plot shows the slopes of windows, which --rule fit does not name; leave it out.")
-        for methods, options in _READ_BY.items():
-            for name in options:
-                if self.method not in methods and getattr(self, name) != getattr(type(self), name):
-                    raise InputError(
-                        f"--{name.replace('_', '-')} is for --method {' or '.join(methods)}; with {self.method} leave "
-                        "it out."
-                    )
-        self._chosen_devices()  # a wrong value is reported before the work
-        if not self.out.parent.is_dir():
-            raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
+        self._check()
         compile_cache.use(self.compile_cache)
         if self.method == "rest":
             return self._rest(read_sample(self.store, self._everything))
@@ -178,25 +158,15 @@ class Calibrate(RuleCommand):
         start = time.perf_counter()
         training = recordings.take(np.unique(items.intervals[0].recording))
         base = self.limits(config, self.read_limits(training, self.store)[0], training)
-        rest = self._rest_of(training, config)
-        found: _Found = getattr(self, f"_{self.method}")(_Given(training, data, config, base, rest))
+        given = _Given(training, data, config, base, self._rest_of(training, config))
+        found: _Found = getattr(self, f"_{self.method}")(given)
         seconds = time.perf_counter() - start
-        weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
-        pair = jax.tree.map(lambda *leaves: np.stack(leaves), base, found.limits)
-        both = found.scores  # to score two more than a search has means to compile for two
-        both = score_candidates(data, config, pair) if both is None else both
-        penalties = np.zeros(2) if rest is None else rest.penalty(pair)
         result = {
             "method": self.method,
             "trials": len(data),
             **_of(sample),
             "classes": list(data.classes),
-            "value": float(both[1] @ weights - penalties[1]),
-            "preset_value": float(both[0] @ weights - penalties[0]),
-            "rest_penalty": float(penalties[1]),
-            "preset_rest_penalty": float(penalties[0]),
-            "scores": dict(zip(SCORES, both[1].tolist(), strict=True)),
-            "preset_scores": dict(zip(SCORES, both[0].tolist(), strict=True)),
+            **self._scores(given, found),
             **found.details,
         }
         provenance = {
@@ -211,13 +181,59 @@ class Calibrate(RuleCommand):
         }
         write_limits(self.out, found.limits, provenance, recordings.axes)
         if self.plot is not None:
-            from rcbht_jax.encoding.thresholds import GradientThresholds
-            from rcbht_jax.plots import save
-            from rcbht_jax.plots.thresholds import threshold_figure
-
-            new, old = (GradientThresholds(gradients_of(x)) for x in (found.limits, base))
-            save(threshold_figure(data, config.window, new, old, recordings.axes, recordings.units), self.plot)
+            self._draw(self.plot, given, found)
         return self._summary(found.limits, recordings, seconds) | result
+
+    def _check(self) -> None:
+        """Refuse options that do not go together, before the work."""
+        checked_tolerance(self.rule, self.tolerance)
+        if self.rule == "fit" and self.method == "context":
+            raise InputError(
+                "The method context is for the paper's rule; with --rule fit choose rest, search or gradient."
+            )
+        if self.rule == "fit" and self.plot is not None:
+            raise InputError("--plot shows the slopes of windows, which --rule fit does not name; leave it out.")
+        for methods, options in _READ_BY.items():
+            for name in options:
+                if self.method not in methods and getattr(self, name) != getattr(type(self), name):
+                    raise InputError(
+                        f"--{name.replace('_', '-')} is for --method {' or '.join(methods)}; with {self.method} leave "
+                        "it out."
+                    )
+        self._chosen_devices()
+        if not self.out.parent.is_dir():
+            raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
+
+    def _scores(self, given: _Given, found: _Found) -> dict[str, Any]:
+        """How good the new limits and the base are, by the objective and by each of its scores."""
+        import jax
+
+        from rcbht_jax.calibration.objective import SCORES, Objective
+        from rcbht_jax.calibration.search import score_candidates
+
+        weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
+        pair = jax.tree.map(lambda *leaves: np.stack(leaves), given.base, found.limits)
+        both = found.scores  # to score two more than a search has means to compile for two
+        both = score_candidates(given.data, given.config, pair) if both is None else both
+        penalties = np.zeros(2) if given.rest is None else given.rest.penalty(pair)
+        return {
+            "value": float(both[1] @ weights - penalties[1]),
+            "preset_value": float(both[0] @ weights - penalties[0]),
+            "rest_penalty": float(penalties[1]),
+            "preset_rest_penalty": float(penalties[0]),
+            "scores": dict(zip(SCORES, both[1].tolist(), strict=True)),
+            "preset_scores": dict(zip(SCORES, both[0].tolist(), strict=True)),
+        }
+
+    def _draw(self, path: Path, given: _Given, found: _Found) -> None:
+        from rcbht_jax.encoding.rules import gradients_of
+        from rcbht_jax.encoding.thresholds import GradientThresholds
+        from rcbht_jax.plots import save
+        from rcbht_jax.plots.thresholds import threshold_figure
+
+        new, old = (GradientThresholds(gradients_of(x)) for x in (found.limits, given.base))
+        axes, units = given.training.axes, given.training.units
+        save(threshold_figure(given.data, given.config.window, new, old, axes, units), path)
 
     def _summary(self, limits: AnyLimits, recordings: Recordings, seconds: float) -> dict[str, Any]:
         from rcbht_jax.encoding.rules import gradients_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,46 +182,92 @@ def score(
         "duration": validation.forest(items.seconds, items.y),
         "majority": validation.majority(items.y),
     }
-    used, untrained = np.arange(len(items.y)), tuple[str, ...]()
     if protocol.train_on:
-        split = _split(items, protocol)
-        tested = len(np.unique(items.trial[split[1]]))
-        used = np.concatenate(split)
-        trained, scored = (set(items.y[rows].tolist()) for rows in split)
-        untrained = tuple(items.classes[k] for k in sorted(scored - trained))
-        scores = {
-            k: validation.holdout_score(e, items.y, items.trial, split, protocol.seed) for k, e in estimators.items()
-        }
-        fold_accuracy, chosen = [[scores["svm"].accuracy]], [scores["svm"].chosen]
-        tables = {k: (x.summary(), x.confusion) for k, x in scores.items()}
+        scored = _between_sessions(items, estimators, protocol)
     else:
-        folds = (
-            validation.repeated_folds(items.y, groups, protocol.folds, protocol.repeats, protocol.seed, protocol.group)
-            if splitter is None
-            else [grouped_folds(items.y, groups, splitter, protocol.seed)]
-        )
-        runs = {k: validation.cross_validate(e, items.y, folds, protocol.seed) for k, e in estimators.items()}
-        fold_accuracy = runs["svm"].accuracy.tolist()
-        chosen = [choice for repeat in runs["svm"].chosen for choice in repeat]
-        tested = len(np.unique(groups))
-        tables = {k: (x.summary(tested), x.confusion) for k, x in runs.items()}
+        scored = _in_folds(items, estimators, protocol, groups, splitter)
     return EvaluationResult(
         task=task,
         protocol=asdict(protocol) | ({} if splitter is None else {"splitter": repr(splitter)}),
         classes=items.classes,
-        items=dict(zip(items.classes, np.bincount(items.y[used], minlength=len(items.classes)).tolist(), strict=True)),
-        trials=len(np.unique(items.trial[used])),
-        untrained=untrained,
-        tested=tested,
+        items=dict(
+            zip(items.classes, np.bincount(items.y[scored.used], minlength=len(items.classes)).tolist(), strict=True)
+        ),
+        trials=len(np.unique(items.trial[scored.used])),
+        untrained=scored.untrained,
+        tested=scored.tested,
         dropped=items.dropped,
-        score=tables["svm"][0],
-        duration_baseline=tables["duration"][0],
-        majority_baseline=tables["majority"][0],
-        fold_accuracy=fold_accuracy,
-        confusion=tables["svm"][1].tolist(),
-        chosen=dict(Counter(_line(c) for c in chosen).most_common()),
+        score=scored.summaries["svm"],
+        duration_baseline=scored.summaries["duration"],
+        majority_baseline=scored.summaries["majority"],
+        fold_accuracy=scored.fold_accuracy,
+        confusion=scored.confusion,
+        chosen=dict(Counter(_line(c) for c in scored.chosen).most_common()),
         confounds=" ".join(confounds(items, facts)),
         provenance=provenance,
+    )
+
+
+class _Scored(NamedTuple):
+    """What the estimators "svm", "duration" and "majority" score."""
+
+    used: NDArray[np.int64]  # items
+    tested: int  # trials or groups
+    untrained: tuple[str, ...]  # classes that are tested and were not trained
+    summaries: dict[str, Any]  # by estimator
+    fold_accuracy: list[list[float]]  # of the SVM, as the rest
+    confusion: list[list[int]]
+    chosen: list[dict[str, Any]]
+
+
+def _between_sessions(
+    items: LabelledIntervals, estimators: Mapping[str, validation.Estimator], protocol: EvaluationProtocol
+) -> _Scored:
+    """Train on some sessions, test on others."""
+    split = _split(items, protocol)
+    trained, tested = (set(items.y[rows].tolist()) for rows in split)
+    scores = {
+        name: validation.holdout_score(estimator, items.y, items.trial, split, protocol.seed)
+        for name, estimator in estimators.items()
+    }
+    svm = scores["svm"]
+    return _Scored(
+        used=np.concatenate(split),
+        tested=len(np.unique(items.trial[split[1]])),
+        untrained=tuple(items.classes[k] for k in sorted(tested - trained)),
+        summaries={name: one.summary() for name, one in scores.items()},
+        fold_accuracy=[[svm.accuracy]],
+        confusion=svm.confusion.tolist(),
+        chosen=[svm.chosen],
+    )
+
+
+def _in_folds(
+    items: LabelledIntervals,
+    estimators: Mapping[str, validation.Estimator],
+    protocol: EvaluationProtocol,
+    groups: NDArray[Any],
+    splitter: Any,
+) -> _Scored:
+    """Repeated folds, or those of scikit-learn's splitter."""
+    folds = (
+        validation.repeated_folds(items.y, groups, protocol.folds, protocol.repeats, protocol.seed, protocol.group)
+        if splitter is None
+        else [grouped_folds(items.y, groups, splitter, protocol.seed)]
+    )
+    runs = {
+        name: validation.cross_validate(estimator, items.y, folds, protocol.seed)
+        for name, estimator in estimators.items()
+    }
+    svm, tested = runs["svm"], len(np.unique(groups))
+    return _Scored(
+        used=np.arange(len(items.y)),
+        tested=tested,
+        untrained=(),
+        summaries={name: run.summary(tested) for name, run in runs.items()},
+        fold_accuracy=svm.accuracy.tolist(),
+        confusion=svm.confusion.tolist(),
+        chosen=[choice for repeat in svm.chosen for choice in repeat],
     )
 
 
