@@ -103,24 +103,35 @@ def filled_in(recordings: Recordings, items: LabelledIntervals) -> NDArray[np.bo
     return np.asarray((np.abs(gaps - 1) < FILLED).any(0))
 
 
-def main(
-    store: tyro.conf.Positional[Path], repeats: Annotated[int, tyro.conf.arg(help="Of SIM1's folds.")] = 10
-) -> None:
-    everything = read_recordings(store)
+class Experiment:
+    """The sets of the store, read and labelled once."""
 
-    @cache
-    def of(source: str) -> tuple[Recordings, LabelledIntervals, list[LabelTracks]]:
-        recordings = of_sources(everything, (source,))
+    def __init__(self, store: Path, repeats: int) -> None:
+        self._everything, self._repeats = read_recordings(store), repeats
+        recordings, items, _ = self.of(SIM1)
+        self.about: dict[str, Any] = {
+            "bank": [f"W{w}, forces x {s:g}, moments x {t:g}" for w, s, t in BANK],
+            "features": {name: spec.families for name, spec in SPECS.items()},
+            "repeats": repeats,
+            "SIM1 trials": len(np.unique(items.trial)),
+            "SIM1 trials whose S3 was filled in": len(np.unique(items.trial[filled_in(recordings, items)])),
+        }
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def of(self, source: str) -> tuple[Recordings, LabelledIntervals, list[LabelTracks]]:
+        """Recordings, sentences and the labels of the bank."""
+        recordings = of_sources(self._everything, (source,))
         return recordings, labelled_intervals(recordings, states()), labelled(recordings)
 
-    @cache
-    def learners(source: str, spec: str) -> Bank:
-        return bank(*of(source), SPECS[spec])
+    @cache  # noqa: B019
+    def learners(self, source: str, spec: str) -> Bank:
+        return bank(*self.of(source), SPECS[spec])
 
-    @cache
-    def folds(spec: str, method: str) -> tuple[validation.CrossValidation, Counter[int]]:
-        items, members, wrong = of(SIM1)[1], learners(SIM1, spec), Counter[int]()
-        splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
+    @cache  # noqa: B019
+    def folds(self, spec: str, method: str) -> tuple[validation.CrossValidation, Counter[int]]:
+        """Scores on SIM1, and how often each sentence was wrong."""
+        items, members, wrong = self.of(SIM1)[1], self.learners(SIM1, spec), Counter[int]()
+        splits = validation.repeated_folds(items.y, items.trial, 5, self._repeats, SEED)
 
         def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Prediction:
             predicted, chosen = members.learner(method)(train, test, seed)
@@ -129,17 +140,17 @@ def main(
 
         return validation.cross_validate(learn, items.y, splits, SEED), wrong
 
-    def sim1(spec: str, method: str) -> dict[str, Any]:
-        recordings, items, _ = of(SIM1)
-        scores, wrong = folds(spec, method)
-        halved = (1 + scores.accuracy - folds(spec, "preset")[0].accuracy) / 2  # a difference may be negative
+    def sim1(self, spec: str, method: str) -> dict[str, Any]:
+        recordings, items, _ = self.of(SIM1)
+        scores, wrong = self.folds(spec, method)
+        halved = (1 + scores.accuracy - self.folds(spec, "preset")[0].accuracy) / 2  # a difference may be negative
         gain = (2 * limit - 1 for limit in metrics.corrected_interval(halved, 1 / 4))
         filled = filled_in(recordings, items)
         chosen = Counter(choice["candidates"][0] for repeat in scores.chosen for choice in repeat)
         return {
             "accuracy": rounded(scores.summary()["accuracy"]),
             "gain": rounded(dict(zip(("mean", "low", "high"), gain, strict=True))),
-            "chosen": {about["bank"][member]: times for member, times in chosen.most_common()},
+            "chosen": {self.about["bank"][member]: times for member, times in chosen.most_common()},
             "confusion": scores.confusion.tolist(),
             "wrong": {
                 f"{items.trial[i]} {items.classes[items.y[i]]}{', S3 filled in' if filled[i] else ''}": times
@@ -147,30 +158,29 @@ def main(
             },
         }
 
-    def transfer(one: str, other: str, spec: str, method: str) -> dict[str, Any]:
-        _, items, _ = of(REAL)
+    def transfer(self, one: str, other: str, spec: str, method: str) -> dict[str, Any]:
+        """Train on one session of the recorded trials, test on the other."""
+        _, items, _ = self.of(REAL)
         train, test = (np.flatnonzero(items.session == session) for session in (one, other))
-        learner = learners(REAL, spec).learner(method)
+        learner = self.learners(REAL, spec).learner(method)
         scores = validation.holdout_score(learner, items.y, items.trial, (train, test), SEED)
         return {
             "accuracy": rounded(scores.summary()["accuracy"]),
-            "chosen": about["bank"][scores.chosen["candidates"][0]],
+            "chosen": self.about["bank"][scores.chosen["candidates"][0]],
         }
 
+
+def main(
+    store: tyro.conf.Positional[Path], repeats: Annotated[int, tyro.conf.arg(help="Of SIM1's folds.")] = 10
+) -> None:
+    experiment = Experiment(store, repeats)
     wanted: dict[str, Callable[[], Any]] = {}
     for spec, method in itertools.product(SPECS, METHODS):
-        wanted[f"{spec} | SIM1 | {method}"] = partial(sim1, spec, method)
-        wanted[f"{spec} | REAL A -> B | {method}"] = partial(transfer, "A", "B", spec, method)
-        wanted[f"{spec} | REAL B -> A | {method}"] = partial(transfer, "B", "A", spec, method)
-    recordings, items, _ = of(SIM1)
-    about = {
-        "bank": [f"W{w}, forces x {s:g}, moments x {t:g}" for w, s, t in BANK],
-        "features": {name: spec.families for name, spec in SPECS.items()},
-        "repeats": repeats,
-        "SIM1 trials": len(np.unique(items.trial)),
-        "SIM1 trials whose S3 was filled in": len(np.unique(items.trial[filled_in(recordings, items)])),
-    }
-    Rows("calibration_bank", "python -m experiments.calibration.bank STORE.zarr", about, SEED).fill(wanted)
+        wanted[f"{spec} | SIM1 | {method}"] = partial(experiment.sim1, spec, method)
+        wanted[f"{spec} | REAL A -> B | {method}"] = partial(experiment.transfer, "A", "B", spec, method)
+        wanted[f"{spec} | REAL B -> A | {method}"] = partial(experiment.transfer, "B", "A", spec, method)
+    command = "python -m experiments.calibration.bank STORE.zarr"
+    Rows("calibration_bank", command, experiment.about, SEED).fill(wanted)
 
 
 if __name__ == "__main__":
