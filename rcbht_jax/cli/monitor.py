@@ -29,8 +29,13 @@ Where = Annotated[tuple[str, ...], option("Recordings to use: COLUMN=VALUE; if s
 Group = Annotated[str, option("Column of the days or sessions between which recordings differ.")]
 FalseAlarms = Annotated[float, option("Share of nominal recordings that may raise an alarm.")]
 ScoreRate = Annotated[float, option("Scores per second.")]
+AUTO, NONE = ("auto",), ("none",)
 Levels = Annotated[
-    tuple[str, ...], option("Axes whose values are compared as well as their changes: sensors without bias.", "none")
+    tuple[str, ...],
+    option(
+        "Axes whose values are compared as well as their changes; none = no axis; auto = those without a bias that "
+        "differs between groups, if three groups or more have several nominal recordings."
+    ),
 ]
 
 
@@ -48,7 +53,7 @@ class MonitorFit(Command):
     """Outcome of nominal recordings; others are not used."""
     group: Group = "session"
     score_rate: ScoreRate = 20.0
-    levels: Levels = ()
+    levels: Levels = AUTO
     exact: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Set the threshold on recordings held out from training, so that its guarantee on false alarms is exact."""
     seed: int = 0
@@ -73,12 +78,14 @@ class MonitorFit(Command):
             "recordings": len(series),
             "held_out": held,
             "groups": len(np.unique(recordings.column(self.group))),
+            "levels": [recordings.axes[level] for level in monitor.levels_],
             "fewest_false_alarms": 1 / (held + 1),
         }
 
     def text(self, result: dict[str, Any]) -> str:
         return (
             f"{result['monitor']}: {result['recordings']} nominal recordings of {plural(result['groups'], 'group')}; "
+            f"values are compared of {', '.join(result['levels']) or 'no axis'}, changes of all axes; "
             f"the smallest share of false alarms that it can promise is {result['fewest_false_alarms']:.3g}"
         )
 
@@ -153,7 +160,7 @@ class MonitorEvaluate(Command):
     onset: Annotated[str, option("Column with the seconds after which the anomaly began, for the delay.", "")] = ""
     false_alarms: FalseAlarms = 0.05
     score_rate: ScoreRate = 20.0
-    levels: Levels = ()
+    levels: Levels = AUTO
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.alarms import trials_needed
@@ -233,11 +240,13 @@ def _nominal(recordings: Recordings, outcome: str) -> NDArray[np.bool_]:
 def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...]) -> NominalMonitor:
     from rcbht_jax.introspection.nominal import NominalMonitor
 
-    unknown = [name for name in levels if name not in recordings.axes]
-    if unknown:
-        raise InputError(f"There is no axis {unknown[0]}; there are {', '.join(recordings.axes)}.")
-    rate = 1 / recordings.dt
-    numbers = tuple(recordings.axes.index(name) for name in levels)
+    rate, numbers = 1 / recordings.dt, None
+    if levels != AUTO:
+        named = () if levels == NONE else levels
+        unknown = [name for name in named if name not in recordings.axes]
+        if unknown:
+            raise InputError(f"There is no axis {unknown[0]}; there are {', '.join(recordings.axes)}.")
+        numbers = tuple(recordings.axes.index(name) for name in named)
     return NominalMonitor(rate=rate, score_rate=min(score_rate, rate), levels=numbers)
 
 

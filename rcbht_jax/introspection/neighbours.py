@@ -13,6 +13,8 @@ from rcbht_jax.errors import InputError
 LEAST_SCALE = 0.05  # of the standard deviation of a feature over all nominal moments
 LEAST_REFERENCE = 0.5  # of the median nominal distance of a channel
 AROUND = 5  # moments before and after over which the usual distance is taken
+FEWEST_GROUPS = 3  # from which on differences between groups are known
+OFFSET = 0.5  # of the differences within groups: a larger one between groups is a bias
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ def make_bank(
             f"{drift:g}; expected at least two recordings, one neighbour, and no negative times."
         )
     groups = groups if len(np.unique(groups)) > 1 else np.arange(len(described))
-    time = max(len(part) for part in described)
-    held = np.stack([part[np.minimum(np.arange(time), len(part) - 1)] for part in described])
+    held = _held(described)
+    time = held.shape[1]
     squares = [
         np.mean((held[groups == name] - np.median(held[groups != name], 0)) ** 2, (0, 1)) for name in np.unique(groups)
     ]
@@ -70,6 +72,40 @@ def make_bank(
     padded = np.concatenate([edges[0].repeat(reach, 0), scaled, edges[1].repeat(reach, 0)]).astype(np.float32)
     bank = Bank(padded, scale, np.ones((time, held.shape[2])), reach, slack, drift, neighbours)
     return replace(bank, reference=_reference(bank, described, groups))
+
+
+def unbiased(parts: list[Float[np.ndarray, "_ axis"]], groups: Int[np.ndarray, " recording"]) -> tuple[int, ...]:
+    """Axes that have the same zero in all groups; none if there are fewer than three groups of several recordings.
+
+    The offset of a group is the mean over time of its median recording minus that of the others. It must be smaller, in
+    the root mean square over groups, than half of what recordings differ from the median one of their own group.
+
+    Args:
+        parts: nominal recordings ``[time, axis]``.
+        groups: of each.
+
+    Example:
+        >>> days, rng = np.repeat(np.arange(3), 4), np.random.default_rng(0)
+        >>> parts = [rng.normal([0.0, 5.0 * day], 1.0, (20, 2)) for day in days]
+        >>> unbiased(parts, days)
+        (0,)
+    """
+    names, counts = np.unique(groups, return_counts=True)
+    if (counts > 1).sum() < FEWEST_GROUPS:
+        return ()
+    held = _held(parts)
+    medians = np.stack([np.median(held[groups == name], 0) for name in names])
+    others = np.stack([np.median(held[groups != name], 0) for name in names])
+    offset = np.sqrt(((medians - others).mean(1) ** 2).mean(0))
+    several = np.isin(groups, names[counts > 1])
+    within = held[several] - medians[np.searchsorted(names, groups[several])]
+    return tuple(np.flatnonzero(offset < OFFSET * np.sqrt((within**2).mean((0, 1)))).tolist())
+
+
+def _held(parts: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Recordings ``[recording, time, ...]`` of one length: those that have ended stay as they ended."""
+    time = np.arange(max(len(part) for part in parts))
+    return np.stack([part[np.minimum(time, len(part) - 1)] for part in parts])
 
 
 def distances(

@@ -23,7 +23,7 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.signals import read_signal
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import conformal_threshold
-from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest
+from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest, unbiased
 from rcbht_jax.learning.estimators import keep_names
 
 with needs_extra("learn"):
@@ -87,6 +87,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
             raise InputError(f"There are {len(names)} groups for {len(series)} recordings; expected one for each.")
         names = names if len(np.unique(names)) > 1 else np.arange(len(series))
         parts = [_blocks(part, self._step) for part in series]
+        self._prepare(parts, names)
         if self.calibration == "split":
             train = np.sort(np.random.default_rng(self.random_state).permutation(len(parts))[: (len(parts) + 1) // 2])
             model = self._learn([parts[row] for row in train], names[train])
@@ -187,6 +188,9 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         """The features that the score reads at each moment: by default the values themselves."""
         return part[..., None]
 
+    def _prepare(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> None:
+        """What is decided once, from all averaged nominal recordings ``[time, channel]``."""
+
     @abstractmethod
     def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Any:
         """A model from averaged nominal recordings ``[time, channel]``."""
@@ -271,12 +275,14 @@ class NominalMonitor(Monitor):
         lags: time differences of the changes, s.
         baseline: s at the beginning whose mean is subtracted.
         levels: numbers of the axes whose values are compared as well, as further channels: what is wrong from the
-            beginning, such as a missing object, does not show in changes. For sensors without a daily bias.
+            beginning, such as a missing object, does not show in changes. None = those without a bias of the group,
+            if three groups or more have several recordings (:func:`rcbht_jax.introspection.neighbours.unbiased`).
         slack: s by which a moment may be early or late.
         drift: the same, as a share of the elapsed time.
         neighbours: nearest nominal recordings whose distances are averaged.
 
     Attributes:
+        levels_: the axes whose values are compared.
         bank_: all that was learned: features of the nominal recordings, scales and usual distances.
 
     Example:
@@ -293,7 +299,7 @@ class NominalMonitor(Monitor):
     memory: Any = 1.0
     lags: Any = (0.2, 0.4)
     baseline: Any = 0.25
-    levels: Any = ()
+    levels: Any = None
     slack: Any = 0.2
     drift: Any = 0.1
     neighbours: Any = 1
@@ -303,9 +309,11 @@ class NominalMonitor(Monitor):
         check_is_fitted(self, "peaks_")
         return self._model
 
-    def restore(self, axes: int, bank: Bank, peaks: Float[np.ndarray, " recording"]) -> NominalMonitor:
+    def restore(
+        self, axes: int, levels: tuple[int, ...], bank: Bank, peaks: Float[np.ndarray, " recording"]
+    ) -> NominalMonitor:
         """The fitted state from its parts, as a file holds them."""
-        self.n_features_in_, self._model, self.peaks_ = axes, bank, peaks
+        self.n_features_in_, self.levels_, self._model, self.peaks_ = axes, levels, bank, peaks
         return self
 
     @property
@@ -324,19 +332,22 @@ class NominalMonitor(Monitor):
         time: Int[np.ndarray, " time"],
     ) -> Float[np.ndarray, "time _ kind"]:
         if not len(part):
-            return np.zeros((0, part.shape[1] + len(self.levels), 1 + len(self._lags)))
+            return np.zeros((0, part.shape[1] + len(self.levels_), 1 + len(self._lags)))
         seen = np.cumsum(head, 0) / np.arange(1, len(head) + 1)[:, None]
         kinds = [part - seen[np.minimum(time, len(head) - 1)]]
         joined, first = np.concatenate([before, part]), time[0] - len(before)
         kinds += [part - joined[np.maximum(time - lag, 0) - first] for lag in self._lags]
         changes = np.stack(kinds, 2)
-        levels = part[:, list(self.levels), None]
+        levels = part[:, list(self.levels_), None]
         values = np.concatenate([levels, np.zeros((*levels.shape[:2], len(self._lags)))], 2)
         return np.concatenate([changes, values], 1)
 
-    def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
-        if not set(self.levels) <= set(range(axes := parts[0].shape[1])):
+    def _prepare(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> None:
+        self.levels_ = unbiased(parts, groups) if self.levels is None else tuple(self.levels)
+        if not set(self.levels_) <= set(range(axes := parts[0].shape[1])):
             raise InputError(f"levels are {self.levels}; expected numbers of axes, 0 to {axes - 1}.")
+
+    def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
         first = self._count(self.baseline)
         described = [self._describe(part, part[:first], part[:0], np.arange(len(part))) for part in parts]
         slack = self.slack * self.rate / self._step

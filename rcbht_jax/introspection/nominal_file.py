@@ -45,6 +45,7 @@ def save(path: Path | str, file: MonitorFile) -> None:
         "units": file.units,
         "where": file.where,
         "parameters": file.monitor.get_params(),
+        "levels": file.monitor.levels_,
         **{name: getattr(bank, name) for name in _NUMBERS},
     }
     write_archive(path, meta, {"peaks": file.monitor.peaks_, **{name: getattr(bank, name) for name in _ARRAYS}})
@@ -62,6 +63,9 @@ def load(path: Path | str) -> MonitorFile:
         numbers: dict[str, Any] = {name: meta[name] for name in _NUMBERS}
         bank = Bank(**arrays, **numbers)
         monitor = NominalMonitor(**meta["parameters"])
+        levels = tuple(
+            int(level) for level in meta.get("levels", monitor.levels)
+        )  # older files: as they were asked for
         axes, peaks = checked_texts("its axes", meta["axes"]), archive["peaks"]
         moments, channels = bank.reference.shape
         if (
@@ -69,10 +73,11 @@ def load(path: Path | str) -> MonitorFile:
             or len(bank.described) != moments + 2 * bank.reach
             or bank.scale.shape != bank.described.shape[2:]
             or bank.described.shape[2] != channels
-            or channels != len(axes) + len(monitor.levels)
+            or channels != len(axes) + len(levels)
+            or not set(levels) <= set(range(len(axes)))
             or len(meta.get("units", [])) not in (0, len(axes))
             or not np.isfinite(peaks).all()
         ):
             raise InputError(f"{path} is damaged: its arrays do not fit each other.")
         where, units = checked_texts("its groups", meta["where"]), checked_texts("its units", meta.get("units", []))
-        return MonitorFile(monitor.restore(len(axes), bank, peaks), axes, where, units)
+        return MonitorFile(monitor.restore(len(axes), levels, bank, peaks), axes, where, units)

@@ -62,6 +62,20 @@ def test_alarms_are_those_of_the_monitor(store: Path, model: Path, capsys: pytes
         assert (alarms[trial]["time"] if trial in alarms else np.inf) == pytest.approx(moment)
 
 
+def test_values_are_compared_of_axes_without_a_bias(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recordings = read_recordings(store)
+    wrench = recordings.wrench.copy()
+    wrench[:, :, 1] -= 4.0 * (np.arange(len(wrench)) % 3)[:, None]  # of the grip, no day has a bias any more
+    path = store.parent / "steady.zarr"
+    write_recordings(path, replace(recordings, wrench=wrench), {})
+    for levels, names in (((), ["grip"]), (("--levels", "none"), []), (("--levels", "Fz", "grip"), ["Fz", "grip"])):
+        words = ["monitor", "fit", path, "--where", "skill=5", "--group", "day", *levels, "-o", store.parent / "levels"]
+        (found,) = lines(capsys, *words, "--json")
+        assert found["levels"] == names
+        assert main([*map(str, words)]) == 0
+        assert f"values are compared of {', '.join(names) or 'no axis'}" in capsys.readouterr().out
+
+
 def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["monitor", "evaluate", store, "--where", "skill=5", "--group", "day", "--onset", "began"]
     (found,) = lines(capsys, *words, "--false-alarms", 0.1, "--json")

@@ -14,7 +14,7 @@ from sklearn.base import clone
 from rcbht_jax._util.signals import check_axes
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection import nominal_file
-from rcbht_jax.introspection.neighbours import AROUND, make_bank
+from rcbht_jax.introspection.neighbours import AROUND, OFFSET, make_bank, unbiased
 from rcbht_jax.introspection.nominal import FREEDOM, Monitor, NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import Watched, hold_out, judge, thresholds
 from rcbht_jax.introspection.nominal_peers import GaussianProcessBand, IsolationForestMonitor, QuantileBand
@@ -114,10 +114,47 @@ def test_scores_are_those_of_the_definition() -> None:
 
 
 def test_the_bias_of_a_day_is_no_anomaly_but_a_level_is_where_it_counts() -> None:
-    train, groups = pushes(12, 0), np.arange(12) % 3
-    biased = pushes(1, 1, shift=30.0)[0]
-    assert NominalMonitor().fit(train, groups=groups).detect(biased, 0.1) == np.inf
-    assert NominalMonitor(levels=(0,)).fit(train, groups=groups).detect(biased, 0.1) < 1
+    groups, biased = np.arange(12) % 3, pushes(1, 1, shift=30.0)[0]
+    days = [part + np.array([0.0, 5.0 * group]) for part, group in zip(pushes(12, 0), groups, strict=True)]
+    for levels, compared, seen in (((), (), False), ((0,), (0,), True), (None, (0,), True)):
+        monitor = NominalMonitor(levels=levels).fit(days, groups=groups)
+        assert monitor.levels_ == compared
+        assert (monitor.detect(biased, 0.1) < 1) == seen
+    for few in (
+        np.arange(12) % 2,
+        np.append(np.zeros(10, int), [1, 2]),
+        None,
+    ):  # what differs between days is not known
+        assert NominalMonitor().fit(days, groups=few).levels_ == ()
+
+
+def test_axes_without_a_bias_are_those_of_the_definition() -> None:
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        groups = rng.permutation(np.repeat(np.arange(4), [3, 4, 2, 1]))
+        shift = 0.5 * rng.normal(size=(4, 3))
+        parts = [rng.normal(size=(rng.integers(5, 9), 3)) + shift[group] for group in groups]
+        longest, found = max(map(len, parts)), []
+        held = [[part[min(t, len(part) - 1)] for t in range(longest)] for part in parts]
+        for axis in range(3):
+            squares, rest = [], []
+            for group in range(4):
+                own = [
+                    [row[t][axis] for t in range(longest)]
+                    for row, name in zip(held, groups, strict=True)
+                    if name == group
+                ]
+                other = [
+                    [row[t][axis] for t in range(longest)]
+                    for row, name in zip(held, groups, strict=True)
+                    if name != group
+                ]
+                middle = np.median(own, 0)
+                squares.append((middle - np.median(other, 0)).mean() ** 2)
+                rest += [(np.array(row) - middle) ** 2 for row in own if len(own) > 1]
+            if np.sqrt(np.mean(squares)) < OFFSET * np.sqrt(np.mean(rest)):
+                found.append(axis)
+        assert unbiased(parts, groups) == tuple(found)
 
 
 def test_lasting_long_is_no_anomaly() -> None:
@@ -151,7 +188,8 @@ def test_a_threshold_that_cannot_be_promised_is_refused() -> None:
 
 
 def test_a_file_gives_the_same_scores(tmp_path: Path) -> None:
-    monitor, series = NominalMonitor(levels=(1,)).fit(pushes(6, 0)), pushes(1, 1)[0]
+    monitor, series = NominalMonitor().fit(pushes(9, 0), groups=np.arange(9) % 3), pushes(1, 1)[0]
+    assert monitor.levels_ == (0, 1)
     path = tmp_path / "nominal.monitor"
     nominal_file.save(path, nominal_file.MonitorFile(monitor, ("Fz", "Mx"), ("skill=7",), ("N", "Nm")))
     again = nominal_file.load(path)
@@ -160,9 +198,11 @@ def test_a_file_gives_the_same_scores(tmp_path: Path) -> None:
     assert again.monitor.threshold(0.2) == monitor.threshold(0.2)
     assert again.units == ("N", "Nm")
     with reading(path, nominal_file.FORMAT, gaps=("described",)) as (meta, arrays):
-        del meta["units"]  # as files were written before
+        del meta["units"], meta["levels"]  # as files were written before
+        meta["parameters"]["levels"] = [0, 1]
         write_archive(path, meta, arrays)
     old = nominal_file.load(path)
+    np.testing.assert_array_equal(old.monitor.scores(series), monitor.scores(series))
     assert old.units == ()
     check_axes(("Fz", "Mx"), ("mN", "Nm"), old.axes, old.units, "a store")
     path.write_bytes(path.read_bytes()[:-100])
