@@ -55,7 +55,8 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     [('t_ms', 'time'), ('Fx', 'channel Fx'), ('phase', 'annotations phase')]
 
     Raises:
-        InputError: no column is a channel, there are too many, or nothing states the time or the rate.
+        InputError: no column is a channel, there are too many, an axis of a wrench holds text, or nothing states the
+            time or the rate.
     """
     base = base or Mapping()
     if not table.columns:
@@ -72,6 +73,7 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
         free = [name for name in free if name != mapping.group]
     if base_and_unit(mapping.group)[0] == "arm":
         mapping = replace(mapping, columns={"arm": Value(mapping.group), **mapping.columns})
+    _check_axes(table, free)
     mapping = _words(table, mapping, free)
     mapping = replace(mapping, channels=_channels(table, [name for name in free if name not in _used(mapping)]))
     return mapping, _table(table, mapping)
@@ -254,6 +256,14 @@ def _constant(values: NDArray[Any], label: bool) -> bool:
     """Whether a column has one value; a label that only some rows have is not constant."""
     gone = values == "" if values.dtype.kind == "U" else ~np.isfinite(values)
     return len(_distinct(values)) <= 1 and not (label and gone.any() and not gone.all())
+
+
+def _check_axes(table: Table, free: list[str]) -> None:
+    """Raise InputError where an axis of a wrench is text, such as 1.234,50: it must not be left out."""
+    for column in (column for wrench in names.wrenches(free) for column in wrench.values()):
+        values = table.columns[column]
+        if values.dtype.kind == "U" and (words := values[values != ""]).size:
+            raise InputError(f"{table.name}: column {column!r} holds {str(words[0])[:30]!r}, which is not a number.")
 
 
 def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:

@@ -75,6 +75,25 @@ def test_saturation() -> None:
     assert conform.saturated(np.stack([push, rest, few, np.zeros(900)], 1)) == [0]
 
 
+def test_an_axis_that_stops_changing_is_stuck() -> None:
+    noise = np.random.default_rng(0).normal(size=(300, 3))
+    noise[100:150, 0] = noise[100, 0]
+    noise[-40:, 1] = 0.0  # at rest, as simulated sensors are
+    steps = np.round(np.linspace(0, 9, 300))  # of a coarse sensor
+    assert conform.stuck(np.column_stack([noise, steps])) == [0]
+
+
+@pytest.mark.parametrize(("log", "sensor"), [(1000, 400), (500, 100), (500, 250)])
+def test_repeats_of_a_slower_sensor_are_told_from_new_values(log: int, sensor: int) -> None:
+    measured = np.random.default_rng(0).normal(size=(200, 2))
+    number = np.arange(3, 200 * log // sensor) * sensor // log  # the log begins amid a value
+    new = conform.fresh(measured[number])
+    np.testing.assert_array_equal(measured[number][new], measured[number[new[0]] :])
+    assert len(conform.fresh(measured)) == len(measured)
+    coarse = np.round(measured[:, :1])  # repeats by chance
+    assert len(conform.fresh(coarse)) == len(coarse)
+
+
 def test_missing_values_and_repeated_stamps() -> None:
     time = np.arange(50) * 0.1
     values = np.stack([time, 2 * time], 1)

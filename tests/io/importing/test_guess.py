@@ -205,3 +205,15 @@ def test_a_label_of_some_rows_marks_those_and_a_word_describes_the_recording() -
     assert guess(table("t", "Fz", "label", t=np.arange(N) * 0.1, label=number))[0].annotations == (
         Track("label", "label"),
     )
+
+
+@pytest.mark.parametrize("cell", ["1.258,95", "3.2 N"])
+def test_an_axis_of_text_is_not_left_out_of_its_wrench(cell: str) -> None:
+    columns = {"t": np.arange(9) * 0.1, "Fx [mN]": np.full(9, cell), "Fy [mN]": np.ones(9), "Fz [mN]": np.ones(9)}
+    with pytest.raises(InputError, match=rf"column 'Fx \[mN\]' holds '{cell}', which is not a number\.$"):
+        guess(Table("a.csv", columns))
+
+
+def test_the_time_of_simulink_is_one() -> None:
+    mapping, _ = guess(Table("a.mat", {"tout": np.arange(9) * 0.1, "Fz": np.ones(9)}))
+    assert mapping.time == "tout"
