@@ -23,7 +23,7 @@ from rcbht_jax.labels import AXES
 
 MAX_GROUPS = 100_000
 OUTCOMES = dict.fromkeys(("success", "1", "true", "ok", "pass", "passed", "io", "i.o."), "success") | dict.fromkeys(
-    ("failure", "0", "false", "nok", "fail", "failed", "nio", "n.i.o."), "failure"
+    ("failure", "0", "false", "nok", "ng", "fail", "failed", "nio", "n.i.o."), "failure"
 )
 Row = AnyMapping[str, str]  # of the table of recordings
 

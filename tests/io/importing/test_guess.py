@@ -217,3 +217,7 @@ def test_an_axis_of_text_is_not_left_out_of_its_wrench(cell: str) -> None:
 def test_the_time_of_simulink_is_one() -> None:
     mapping, _ = guess(Table("a.mat", {"tout": np.arange(9) * 0.1, "Fz": np.ones(9)}))
     assert mapping.time == "tout"
+
+
+def test_a_sensor_of_three_forces_and_one_moment_keeps_it() -> None:
+    assert wrenches(["Fx", "Fy", "Fz", "Mz"]) == [{"Fx": "Fx", "Fy": "Fy", "Fz": "Fz", "Mz": "Mz"}]
