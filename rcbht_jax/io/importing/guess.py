@@ -22,6 +22,7 @@ from rcbht_jax.types import STANDARD_COLUMNS
 MAX_LABELS = 64  # different values of a column of labels
 MAX_CHANNELS = 64  # where every numeric column is one
 _BAD = re.compile(r"anomal|fault|fail|error|defect|collision|nok", re.IGNORECASE)
+_SECONDS = re.compile(r"^(|.*[./_ ])(?:secs?|seconds)$")
 SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 
 
@@ -89,15 +90,16 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     parsed = {name: base_and_unit(name) for name in free}
     bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
     bases |= {base: name for name, (base, _) in reversed(parsed.items())}
-    # Where several columns could be it, the order of the list decides.
-    for candidate in (bases[base] for base in TIMES if base in bases):
-        base, unit = parsed[candidate]
-        rest = next((bases[name] for name in names.NANOSECONDS if name in bases), "") if base.startswith("sec") else ""
+    whole = _with_nanoseconds(table, free)
+    # The stamps of a header are better than times of receipt; else the order of the list decides.
+    stamps = [name for name in whole if "stamp" in name.lower()]
+    for candidate in (*stamps, *(bases[base] for base in TIMES if base in bases)):
+        unit = "s" if candidate in whole else parsed[candidate][1]
         values = table.columns[candidate]
         if values.dtype.kind == "U" and not _dates(values):
             continue
         unit = table.units.get(candidate) or (unit if unit in SECONDS else _unit(values))
-        return replace(mapping, time=candidate, time_unit=unit, nanoseconds=rest)
+        return replace(mapping, time=candidate, time_unit=unit, nanoseconds=whole.get(candidate, ""))
     if table.rate is not None:
         return mapping
     # A column in s that grows is a time in any language, such as an index that pandas wrote.
@@ -111,6 +113,17 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     if first in free and parsed[first][0] in ("c0", "unnamed: 0", "values_0") and _clocklike(table.columns[first]):
         return replace(mapping, time=first, time_unit=_unit(table.columns[first]))
     return mapping
+
+
+def _with_nanoseconds(table: Table, free: list[str]) -> dict[str, str]:
+    """Columns of whole seconds, not all zero, and that of the nanoseconds beside each."""
+    lower = {name.lower(): name for name in free if table.columns[name].dtype.kind != "U"}
+    found = {}
+    for key, name in lower.items():
+        if (match := _SECONDS.match(key)) and table.columns[name].any():
+            rest = next((lower[match[1] + ending] for ending in names.NANOSECONDS if match[1] + ending in lower), "")
+            found |= {name: rest} if rest else {}
+    return found
 
 
 def _grows(table: Table, name: str) -> bool:

@@ -221,3 +221,27 @@ def test_the_time_of_simulink_is_one() -> None:
 
 def test_a_sensor_of_three_forces_and_one_moment_keeps_it() -> None:
     assert wrenches(["Fx", "Fy", "Fz", "Mz"]) == [{"Fx": "Fx", "Fy": "Fy", "Fz": "Fz", "Mz": "Mz"}]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rest", "receipt"),
+    [
+        ("header.stamp.secs", "header.stamp.nsecs", "Time"),  # bagpy
+        ("header.stamp.sec", "header.stamp.nsec", "log_time"),  # Foxglove
+        ("stamp_sec", "stamp_nanosec", "t"),
+    ],
+)
+def test_stamps_of_a_header_in_two_columns_are_the_time(seconds: str, rest: str, receipt: str) -> None:
+    count = np.arange(400.0)
+    late = 5.0 + count * 0.01 + 0.004 * (count % 2)
+    columns = {receipt: late, seconds: 5 + count // 100, rest: count % 100 * 1e7, "Fz": np.sin(count)}
+    mapping, _ = guess(Table("a.csv", columns))
+    assert (mapping.time, mapping.time_unit, mapping.nanoseconds) == (seconds, "s", rest)
+    unset = columns | {seconds: 0 * count, rest: 0 * count}  # where the driver states none
+    assert guess(Table("a.csv", unset))[0].time == receipt
+
+
+@pytest.mark.parametrize("name", ["__time", "log_time", "publish_time"])
+def test_times_of_exports_of_plotjuggler_and_foxglove(name: str) -> None:
+    mapping, _ = guess(Table("a.csv", {name: 1.7e18 + np.arange(9) * 1e7, "Fz": np.ones(9)}))
+    assert (mapping.time, mapping.time_unit) == (name, "ns")
