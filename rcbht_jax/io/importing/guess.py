@@ -118,7 +118,7 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
 def _with_nanoseconds(table: Table, free: list[str]) -> dict[str, str]:
     """Columns of whole seconds, not all zero, and that of the nanoseconds beside each."""
     lower = {name.lower(): name for name in free if table.columns[name].dtype.kind != "U"}
-    found = {}
+    found: dict[str, str] = {}
     for key, name in lower.items():
         if (match := _SECONDS.match(key)) and table.columns[name].any():
             rest = next((lower[match[1] + ending] for ending in names.NANOSECONDS if match[1] + ending in lower), "")
