@@ -61,6 +61,12 @@ def test_jitter_is_interpolated_at_its_own_rate() -> None:
     np.testing.assert_allclose(moved[:, 0], signal(time[0] + np.arange(len(moved)) * 0.001, 5)[:, 0], atol=1e-3)
 
 
+@pytest.mark.parametrize("count", [7, 1200, 90000])
+@pytest.mark.parametrize("rate", [300.0, 30.0, 240.0, 1 / 0.021, 125.0])
+def test_a_rate_of_rounded_stamps_is_a_round_one(rate: float, count: int) -> None:
+    assert conform.clock(np.round(np.arange(count) / rate, 5)).rate == pytest.approx(rate, rel=1e-12)
+
+
 def test_gaps_are_noted() -> None:
     time = np.delete(np.arange(1000) * 0.005, np.r_[300:369, 500:510])
     source = conform.clock(time)
