@@ -130,6 +130,10 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
         report.remarks.append(f"The sessions are the sub-folders of {spelled(source.name)}: {len(set(folders))}.")
     if "outcome" not in columns:
         report.remarks.append("No column states the outcome: it is unknown. Name one with --outcome or in a map.")
+    words = sorted({str(word) for word in columns.get("outcome", [])} - {""})
+    if words and not {"success", "failure"} & set(words):
+        listed = ", ".join(words[:3]) + (", ..." if len(words) > 3 else "")
+        report.remarks.append(f"No outcome is success or failure ({listed}); state in a map which words mean them.")
     for name, texts in defaults.items():
         given = columns.get(name, np.full(len(records), ""))
         columns[name] = np.where(given == "", texts, given).astype(np.str_)

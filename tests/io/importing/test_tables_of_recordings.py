@@ -118,3 +118,13 @@ def test_names_whose_accents_stand_after_their_letters_are_found(tmp_path: Path)
     recordings = read_source(tmp_path).recordings
     assert recordings.trial.tolist() == ["inserci\u00f3n_0", "inserci\u00f3n_1"]
     assert recordings.columns["operator"].tolist() == ["Ana", "Eva"]
+
+
+def test_outcomes_in_words_that_nobody_stated_are_remarked(tmp_path: Path) -> None:
+    for number, word in enumerate(("éxito", "fallo")):
+        write(tmp_path / f"{number}.csv", noise(number), resultado=word)
+    mapping = Mapping(columns={"outcome": Value("resultado")})
+    remark = "No outcome is success or failure (fallo, éxito); state in a map which words mean them."
+    assert read_source(tmp_path, mapping=mapping).report.remarks == [remark]
+    stated = Mapping(columns={"outcome": Value("resultado", words={"éxito": "success", "fallo": "failure"})})
+    assert read_source(tmp_path, mapping=stated).report.remarks == []
