@@ -15,7 +15,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
-from rcbht_jax.io.importing.record import OUTCOMES, is_outcome
+from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.types import STANDARD_COLUMNS
 
@@ -56,12 +56,13 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     [('t_ms', 'time'), ('Fx', 'channel Fx'), ('phase', 'annotations phase')]
 
     Raises:
-        InputError: no column is a channel, there are too many, an axis of a wrench holds text, or nothing states the
-            time or the rate.
+        InputError: a column of ``base`` is missing, no column is a channel, there are too many, an axis of a wrench
+            holds text, or nothing states the time or the rate.
     """
     base = base or Mapping()
     if not table.columns:
         raise InputError(f"{table.name} holds no array of at least two rows [time] or [time, axis].")
+    check_columns(table, base)
     free = [name for name in table.columns if name not in _used(base)]
     mapping = base
     if not base.time and base.source_rate is None:

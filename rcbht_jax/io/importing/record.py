@@ -132,7 +132,14 @@ def is_outcome(name: str, values: Iterable[Any]) -> bool:
     return name in ("success", "outcome") and {text(value).lower() for value in values} <= set(OUTCOMES)
 
 
-def _check(table: Table, mapping: Mapping) -> None:
+def check_columns(table: Table, mapping: Mapping) -> None:
+    """Check that a table has the columns that a mapping names.
+
+    >>> check_columns(Table("a.csv", {"t": np.arange(4.0)}), Mapping(time="t"))
+
+    Raises:
+        InputError: a column is missing.
+    """
     named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
     others = [mapping.time, mapping.group, *(track.column for track in mapping.annotations)]
     others += [value.column for value in mapping.columns.values() if value.column not in table.facts]
@@ -140,6 +147,11 @@ def _check(table: Table, mapping: Mapping) -> None:
         if name not in table.columns:
             listed = ", ".join(list(table.columns)[:20])
             raise InputError(f"{table.name} has no column {name!r}; it has {listed}.")
+
+
+def _check(table: Table, mapping: Mapping) -> None:
+    check_columns(table, mapping)
+    named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
     for name in filter(None, named):
         if table.columns[name].dtype.kind == "U":
             raise InputError(f"{table.name}: column {name!r} is text; expected numbers.")

@@ -245,3 +245,9 @@ def test_stamps_of_a_header_in_two_columns_are_the_time(seconds: str, rest: str,
 def test_times_of_exports_of_plotjuggler_and_foxglove(name: str) -> None:
     mapping, _ = guess(Table("a.csv", {name: 1.7e18 + np.arange(9) * 1e7, "Fz": np.ones(9)}))
     assert (mapping.time, mapping.time_unit) == (name, "ns")
+
+
+@pytest.mark.parametrize("base", [Mapping(time="nope"), Mapping(group="nope"), Mapping(columns={"a": Value("nope")})])
+def test_a_named_column_that_is_missing_is_told(base: Mapping) -> None:
+    with pytest.raises(InputError, match=r"^a\.csv has no column 'nope'; it has t, Fz\.$"):
+        guess(Table("a.csv", {"t": np.arange(9) * 0.1, "Fz": np.ones(9)}), base)
