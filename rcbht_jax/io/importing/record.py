@@ -169,7 +169,8 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
     new = conform.fresh(raw)
     padded += [f"held:{len(raw) - len(new)}"] if len(new) < len(raw) else []
     values = raw * [channel.scale for channel in mapping.channels] + [channel.offset for channel in mapping.channels]
-    first = stamps[new].min() if len(new) else 0.0
+    timed = stamps[new][np.isfinite(stamps[new])]
+    first = timed.min() if len(timed) else 0.0
     time, values, notes = conform.tidy(stamps[new] - first, values[new])
     columns = {column_name(key): value for key, value in table.facts.items()}
     for key, fact in table.facts.items():

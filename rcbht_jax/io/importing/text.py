@@ -197,11 +197,15 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
     file.seek(body)
     if width > MAX_COLUMNS:
         return None
+    blank = True
     while block := file.read(MAX_TABLE_LINE):
+        blank = blank and not block.strip()
         if block.translate(None, _PLAIN):
             return None
         if len(block) == MAX_TABLE_LINE and not (b"\n" in block or b"\r" in block):
             return None  # a line that long would be read as a whole; row by row it is refused
+    if blank:
+        return None
     file.seek(body)
     try:
         lines = io.TextIOWrapper(file, "ascii", newline=None)
