@@ -14,7 +14,8 @@ UNITS = {
 }  # fmt: skip
 TIMES = (
     "time", "t", "stamp", "timestamp", "times", "timestamps", "secs", "sec", "seconds", "elapsed", "%time", "clock",
-    "header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt", "ts",
+    "header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt", "ts", "tout",
+    "__time", "publish_time", "log_time",
 )  # fmt: skip
 
 _PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅-](?=[a-z])")  # N-m, N·mm, lbf in

@@ -33,10 +33,12 @@ def plural(count: int, one: str, many: str = "") -> str:
 def spelled(name: object) -> str:
     r"""A file's name, or a text that quotes it, as text that can be written: bytes that are not UTF-8 are spelled out.
 
-    >>> spelled("run-\udcff.csv")
-    'run-\\xff.csv'
+    Accents that stand after their letters, as in names that macOS wrote, are joined with them, as keyboards type them.
+
+    >>> spelled("run-\udcff.csv"), spelled("e\u0301") == "\u00e9"
+    ('run-\\xff.csv', True)
     """
-    return _BYTES.sub(lambda found: f"\\x{ord(found[0]) - 0xDC00:x}", str(name))
+    return unicodedata.normalize("NFC", _BYTES.sub(lambda found: f"\\x{ord(found[0]) - 0xDC00:x}", str(name)))
 
 
 def last_line(report: BufferedIOBase) -> str:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.resampling import LARGEST, Resampler
 from rcbht_jax.io.importing.conform import checked_period, clock
-from rcbht_jax.io.messages import Message, Sample
+from rcbht_jax.io.messages import Malformed, Message, Sample
 from rcbht_jax.types import Recordings, axis_names
 
 READINGS = 50  # from which the sampling period is taken
@@ -99,7 +99,8 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
             break
     if not samples:
         what = f"The first {MOST} messages of the stream have" if len(read) == MOST else "The stream ended and has"
-        raise InputError(f"{what} no reading of finite numbers.")
+        wrong = next((f"; the first problem: {one.text}" for one in read if isinstance(one, Malformed)), "")
+        raise InputError(f"{what} no reading of finite numbers{wrong}.")
     width = Counter(len(sample.wrench) for sample in samples).most_common(1)[0][0]
     kept = [sample for sample in samples if len(sample.wrench) == width]
     time = np.array([np.nan if sample.time is None else sample.time for sample in kept])

@@ -116,9 +116,11 @@ def _messages(value: Any) -> list[Message]:
 
 def _values(wrench: Any) -> tuple[float, ...]:
     if isinstance(wrench, Mapping):
-        wrench = [wrench[part][axis] for part in ("force", "torque") for axis in _AXES]
+        parts = [part for part in map(wrench.get, ("force", "torque")) if isinstance(part, Mapping)]
+        known = len(parts) == 2 and all(set(_AXES) <= set(part) for part in parts)
+        wrench = [part[axis] for part in parts for axis in _AXES] if known else []
     if not isinstance(wrench, list) or not wrench:
-        raise ValueError("expected a list of numbers")
+        raise ValueError("expected wrench: a list of numbers, or force and torque with x, y and z")
     # JSON has no NaN; many sources write null.
     return tuple(math.nan if value is None else _number(value) for value in wrench)
 

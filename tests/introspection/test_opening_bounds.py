@@ -12,7 +12,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.introspection import opening
 from rcbht_jax.introspection.opening import read_opening
 from rcbht_jax.introspection.resampling import Resampler
-from rcbht_jax.io.messages import Malformed, Message, Sample
+from rcbht_jax.io.messages import Malformed, Message, Sample, parse
 
 
 def still() -> Iterator[Message]:
@@ -34,6 +34,15 @@ def test_a_stream_without_readings_ends(message: Message, monkeypatch: pytest.Mo
     monkeypatch.setattr(opening, "MOST", 300)
     with pytest.raises(InputError, match="The first 300 messages of the stream have no reading"):
         read_opening(message for _ in count())
+
+
+@pytest.mark.parametrize(
+    "line", ['{"force": [0, 0, 5], "torque": [0, 0, 0]}', '{"Fz": 5}', '{"wrench": {"force": {"x": 1}}}']
+)
+def test_a_stream_of_other_lines_is_told_what_a_reading_is(line: str) -> None:
+    expected = r"first problem: .*expected wrench: a list of numbers, or force and torque with x, y and z\)\.$"
+    with pytest.raises(InputError, match=expected):
+        read_opening(iter([parse(line)]))
 
 
 def test_a_clock_that_hardly_moves_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,12 +6,14 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.columns import split_unit
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import (
     MAX_BYTES,
@@ -128,7 +130,41 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             for key, one in _pandas(found).items() if not turned else found.items():
                 arrays |= _arrays(file, key, one, turned, len(found) == 1)
             usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
-            yield from tables_of(path, f"{name}#{part}" if part else name, usable, part)
+            stated = {key: texts for key, one in found.items() if (texts := _stated_units(one))}
+            for table in tables_of(path, f"{name}#{part}" if part else name, usable, part):
+                yield replace(table, units=_units_of(table.columns, stated))
+
+
+def _stated_units(item: Any) -> list[str]:
+    """The units in a data set's attribute ``units`` or ``unit``, one or one per element; unknown ones are "".
+
+    >>> from types import SimpleNamespace
+    >>> _stated_units(SimpleNamespace(attrs={"units": "N,N,N,Nm,Nm,N mm"})), _stated_units(SimpleNamespace(attrs={}))
+    (['N', 'N', 'N', 'Nm', 'Nm', 'Nmm'], [])
+    """
+    for key in ("units", "unit"):
+        given = np.asarray(item.attrs.get(key, "")).ravel().tolist()
+        texts = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in given]
+        units = [split_unit(f"x [{text.strip()}]")[1] for text in (texts[0].split(",") if len(texts) == 1 else texts)]
+        if any(units):
+            return units
+    return []
+
+
+def _units_of(columns: Iterable[str], stated: dict[str, list[str]]) -> dict[str, str]:
+    """The unit of each column of data sets with stated units.
+
+    >>> _units_of(["t", "F_0", "F_1"], {"t": ["ms"], "F": ["N", "Nm"]})
+    {'t': 'ms', 'F_0': 'N', 'F_1': 'Nm'}
+    """
+    units = {}
+    for column in columns:
+        head, _, number = column.rpartition("_")
+        own = stated.get(column) or (stated.get(head, []) if number.isdecimal() else [])
+        place = 0 if column in stated or len(own) == 1 else int(number) if own else 0
+        if place < len(own) and own[place]:
+            units[column] = own[place]
+    return units
 
 
 def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:

@@ -65,6 +65,13 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
         were = plural(uneven, "recording was", "recordings were")
         text = f"{were} not sampled evenly and interpolated at {1 / period:.6g} Hz."
         report.remarks.append(text)
+    if held := sum(note.startswith("held:") for record in kept for note in record.notes):
+        text = f"{plural(held, 'log', 'logs')} held each value for several rows; the repeats were left out."
+        report.remarks.append(text)
+    if coded := sum("cp1252" in record.notes for record in kept):
+        were = plural(coded, "recording is", "recordings are")
+        text = f"{were} from a file that is not UTF-8, read as Windows-1252; if names are garbled, save it as UTF-8."
+        report.remarks.append(text)
     _remarks(report, period, rates, filtered)
     report.imported = [record.name for record in kept]
     _words(kept)
@@ -123,6 +130,10 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
         report.remarks.append(f"The sessions are the sub-folders of {spelled(source.name)}: {len(set(folders))}.")
     if "outcome" not in columns:
         report.remarks.append("No column states the outcome: it is unknown. Name one with --outcome or in a map.")
+    words = sorted({str(word) for word in columns.get("outcome", [])} - {""})
+    if words and not {"success", "failure"} & set(words):
+        listed = ", ".join(words[:3]) + (", ..." if len(words) > 3 else "")
+        report.remarks.append(f"No outcome is success or failure ({listed}); state in a map which words mean them.")
     for name, texts in defaults.items():
         given = columns.get(name, np.full(len(records), ""))
         columns[name] = np.where(given == "", texts, given).astype(np.str_)

@@ -17,7 +17,8 @@ DRIFT = 0.02  # of a period: largest error that rounding the period may cause at
 GAP = 5  # periods without a sample
 MISSING = 5  # samples in a row without a value that are interpolated
 SPAN = 7  # steps in a row whose mean is a period
-HELD = 10  # samples in a row at the largest or smallest value
+HELD = 10  # samples in a row of one value, by which an axis is saturated or stuck
+MOST = 0.9  # share of the samples that tells what the others are like
 SHORTEST, LONGEST = 1e-6, 1e3  # s: periods of samples that sensors have
 EQUAL = 1e-3  # relative difference below which two rates are one
 NEAR = 0.05  # the same difference for recordings whose samples are not evenly spaced
@@ -157,9 +158,12 @@ def checked_rate(rate: float, what: str = "the rate") -> float:
 
 
 def _short(period: float, tolerance: float) -> float:
-    """The number with the fewest digits within a relative tolerance."""
-    rounded = (float(f"{period:.{digits}g}") for digits in range(1, 12))
-    return next((value for value in rounded if abs(value / period - 1) < min(tolerance, EQUAL)), float(period))
+    """The period within a relative tolerance that has, or whose rate has, the fewest digits: 0.021 s, or 300 Hz."""
+    for digits in range(1, 12):
+        for value in (float(f"{period:.{digits}g}"), 1 / float(f"{1 / period:.{digits}g}")):
+            if abs(value / period - 1) < min(tolerance, EQUAL):
+                return value
+    return float(period)
 
 
 def _nice(rate: float) -> float:
@@ -257,5 +261,42 @@ def saturated(values: Float[np.ndarray, "sample axis"]) -> list[int]:
         extremes = {float(column.min()), float(column.max())} - {0.0, float(column[0])}
         held = max((int(runs(column == extreme).max(initial=0)) for extreme in extremes), default=0)
         if held >= HELD and len(np.unique(column)) >= HELD:
+            found.append(number)
+    return found
+
+
+def fresh(values: Float[np.ndarray, "sample axis"]) -> NDArray[np.int64]:
+    """Numbers of the samples with new values where all axes hold theirs for a steady number of samples; else of all.
+
+    A log that is written more often than the sensor measures holds values like this. A first value that is held for
+    less time than others is left out, since it is older than its sample.
+
+    >>> fresh(np.repeat(np.random.default_rng(0).normal(size=(40, 2)), 5, axis=0)[3:])[:3].tolist()
+    [2, 7, 12]
+    """
+    new = np.flatnonzero((values[1:] != values[:-1]).any(1)) + 1
+    steps = np.diff(new)
+    if len(steps) < HELD or (middle := float(np.median(steps))) < 2 or (abs(steps - middle) > 1).mean() > 1 - MOST:
+        return np.arange(len(values))
+    return new if new[0] < middle - 1 else np.concatenate([[0], new])
+
+
+def stuck(values: Float[np.ndarray, "sample axis"]) -> list[int]:
+    """Numbers of the axes that hold a value for ``HELD`` samples, though they change with nearly all others.
+
+    Zero and the first value are those of rest, the largest and smallest those of :func:`saturated`.
+
+    >>> noise = np.random.default_rng(0).normal(size=(100, 2))
+    >>> noise[40:, 1] = noise[40, 1]
+    >>> stuck(noise)
+    [1]
+    """
+    found = []
+    for number, column in enumerate(values.T):
+        begins = np.concatenate([[0], np.flatnonzero(column[1:] != column[:-1]) + 1])
+        lengths = np.diff(begins, append=len(column))
+        long = lengths >= HELD
+        rest = np.isin(column[begins], [0.0, column[0], column.min(), column.max()])
+        if (long & ~rest).any() and (~long).sum() > max(HELD, MOST * lengths[~long].sum()):
             found.append(number)
     return found

@@ -15,13 +15,14 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
-from rcbht_jax.io.importing.record import OUTCOMES, is_outcome
+from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
 MAX_CHANNELS = 64  # where every numeric column is one
 _BAD = re.compile(r"anomal|fault|fail|error|defect|collision|nok", re.IGNORECASE)
+_SECONDS = re.compile(r"^(|.*[./_ ])(?:secs?|seconds)$")
 SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 
 
@@ -55,11 +56,13 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     [('t_ms', 'time'), ('Fx', 'channel Fx'), ('phase', 'annotations phase')]
 
     Raises:
-        InputError: no column is a channel, there are too many, or nothing states the time or the rate.
+        InputError: a column of ``base`` is missing, no column is a channel, there are too many, an axis of a wrench
+            holds text, or nothing states the time or the rate.
     """
     base = base or Mapping()
     if not table.columns:
         raise InputError(f"{table.name} holds no array of at least two rows [time] or [time, axis].")
+    check_columns(table, base)
     free = [name for name in table.columns if name not in _used(base)]
     mapping = base
     if not base.time and base.source_rate is None:
@@ -72,6 +75,7 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
         free = [name for name in free if name != mapping.group]
     if base_and_unit(mapping.group)[0] == "arm":
         mapping = replace(mapping, columns={"arm": Value(mapping.group), **mapping.columns})
+    _check_axes(table, free)
     mapping = _words(table, mapping, free)
     mapping = replace(mapping, channels=_channels(table, [name for name in free if name not in _used(mapping)]))
     return mapping, _table(table, mapping)
@@ -87,15 +91,16 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     parsed = {name: base_and_unit(name) for name in free}
     bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
     bases |= {base: name for name, (base, _) in reversed(parsed.items())}
-    # Where several columns could be it, the order of the list decides.
-    for candidate in (bases[base] for base in TIMES if base in bases):
-        base, unit = parsed[candidate]
-        rest = next((bases[name] for name in names.NANOSECONDS if name in bases), "") if base.startswith("sec") else ""
+    whole = _with_nanoseconds(table, free)
+    # The stamps of a header are better than times of receipt; else the order of the list decides.
+    stamps = [name for name in whole if "stamp" in name.lower()]
+    for candidate in (*stamps, *(bases[base] for base in TIMES if base in bases)):
+        unit = "s" if candidate in whole else parsed[candidate][1]
         values = table.columns[candidate]
         if values.dtype.kind == "U" and not _dates(values):
             continue
         unit = table.units.get(candidate) or (unit if unit in SECONDS else _unit(values))
-        return replace(mapping, time=candidate, time_unit=unit, nanoseconds=rest)
+        return replace(mapping, time=candidate, time_unit=unit, nanoseconds=whole.get(candidate, ""))
     if table.rate is not None:
         return mapping
     # A column in s that grows is a time in any language, such as an index that pandas wrote.
@@ -109,6 +114,17 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     if first in free and parsed[first][0] in ("c0", "unnamed: 0", "values_0") and _clocklike(table.columns[first]):
         return replace(mapping, time=first, time_unit=_unit(table.columns[first]))
     return mapping
+
+
+def _with_nanoseconds(table: Table, free: list[str]) -> dict[str, str]:
+    """Columns of whole seconds, not all zero, and that of the nanoseconds beside each."""
+    lower = {name.lower(): name for name in free if table.columns[name].dtype.kind != "U"}
+    found: dict[str, str] = {}
+    for key, name in lower.items():
+        if (match := _SECONDS.match(key)) and table.columns[name].any():
+            rest = next((lower[match[1] + ending] for ending in names.NANOSECONDS if match[1] + ending in lower), "")
+            found |= {name: rest} if rest else {}
+    return found
 
 
 def _grows(table: Table, name: str) -> bool:
@@ -254,6 +270,14 @@ def _constant(values: NDArray[Any], label: bool) -> bool:
     """Whether a column has one value; a label that only some rows have is not constant."""
     gone = values == "" if values.dtype.kind == "U" else ~np.isfinite(values)
     return len(_distinct(values)) <= 1 and not (label and gone.any() and not gone.all())
+
+
+def _check_axes(table: Table, free: list[str]) -> None:
+    """Raise InputError where an axis of a wrench is text, such as 1.234,50: it must not be left out."""
+    for column in (column for wrench in names.wrenches(free) for column in wrench.values()):
+        values = table.columns[column]
+        if values.dtype.kind == "U" and (words := values[values != ""]).size:
+            raise InputError(f"{table.name}: column {column!r} holds {str(words[0])[:30]!r}, which is not a number.")
 
 
 def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:

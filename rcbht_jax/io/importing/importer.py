@@ -2,9 +2,9 @@
 
 Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at its own rate), ``resampled:RATE`` (from
 that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
-``missing:COUNT``, ``repeated:COUNT``, ``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``, ``zeros:COUNT``
-(samples), ``cp1252``, ``changes:COLUMN`` (one that should be constant), ``beginning-of:OTHER``, ``copy-of:OTHER``,
-``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
+``stuck:AXIS``, ``missing:COUNT``, ``repeated:COUNT``, ``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``,
+``held:COUNT``, ``zeros:COUNT`` (samples), ``cp1252``, ``changes:COLUMN`` (one that should be constant),
+``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
 from __future__ import annotations

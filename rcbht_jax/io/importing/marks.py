@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_TEXT_BYTES, check_file, check_inside, read_bytes, read_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import Item
@@ -94,6 +95,7 @@ class Names:
 
     def meant(self, word: str) -> set[int]:
         """Indices of the recordings that the word means; more than one if it is ambiguous."""
+        word = spelled(word)
         return set(next((rank[word] for rank in self._ranks if word in rank), ()))
 
 

@@ -33,7 +33,7 @@ _ELEMENT = re.compile(
 
 
 def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
-    """The wrenches that columns hold: axis (Fx ... Mz) -> column; six axes, or the three forces alone.
+    """The wrenches that columns hold: axis (Fx ... Mz) -> column; the three forces, and the moments that are there.
 
     >>> wrenches(["a.force.x", "a.force.y", "a.force.z", "speed"])
     [{'Fx': 'a.force.x', 'Fy': 'a.force.y', 'Fz': 'a.force.z'}]
@@ -59,8 +59,7 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     complete = []
     for axes in found.values():
         if {"Fx", "Fy", "Fz"} <= set(axes):
-            chosen = AXES if set(AXES) <= set(axes) else AXES[:3]
-            complete.append({axis: axes[axis] for axis in chosen})
+            complete.append({axis: axes[axis] for axis in AXES if axis in axes})
     return complete
 
 

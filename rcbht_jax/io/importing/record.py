@@ -23,7 +23,7 @@ from rcbht_jax.labels import AXES
 
 MAX_GROUPS = 100_000
 OUTCOMES = dict.fromkeys(("success", "1", "true", "ok", "pass", "passed", "io", "i.o."), "success") | dict.fromkeys(
-    ("failure", "0", "false", "nok", "fail", "failed", "nio", "n.i.o."), "failure"
+    ("failure", "0", "false", "nok", "ng", "fail", "failed", "nio", "n.i.o."), "failure"
 )
 Row = AnyMapping[str, str]  # of the table of recordings
 
@@ -132,7 +132,14 @@ def is_outcome(name: str, values: Iterable[Any]) -> bool:
     return name in ("success", "outcome") and {text(value).lower() for value in values} <= set(OUTCOMES)
 
 
-def _check(table: Table, mapping: Mapping) -> None:
+def check_columns(table: Table, mapping: Mapping) -> None:
+    """Check that a table has the columns that a mapping names.
+
+    >>> check_columns(Table("a.csv", {"t": np.arange(4.0)}), Mapping(time="t"))
+
+    Raises:
+        InputError: a column is missing.
+    """
     named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
     others = [mapping.time, mapping.group, *(track.column for track in mapping.annotations)]
     others += [value.column for value in mapping.columns.values() if value.column not in table.facts]
@@ -140,6 +147,11 @@ def _check(table: Table, mapping: Mapping) -> None:
         if name not in table.columns:
             listed = ", ".join(list(table.columns)[:20])
             raise InputError(f"{table.name} has no column {name!r}; it has {listed}.")
+
+
+def _check(table: Table, mapping: Mapping) -> None:
+    check_columns(table, mapping)
+    named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
     for name in filter(None, named):
         if table.columns[name].dtype.kind == "U":
             raise InputError(f"{table.name}: column {name!r} is text; expected numbers.")
@@ -152,19 +164,14 @@ def _check(table: Table, mapping: Mapping) -> None:
 
 
 def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: Row) -> Record:
-    raw = np.stack([table.columns[channel.column][rows] for channel in mapping.channels], 1)
-    known = ~np.isnan(raw).all(1)
-    held = int(np.flatnonzero(known).max(initial=-1)) + 1 or len(rows)
-    padded = [f"padded:{len(rows) - held}"] if held < len(rows) else []
-    if 1 < (few := int(known.sum())) < held / 2 and mapping.time:  # a log in the steps of something faster
-        padded.append(f"between:{held - few}")
-    else:
-        known = np.arange(len(rows)) < held
-    rows, raw = rows[known], raw[known]
+    rows, raw, padded = _with_values(table, mapping, rows)
     stamps = _stamps(table, mapping, rows)
+    new = conform.fresh(raw)
+    padded += [f"held:{len(raw) - len(new)}"] if len(new) < len(raw) else []
     values = raw * [channel.scale for channel in mapping.channels] + [channel.offset for channel in mapping.channels]
-    first = stamps.min() if len(stamps) else 0.0
-    time, values, notes = conform.tidy(stamps - first, values)
+    timed = stamps[new][np.isfinite(stamps[new])]
+    first = timed.min() if len(timed) else 0.0
+    time, values, notes = conform.tidy(stamps[new] - first, values[new])
     columns = {column_name(key): value for key, value in table.facts.items()}
     for key, fact in table.facts.items():
         if key.lower() == "success" and is_outcome("success", [fact]):  # a word of "outcome" stays that of its file
@@ -179,14 +186,31 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
     for track in mapping.annotations:
         if track.column:
             order = np.argsort(stamps, kind="stable")
+            order = order[stamps[order] >= first]
             intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
     notes += [f"saturated:{mapping.axes[axis]}" for axis in conform.saturated(values)]  # a rotation would hide it
+    notes += [f"stuck:{mapping.axes[axis]}" for axis in conform.stuck(values)]
     zeros = len(raw) - int(np.flatnonzero(raw.any(1)).max(initial=-1)) - 1
     notes += [*padded, f"zeros:{zeros}"] if conform.HELD <= zeros < len(raw) else padded
     values = _moved(mapping, time, values)
     return Record(
         name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], float(first)
     )
+
+
+def _with_values(
+    table: Table, mapping: Mapping, rows: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
+    """The rows that have values, these ``[row, channel]``, and notes of what is left out at the end and between."""
+    raw = np.stack([table.columns[channel.column][rows] for channel in mapping.channels], 1)
+    known = ~np.isnan(raw).all(1)
+    held = int(np.flatnonzero(known).max(initial=-1)) + 1 or len(rows)
+    notes = [f"padded:{len(rows) - held}"] if held < len(rows) else []
+    if 1 < (few := int(known.sum())) < held / 2 and mapping.time:  # a log in the steps of something faster
+        notes.append(f"between:{held - few}")
+    else:
+        known = np.arange(len(rows)) < held
+    return rows[known], raw[known], notes
 
 
 def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.float64]:

@@ -48,7 +48,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     check_file(path, MAX_TEXT_BYTES)
     try:
         with path.open("rb") as file:
-            encoding = _encoding(file)
+            encoding = _encoding(file, path)
             before = _preamble(file)
             head, comment = _head(file, path)
             delimiter = _delimiter(head)
@@ -67,9 +67,12 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     yield Table(name, dict(zip(names, columns, strict=True)), notes=notes)
 
 
-def _encoding(file: BinaryIO) -> str:
+def _encoding(file: BinaryIO, path: Path) -> str:
     """Encoding of the whole file, whose position is kept."""
     decoder, encoding = codecs.getincrementaldecoder("utf-8-sig")(), "utf-8-sig"
+    if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        raise InputError(f"{path} is UTF-16; save it as UTF-8.")
+    file.seek(0)
     try:
         while block := file.read(MAX_TABLE_LINE):
             decoder.decode(block)
@@ -194,11 +197,15 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
     file.seek(body)
     if width > MAX_COLUMNS:
         return None
+    blank = True
     while block := file.read(MAX_TABLE_LINE):
+        blank = blank and not block.strip()
         if block.translate(None, _PLAIN):
             return None
         if len(block) == MAX_TABLE_LINE and not (b"\n" in block or b"\r" in block):
             return None  # a line that long would be read as a whole; row by row it is refused
+    if blank:
+        return None
     file.seek(body)
     try:
         lines = io.TextIOWrapper(file, "ascii", newline=None)
@@ -254,7 +261,8 @@ def _rows(path: Path, file: BinaryIO, delimiter: str, before: int, encoding: str
         except StopIteration:
             return
         except (csv.Error, UnicodeDecodeError) as error:
-            reason = "it is neither UTF-8 nor Windows-1252" if isinstance(error, UnicodeDecodeError) else str(error)
+            wrong = isinstance(error, UnicodeDecodeError)
+            reason = "it is neither UTF-8 nor Windows-1252; save it as UTF-8" if wrong else str(error)
             raise InputError(f"{path}, line {number + 1} cannot be read: {reason}.") from None
         number += 1
         if any(cell.strip() for cell in cells):

@@ -121,3 +121,19 @@ def test_rows_without_any_value_at_the_end_are_padding(tmp_path: Path) -> None:
     assert imported.recordings.note.tolist() == ["", "padded:30", "zeros:20"]
     np.savez(tmp_path / "a.npz", x=cube, dt=DT, lengths=[80, 50, 60])
     assert read_source(tmp_path).recordings.length.tolist() == [80, 50, 60]
+
+
+@pytest.mark.parametrize("units", ["N, N, N, Nmm, Nmm, Nmm", ["N", "N", "N", "N mm", "N mm", "N mm"]])
+def test_hdf5_units_of_an_attribute(units: str | list[str], tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["stamps"], file["wrench"], file["speed"] = np.arange(N) * DT * 1000, WRENCH, TIME
+        for name, attribute, unit in (
+            ("stamps", "unit", "ms"),
+            ("wrench", "units", units),
+            ("speed", "unit", "furlong"),
+        ):
+            file[name].attrs[attribute] = unit
+    recordings = read_source(tmp_path / "run.h5").recordings
+    assert recordings.units == ("N", "N", "N", "Nmm", "Nmm", "Nmm")
+    assert recordings.dt == pytest.approx(DT)

@@ -61,6 +61,12 @@ def test_jitter_is_interpolated_at_its_own_rate() -> None:
     np.testing.assert_allclose(moved[:, 0], signal(time[0] + np.arange(len(moved)) * 0.001, 5)[:, 0], atol=1e-3)
 
 
+@pytest.mark.parametrize("count", [7, 1200, 90000])
+@pytest.mark.parametrize("rate", [300.0, 30.0, 240.0, 1 / 0.021, 125.0])
+def test_a_rate_of_rounded_stamps_is_a_round_one(rate: float, count: int) -> None:
+    assert conform.clock(np.round(np.arange(count) / rate, 5)).rate == pytest.approx(rate, rel=1e-12)
+
+
 def test_gaps_are_noted() -> None:
     time = np.delete(np.arange(1000) * 0.005, np.r_[300:369, 500:510])
     source = conform.clock(time)
@@ -73,6 +79,25 @@ def test_saturation() -> None:
     rest = np.maximum(40 * np.sin(np.linspace(0, 9, 900)), 0)
     few = np.repeat([0.0, 1.0, 2.0], 300)
     assert conform.saturated(np.stack([push, rest, few, np.zeros(900)], 1)) == [0]
+
+
+def test_an_axis_that_stops_changing_is_stuck() -> None:
+    noise = np.random.default_rng(0).normal(size=(300, 3))
+    noise[100:150, 0] = noise[100, 0]
+    noise[-40:, 1] = 0.0  # at rest, as simulated sensors are
+    steps = np.round(np.linspace(0, 9, 300))  # of a coarse sensor
+    assert conform.stuck(np.column_stack([noise, steps])) == [0]
+
+
+@pytest.mark.parametrize(("log", "sensor"), [(1000, 400), (500, 100), (500, 250)])
+def test_repeats_of_a_slower_sensor_are_told_from_new_values(log: int, sensor: int) -> None:
+    measured = np.random.default_rng(0).normal(size=(200, 2))
+    number = np.arange(3, 200 * log // sensor) * sensor // log  # the log begins amid a value
+    new = conform.fresh(measured[number])
+    np.testing.assert_array_equal(measured[number][new], measured[number[new[0]] :])
+    assert len(conform.fresh(measured)) == len(measured)
+    coarse = np.round(measured[:, :1])  # repeats by chance
+    assert len(conform.fresh(coarse)) == len(coarse)
 
 
 def test_missing_values_and_repeated_stamps() -> None:

@@ -205,3 +205,49 @@ def test_a_label_of_some_rows_marks_those_and_a_word_describes_the_recording() -
     assert guess(table("t", "Fz", "label", t=np.arange(N) * 0.1, label=number))[0].annotations == (
         Track("label", "label"),
     )
+
+
+@pytest.mark.parametrize("cell", ["1.258,95", "3.2 N"])
+def test_an_axis_of_text_is_not_left_out_of_its_wrench(cell: str) -> None:
+    columns = {"t": np.arange(9) * 0.1, "Fx [mN]": np.full(9, cell), "Fy [mN]": np.ones(9), "Fz [mN]": np.ones(9)}
+    with pytest.raises(InputError, match=rf"column 'Fx \[mN\]' holds '{cell}', which is not a number\.$"):
+        guess(Table("a.csv", columns))
+
+
+def test_the_time_of_simulink_is_one() -> None:
+    mapping, _ = guess(Table("a.mat", {"tout": np.arange(9) * 0.1, "Fz": np.ones(9)}))
+    assert mapping.time == "tout"
+
+
+def test_a_sensor_of_three_forces_and_one_moment_keeps_it() -> None:
+    assert wrenches(["Fx", "Fy", "Fz", "Mz"]) == [{"Fx": "Fx", "Fy": "Fy", "Fz": "Fz", "Mz": "Mz"}]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rest", "receipt"),
+    [
+        ("header.stamp.secs", "header.stamp.nsecs", "Time"),  # bagpy
+        ("header.stamp.sec", "header.stamp.nsec", "log_time"),  # Foxglove
+        ("stamp_sec", "stamp_nanosec", "t"),
+    ],
+)
+def test_stamps_of_a_header_in_two_columns_are_the_time(seconds: str, rest: str, receipt: str) -> None:
+    count = np.arange(400.0)
+    late = 5.0 + count * 0.01 + 0.004 * (count % 2)
+    columns = {receipt: late, seconds: 5 + count // 100, rest: count % 100 * 1e7, "Fz": np.sin(count)}
+    mapping, _ = guess(Table("a.csv", columns))
+    assert (mapping.time, mapping.time_unit, mapping.nanoseconds) == (seconds, "s", rest)
+    unset = columns | {seconds: 0 * count, rest: 0 * count}  # where the driver states none
+    assert guess(Table("a.csv", unset))[0].time == receipt
+
+
+@pytest.mark.parametrize("name", ["__time", "log_time", "publish_time"])
+def test_times_of_exports_of_plotjuggler_and_foxglove(name: str) -> None:
+    mapping, _ = guess(Table("a.csv", {name: 1.7e18 + np.arange(9) * 1e7, "Fz": np.ones(9)}))
+    assert (mapping.time, mapping.time_unit) == (name, "ns")
+
+
+@pytest.mark.parametrize("base", [Mapping(time="nope"), Mapping(group="nope"), Mapping(columns={"a": Value("nope")})])
+def test_a_named_column_that_is_missing_is_told(base: Mapping) -> None:
+    with pytest.raises(InputError, match=r"^a\.csv has no column 'nope'; it has t, Fz\.$"):
+        guess(Table("a.csv", {"t": np.arange(9) * 0.1, "Fz": np.ones(9)}), base)

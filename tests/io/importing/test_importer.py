@@ -225,10 +225,10 @@ def test_an_outcome_in_one_row_counts_and_one_that_changes_is_a_warning(tmp_path
 
 @pytest.mark.parametrize("name", ["outcome", "success"])
 def test_usual_words_of_outcomes_are_understood(tmp_path: Path, name: str) -> None:
-    words = ("TRUE", "ok", "Pass", "i.O.", "False", "NOK", "n.i.O.", "0")
+    words = ("TRUE", "ok", "Pass", "i.O.", "False", "NOK", "NG", "n.i.O.", "0")
     for number, word in enumerate(words):
         write(tmp_path / f"{number}.csv", noise(number), **{name: word})
-    assert read_source(tmp_path).recordings.outcome.tolist() == ["success"] * 4 + ["failure"] * 4
+    assert read_source(tmp_path).recordings.outcome.tolist() == ["success"] * 4 + ["failure"] * 5
 
 
 def test_a_sensor_that_is_slower_than_the_log_has_its_own_rate(tmp_path: Path) -> None:

@@ -352,3 +352,31 @@ def test_every_kind_has_a_command() -> None:
     named = {words.split()[1] for words in COMMANDS if words.startswith("import ")}
     assert named == {*KINDS, "hiro"}
     assert {command_class(f"import {kind}").KIND for kind in KINDS} == set(KINDS)
+
+
+def test_texts_of_other_encodings_are_refused_or_questioned(tmp_path: Path) -> None:
+    table = "t,Fz,状態\n0,1.0,接近\n0.1,2.0,接触\n0.2,3.0,接触\n"
+    (tmp_path / "wide.csv").write_text(table, "utf-16")
+    with pytest.raises(InputError, match=r"wide\.csv is UTF-16; save it as UTF-8\.$"):
+        read_source(tmp_path / "wide.csv")
+    (tmp_path / "japanese.csv").write_text(table, "cp932")
+    with pytest.raises(InputError, match=r"neither UTF-8 nor Windows-1252; save it as UTF-8\.$"):
+        read_source(tmp_path / "japanese.csv")
+    (tmp_path / "german.csv").write_text("t,Fz,Größe\n0,1.0,a\n0.1,2.0,a\n0.2,3.0,b\n", "cp1252")
+    [remark, _] = read_source(tmp_path / "german.csv").report.remarks
+    assert remark.endswith("read as Windows-1252; if names are garbled, save it as UTF-8.")
+
+
+@pytest.mark.filterwarnings("default")  # as a command has them
+def test_a_table_without_rows_is_told_in_one_sentence(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    (tmp_path / "run.csv").write_text("t,Fx,Fy,Fz\n\n")
+    with pytest.raises(InputError, match=r"run\.csv has no rows; expected a table\.$"):
+        list(read_csv(tmp_path / "run.csv", "run.csv"))
+    assert not recwarn.list
+
+
+def test_the_row_without_a_time_is_named(tmp_path: Path) -> None:
+    rows = [f"{'' if k == 20 else k / 100},{k % 7}" for k in range(50)]
+    (tmp_path / "run.csv").write_text("\n".join(["t,Fz", *rows]))
+    with pytest.raises(InputError, match=r"sample 20 has no time\.$"):
+        read_source(tmp_path / "run.csv")

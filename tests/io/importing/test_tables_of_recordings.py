@@ -107,3 +107,24 @@ def test_a_column_that_is_empty_in_the_first_file_is_not_said_to_be_left_out(tmp
     assert imported.recordings.columns["operator"].tolist() == ["", "Ann", "Bob"]
     roles = {row["column"]: row["role"] for row in imported.report.understood}
     assert (roles["operator"], roles["remark"]) == ("column operator", "left out")
+
+
+def test_names_whose_accents_stand_after_their_letters_are_found(tmp_path: Path) -> None:
+    rows = "\n".join(f"{k * 0.01},{k % 7}" for k in range(50))
+    for number, letter in enumerate(("o\u0301", "\u00f3")):  # as macOS writes them, and as keyboards do
+        (tmp_path / f"inserci{letter}n_{number}.csv").write_text(f"t,Fz\n{rows[: -number or None]}")
+    listed = "inserci\u00f3n_0,Ana\ninsercio\u0301n_1,Eva\n"
+    (tmp_path / "trials.csv").write_text(f"recording,operator\n{listed}")
+    recordings = read_source(tmp_path).recordings
+    assert recordings.trial.tolist() == ["inserci\u00f3n_0", "inserci\u00f3n_1"]
+    assert recordings.columns["operator"].tolist() == ["Ana", "Eva"]
+
+
+def test_outcomes_in_words_that_nobody_stated_are_remarked(tmp_path: Path) -> None:
+    for number, word in enumerate(("éxito", "fallo")):
+        write(tmp_path / f"{number}.csv", noise(number), resultado=word)
+    mapping = Mapping(columns={"outcome": Value("resultado")})
+    remark = "No outcome is success or failure (fallo, éxito); state in a map which words mean them."
+    assert read_source(tmp_path, mapping=mapping).report.remarks == [remark]
+    stated = Mapping(columns={"outcome": Value("resultado", words={"éxito": "success", "fallo": "failure"})})
+    assert read_source(tmp_path, mapping=stated).report.remarks == []

@@ -1,0 +1,28 @@
+"""Logs of sensors that are slower than the log, or stop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rcbht_jax.io.importing.importer import read_source
+from tests.io.importing.test_importer import noise, write
+
+
+def test_a_log_that_repeats_the_values_of_a_slower_sensor_has_the_rate_of_the_sensor(tmp_path: Path) -> None:
+    measured = noise(0)
+    phase = ["free"] * 500 + ["push"] * 498
+    write(tmp_path / "a.csv", np.repeat(measured, 5)[2:], phase=phase)
+    imported = read_source(tmp_path)
+    recordings = imported.recordings
+    assert (recordings.dt, recordings.note.tolist()) == (0.01, ["held:799"])
+    np.testing.assert_array_equal(recordings.wrench[0, :, 0], measured[1:].astype(np.float32))
+    np.testing.assert_allclose(recordings.starts("phase"), [[0.0, 0.994]])  # from the first whole value on
+    assert imported.report.remarks[0] == "1 log held each value for several rows; the repeats were left out."
+
+
+def test_a_stuck_axis_is_noted(tmp_path: Path) -> None:
+    values = noise(0)
+    write(tmp_path / "a.csv", np.where(np.arange(200) < 80, values, values[80]))
+    assert read_source(tmp_path).recordings.note.tolist() == ["stuck:Fz"]
