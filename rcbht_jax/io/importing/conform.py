@@ -268,8 +268,9 @@ def saturated(values: Float[np.ndarray, "sample axis"]) -> list[int]:
 def fresh(values: Float[np.ndarray, "sample axis"]) -> NDArray[np.int64]:
     """Numbers of the samples with new values where all axes hold theirs for a steady number of samples; else of all.
 
-    A log that is written more often than the sensor measures holds values like this. A first value that is held for
-    less time than others is left out, since it is older than its sample.
+    A log that is written more often than the sensor measures holds values like this; a steady ramp in whole numbers
+    also does, but all of its steps have one or two sizes. A first value that is held for less time than others is left
+    out, since it is older than its sample.
 
     >>> fresh(np.repeat(np.random.default_rng(0).normal(size=(40, 2)), 5, axis=0)[3:])[:3].tolist()
     [2, 7, 12]
@@ -277,6 +278,9 @@ def fresh(values: Float[np.ndarray, "sample axis"]) -> NDArray[np.int64]:
     new = np.flatnonzero((values[1:] != values[:-1]).any(1)) + 1
     steps = np.diff(new)
     if len(steps) < HELD or (middle := float(np.median(steps))) < 2 or (abs(steps - middle) > 1).mean() > 1 - MOST:
+        return np.arange(len(values))
+    sizes = [np.unique(size[size > 0].round(9)) for size in abs(values[new] - values[new - 1]).T]
+    if max(map(len, sizes)) <= 2:
         return np.arange(len(values))
     return new if new[0] < middle - 1 else np.concatenate([[0], new])
 

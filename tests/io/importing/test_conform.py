@@ -98,6 +98,8 @@ def test_repeats_of_a_slower_sensor_are_told_from_new_values(log: int, sensor: i
     assert len(conform.fresh(measured)) == len(measured)
     coarse = np.round(measured[:, :1])  # repeats by chance
     assert len(conform.fresh(coarse)) == len(coarse)
+    ramp = np.repeat(np.arange(60.0), 5)[:, None]  # in whole numbers
+    assert len(conform.fresh(ramp)) == len(ramp)
 
 
 def test_missing_values_and_repeated_stamps() -> None:
