@@ -314,11 +314,12 @@ def store_reading(wrench: NDArray[np.float32]) -> tuple[tuple[float, str], float
     return (some.nbytes / timing.seconds, "bytes/s"), timing.ratio
 
 
-def offline_trial(seconds: float = 33.0) -> float:
-    """Seconds that the offline taxonomy takes for one trial of six axes at 200 Hz."""
+def offline_trial() -> float:
+    """Seconds that the offline taxonomy takes for one trial of 33 s and six axes at 200 Hz."""
 
     from rcbht_jax import reference
 
+    seconds = 33.0
     wrench = signal(1, round(seconds / DT))[0].astype(np.float64)
     times = reference.sample_times(len(wrench), DT)
     return median_seconds(lambda: reference.encode(times, wrench, [0.0, seconds / 4, seconds / 2]), repeats=3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -30,8 +29,6 @@ def simulated_scores(
     impl: str,
     config: EncoderConfig,
     limits: Float[np.ndarray, "candidate 6 4"],
-    *,
-    progress: Callable[[int], None] | None = None,
 ) -> Float32[np.ndarray, "candidate score"]:
     """Simulate trials and score thresholds by how well their labels separate the states.
 
@@ -43,7 +40,6 @@ def simulated_scores(
         impl: "jax" or "warp".
         config: of the encoder.
         limits: candidates, N/s and Nm/s.
-        progress: called with the number of control periods done since the last call, summed over trials.
 
     Returns:
         scores in the order of :data:`rcbht_jax.calibration.objective.SCORES`.
@@ -51,7 +47,7 @@ def simulated_scores(
     Raises:
         InputError: no trial was completed.
     """
-    return score_candidates(states_corpus(device.run(scene, params, impl, progress=progress), config), config, limits)
+    return score_candidates(states_corpus(device.run(scene, params, impl), config), config, limits)
 
 
 def states_corpus(out: device.Outcome, config: EncoderConfig) -> CalibrationData:

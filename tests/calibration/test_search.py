@@ -32,9 +32,9 @@ LENGTHS = np.array([403, 250, 361, 402], np.int32)  # partial windows of 3, 0, 1
 SMALL = SearchOptions(candidates=6, generations=2, population=4, space=SearchSpace(groups=(0, 0, 0, 1, 1, 1)))
 
 
-def random_limits(count: int, seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    limits = np.sort(np.exp(rng.uniform(np.log(0.5), np.log(150), (count, 6, 4))), -1)[..., ::-1]
+def random_limits() -> np.ndarray:
+    rng = np.random.default_rng(0)
+    limits = np.sort(np.exp(rng.uniform(np.log(0.5), np.log(150), (4, 6, 4))), -1)[..., ::-1]
     return limits * np.where(np.arange(6) < 3, 1, 0.1)[:, None]
 
 
@@ -70,7 +70,7 @@ def times_by_grammar(wrench: np.ndarray, edges: np.ndarray, limits: np.ndarray) 
 
 @pytest.mark.parametrize("group", [1, 3])
 def test_times_per_label_are_those_of_the_published_tracks(wrench, made, group):
-    limits = random_limits(4)
+    limits = random_limits()
     times = label_durations(
         CONFIG, jnp.asarray(limits, jnp.float32), made.windows, jnp.asarray(made.edges), group=group
     )
@@ -189,8 +189,8 @@ def test_trials_on_the_device_are_searched_like_any_others_and_nothing_is_copied
     with jax.transfer_guard("disallow"):
         there = device_calibration_data(CONFIG, *arrays, made.classes)
         found = search(there, CONFIG, SMALL)
-        values = score_candidates(there, CONFIG, random_limits(4), chunk=4, group=1)
-    np.testing.assert_allclose(values, score_candidates(corpus, CONFIG, random_limits(4), chunk=4), atol=2e-5)
+        values = score_candidates(there, CONFIG, random_limits(), chunk=4, group=1)
+    np.testing.assert_allclose(values, score_candidates(corpus, CONFIG, random_limits(), chunk=4), atol=2e-5)
     np.testing.assert_allclose(found.thresholds.limits, search(corpus, CONFIG, SMALL).thresholds.limits)
 
 

@@ -16,9 +16,9 @@ from rcbht_jax.types import Recordings
 RATE = 50.0
 
 
-def grasps(count: int = 12) -> Recordings:
+def grasps() -> Recordings:
     """Two axes at 50 Hz in three phases; every second grasp slips, which the grip force shows."""
-    rng = np.random.default_rng(0)
+    rng, count = np.random.default_rng(0), 12
     wrenches, rows, tools = [], [], []
     for number in range(count):
         lengths = rng.integers(60, 90, 3)

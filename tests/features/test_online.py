@@ -84,11 +84,24 @@ def blanked(
     return described(tracks, Intervals(np.arange(len(now)), begin, now, CONFIG.dt), spec)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_equals_the_grammar_of_the_recording_cut_off(seed):
+@pytest.mark.parametrize(
+    ("spec", "seed"),
+    [
+        (EVERYTHING, 0),
+        (EVERYTHING, 1),
+        (FeatureSpec(families=("ngram", "edges"), layers=("llb",), ngram=3), 6),
+        (FeatureSpec(families=("course", "histogram"), layers=("primitive", "llb")), 6),
+        (FeatureSpec(families=("ngram",), layers=("mc", "primitive"), ngram=1), 6),
+        (FeatureSpec(families=("elapsed", "order", "edges"), layers=("llb", "primitive")), 6),
+        (FeatureSpec(families=("ngram", "histogram"), layers=("mc", "llb"), weighing=("change", "count", "time")), 6),
+        (FeatureSpec(families=("ngram",), layers=("llb",), ngram=3, weighing=("time",)), 6),
+    ],
+)
+def test_equals_the_grammar_of_the_recording_cut_off(spec, seed):
     wrench = signal(1, 1400, seed)[0]
-    said = online_features(CONFIG, preset(), FeatureView(EVERYTHING), wrench, BEGIN, NOW)
-    np.testing.assert_allclose(said, cut_off(wrench, BEGIN, NOW, EVERYTHING), **CLOSE)
+    said = online_features(CONFIG, preset(), FeatureView(spec), wrench, BEGIN, NOW)
+    np.testing.assert_allclose(said, cut_off(wrench, BEGIN, NOW, spec), **CLOSE)
+    assert len(names(spec)) == said.shape[1]
 
 
 def test_without_provisional_labels_only_published_ones_count():
@@ -191,24 +204,6 @@ def test_many_recordings_in_any_order():
             CONFIG, preset(), FeatureView(EVERYTHING), wrench[recording[k]], begin[k : k + 1], now[k : k + 1]
         )
         np.testing.assert_array_equal(one[0], said[k])
-
-
-@pytest.mark.parametrize(
-    "spec",
-    [
-        FeatureSpec(families=("ngram", "edges"), layers=("llb",), ngram=3),
-        FeatureSpec(families=("course", "histogram"), layers=("primitive", "llb")),
-        FeatureSpec(families=("ngram",), layers=("mc", "primitive"), ngram=1),
-        FeatureSpec(families=("elapsed", "order", "edges"), layers=("llb", "primitive")),
-        FeatureSpec(families=("ngram", "histogram"), layers=("mc", "llb"), weighing=("change", "count", "time")),
-        FeatureSpec(families=("ngram",), layers=("llb",), ngram=3, weighing=("time",)),
-    ],
-)
-def test_parts_of_the_specification(spec):
-    wrench = signal(1, 1400, 6)[0]
-    said = online_features(CONFIG, preset(), FeatureView(spec), wrench, BEGIN, NOW)
-    np.testing.assert_allclose(said, cut_off(wrench, BEGIN, NOW, spec), **CLOSE)
-    assert len(names(spec)) == said.shape[1]
 
 
 def test_sums_stay_exact_over_ten_million_words():

@@ -31,9 +31,8 @@ from rcbht_jax.labels import AXES, LAYERS, name
 from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.robots.snap_assembly import RECORDED, snap_recordings
 from rcbht_jax.types import Recordings
-from tests.io.test_store import folder_is_clean, simple, some_fields
 from tests.support.snaps import marked
-from tests.support.store_cases import encoded_store
+from tests.support.store_cases import encoded_store, folder_is_clean, simple, some_fields
 
 pd = pytest.importorskip("pandas")
 pq = pytest.importorskip("pyarrow.parquet")

@@ -20,10 +20,10 @@ from tests.support.snaps import deviation
 TIME = np.arange(400) * 0.005
 
 
-def write_table(path: Path, seed: int, samples: int = 400, dt: float = 0.005) -> None:
+def write_table(path: Path, seed: int, dt: float = 0.005) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    values = np.random.default_rng(seed).normal(size=(samples, 6))
-    np.savetxt(path, np.column_stack([np.arange(samples) * dt, values]), fmt="%.6g", delimiter="\t")
+    values = np.random.default_rng(seed).normal(size=(400, 6))
+    np.savetxt(path, np.column_stack([np.arange(400) * dt, values]), fmt="%.6g", delimiter="\t")
 
 
 def trial(folder: Path, seed: int, marks: str | None = "0\n0.5\n1.0\n1.5\n", arm: str = "R") -> Path:

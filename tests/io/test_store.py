@@ -14,8 +14,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import hypothesis.extra.numpy as hnp
-import hypothesis.strategies as st
 import numpy as np
 import pytest
 import xarray as xr
@@ -30,41 +28,7 @@ from rcbht_jax.io.summary import COUNTING
 from rcbht_jax.labels import AXES
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
-from tests.support.store_cases import files, folder_is_clean, same, simple
-
-WORDS = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\x00"), max_size=6)
-
-
-@st.composite
-def some_fields(draw: st.DrawFn) -> dict[str, Any]:
-    """Arguments of snap_recordings."""
-    count, samples = draw(st.integers(1, 4)), draw(st.integers(1, 30))
-    length = draw(hnp.arrays(np.int32, count, elements=st.integers(1, samples)))
-    finite = st.floats(-1e5, 1e5, width=32)
-    wrench = draw(hnp.arrays(np.float32, (count, samples, 6), elements=finite))
-    for row, end in zip(wrench, length, strict=True):
-        row[end:] = 0
-    numbers = st.one_of(st.floats(-1e3, 1e3), st.just(np.nan))
-
-    def words(elements: st.SearchStrategy[str]) -> np.ndarray:
-        return np.array(draw(st.lists(elements, min_size=count, max_size=count)), np.str_)
-
-    onset, better, deviation = (draw(hnp.arrays(np.float64, (count, width), elements=numbers)) for width in (4, 4, 3))
-    return {
-        "wrench": wrench,
-        "length": length,
-        "dt": draw(st.floats(1e-4, 1.0)),
-        "onset": onset,
-        "onset_harmonised": better,
-        "trial": words(WORDS),
-        "arm": words(st.sampled_from(["R", "L"])),
-        "source": words(WORDS),
-        "session": words(WORDS),
-        "outcome": words(st.sampled_from(["success", "failure", "unknown"])),
-        "failure_type": words(WORDS),
-        "deviation": deviation,
-        "note": words(WORDS),
-    }
+from tests.support.store_cases import files, folder_is_clean, same, simple, some_fields
 
 
 @pytest.fixture
@@ -190,7 +154,7 @@ def test_a_killed_write_leaves_no_half_store(tmp_path: Path) -> None:
 import os, sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
-from tests.io.test_store import simple
+from tests.support.store_cases import simple
 from rcbht_jax.io import parts, store
 real, count = parts.write_array, []
 def dying(*args):

@@ -52,9 +52,9 @@ def test_a_constant_feature_stands_in_the_middle():
     np.testing.assert_allclose(scale(np.array([[2.0], [3.0], [4.0]])), [[-SPREAD / 2], [0], [SPREAD / 2]])
 
 
-def tailed(seed: int, items: int = 90) -> tuple[np.ndarray, np.ndarray]:
+def tailed(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Three classes on one logarithmic feature among long-tailed noise."""
-    rng = np.random.default_rng(seed)
+    rng, items = np.random.default_rng(seed), 90
     y = np.arange(items) % 3
     signal = 10.0 ** (2 * y + rng.normal(size=items) * 0.3)
     return np.column_stack([signal, rng.standard_cauchy((items, 4))]), y

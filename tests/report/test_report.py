@@ -37,11 +37,10 @@ from rcbht_jax.report.page import chosen
 from rcbht_jax.report.results import read_results
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
-from tests.io.test_store import folder_is_clean, simple
 from tests.support.browser import browser
 from tests.support.introspection_models import CONFIG, head
 from tests.support.snaps import marked
-from tests.support.store_cases import encoded_store
+from tests.support.store_cases import encoded_store, folder_is_clean, simple
 
 RESULTS = Path(__file__).resolve().parents[2] / "experiments" / "results"
 NASTY = "</script><b>Ü'\"&"

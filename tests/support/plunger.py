@@ -48,9 +48,9 @@ class PlungerParams:
     parts: Float[Array, "*batch"]  # damping of the joint, N s/m
 
 
-def plunger_trials(timeout: np.ndarray[Any, Any], seed: int = 0) -> PlungerParams:
+def plunger_trials(timeout: np.ndarray[Any, Any]) -> PlungerParams:
     """Trials of these lengths, s, that differ in all else too."""
-    rng, count = np.random.default_rng(seed), len(timeout)
+    rng, count = np.random.default_rng(0), len(timeout)
     home = rng.uniform(0.0, 0.05, (count, 1))
     return PlungerParams(home, rng.uniform(0.1, 0.5, count), timeout, rng.uniform(3.0, 9.0, count))
 

@@ -101,10 +101,8 @@ def motion_rows(labels: str, amp: float = 1.0) -> list[list[float]]:
     ]
 
 
-def behaviour_row(
-    label: LLB, start: float, end: float, avg: float = 1.0, amp: float = 1.0, tag: int = 1
-) -> list[float]:
+def behaviour_row(label: LLB, start: float, end: float, avg: float = 1.0, amp: float = 1.0) -> list[float]:
     """A low-level behaviour of two equal halves."""
     middle = (start + end) / 2
-    row = (label, *[avg] * 6, *[amp] * 3, 1, tag, start, middle, middle, end, middle)
+    row = (label, *[avg] * 6, *[amp] * 3, 1, 1, start, middle, middle, end, middle)
     return [float(x) for x in row]

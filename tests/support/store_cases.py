@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import hypothesis.extra.numpy as hnp
+import hypothesis.strategies as st
 import numpy as np
 
 from rcbht_jax._util.digest import content_hash
@@ -13,6 +16,7 @@ from rcbht_jax.io.store import write_recordings
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 
+WORDS = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\x00"), max_size=6)
 INTERVALS = ("recording", "track", "code", "start", "end")
 
 
@@ -34,6 +38,38 @@ def simple(count: int = 3, samples: int = 50) -> Recordings:
         deviation=np.full((count, 3), np.nan),
         note=np.full(count, ""),
     )
+
+
+@st.composite
+def some_fields(draw: st.DrawFn) -> dict[str, Any]:
+    """Arguments of snap_recordings."""
+    count, samples = draw(st.integers(1, 4)), draw(st.integers(1, 30))
+    length = draw(hnp.arrays(np.int32, count, elements=st.integers(1, samples)))
+    finite = st.floats(-1e5, 1e5, width=32)
+    wrench = draw(hnp.arrays(np.float32, (count, samples, 6), elements=finite))
+    for row, end in zip(wrench, length, strict=True):
+        row[end:] = 0
+    numbers = st.one_of(st.floats(-1e3, 1e3), st.just(np.nan))
+
+    def words(elements: st.SearchStrategy[str]) -> np.ndarray:
+        return np.array(draw(st.lists(elements, min_size=count, max_size=count)), np.str_)
+
+    onset, better, deviation = (draw(hnp.arrays(np.float64, (count, width), elements=numbers)) for width in (4, 4, 3))
+    return {
+        "wrench": wrench,
+        "length": length,
+        "dt": draw(st.floats(1e-4, 1.0)),
+        "onset": onset,
+        "onset_harmonised": better,
+        "trial": words(WORDS),
+        "arm": words(st.sampled_from(["R", "L"])),
+        "source": words(WORDS),
+        "session": words(WORDS),
+        "outcome": words(st.sampled_from(["success", "failure", "unknown"])),
+        "failure_type": words(WORDS),
+        "deviation": deviation,
+        "note": words(WORDS),
+    }
 
 
 def encoded_store(path: Path, recordings: Recordings, attrs: dict[str, str] | None = None) -> Path:
