@@ -33,7 +33,7 @@ def plural(count: int, one: str, many: str = "") -> str:
 def spelled(name: object) -> str:
     r"""A file's name, or a text that quotes it, as text that can be written: bytes that are not UTF-8 are spelled out.
 
-    Accents that stand after their letters, as in names that macOS wrote, are joined with them, as keyboards type them.
+    Accents that are separate characters, as in names that macOS wrote, are composed with their letters (NFC).
 
     >>> spelled("run-\udcff.csv"), spelled("e\u0301") == "\u00e9"
     ('run-\\xff.csv', True)

@@ -63,9 +63,8 @@ def load(path: Path | str) -> MonitorFile:
         numbers: dict[str, Any] = {name: meta[name] for name in _NUMBERS}
         bank = Bank(**arrays, **numbers)
         monitor = NominalMonitor(**meta["parameters"])
-        levels = tuple(
-            int(level) for level in meta.get("levels", monitor.levels)
-        )  # older files: as they were asked for
+        # Older files hold no found levels: theirs are those of the parameters.
+        levels = tuple(int(level) for level in meta.get("levels", monitor.levels))
         axes, peaks = checked_texts("its axes", meta["axes"]), archive["peaks"]
         moments, channels = bank.reference.shape
         if (

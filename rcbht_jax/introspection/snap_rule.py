@@ -243,6 +243,16 @@ def _steepest(config: SnapConfig, dt: float, window: int, falls: Past) -> Rises:
     return sliding_window_view(falls[::-1], count, 1).max(-1)
 
 
+class _Released(NamedTuple):
+    """Whether the last line ends after a release, and what it is."""
+
+    seen: Flags
+    start: Counts
+    stop: Counts
+    release: Reals
+    fall: Reals
+
+
 def _released(
     config: SnapConfig, dt: float, window: int, sizes: SnapSizes, last: _Fallen, now: AllCounts, steepest: Rises
 ) -> _Released:
@@ -259,16 +269,6 @@ def _released(
     way = np.where(good[0], 0, 1)[None]
     start, release, fall = (np.take_along_axis(values, way, 0)[0] for values in (last.start, last.peak, last.fall))
     return _Released(good.any(0), start, last.stop, np.where(good[0], release, -release), fall)
-
-
-class _Released(NamedTuple):
-    """Whether the last line ends after a release, and what it is."""
-
-    seen: Flags
-    start: Counts
-    stop: Counts
-    release: Reals
-    fall: Reals
 
 
 def _by_way(way: Float64[np.ndarray, " way"], dims: int) -> Float64[np.ndarray, "way ..."]:

@@ -120,11 +120,8 @@ def test_the_bias_of_a_day_is_no_anomaly_but_a_level_is_where_it_counts() -> Non
         monitor = NominalMonitor(levels=levels).fit(days, groups=groups)
         assert monitor.levels_ == compared
         assert (monitor.detect(biased, 0.1) < 1) == seen
-    for few in (
-        np.arange(12) % 2,
-        np.append(np.zeros(10, int), [1, 2]),
-        None,
-    ):  # what differs between days is not known
+    too_few = (np.arange(12) % 2, np.append(np.zeros(10, int), [1, 2]), None)  # to know what differs between days
+    for few in too_few:
         assert NominalMonitor().fit(days, groups=few).levels_ == ()
 
 

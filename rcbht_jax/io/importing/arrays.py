@@ -160,10 +160,13 @@ def _units_of(columns: Iterable[str], stated: dict[str, list[str]]) -> dict[str,
     units = {}
     for column in columns:
         head, _, number = column.rpartition("_")
-        own = stated.get(column) or (stated.get(head, []) if number.isdecimal() else [])
-        place = 0 if column in stated or len(own) == 1 else int(number) if own else 0
-        if place < len(own) and own[place]:
-            units[column] = own[place]
+        own = stated.get(head, []) if number.isdecimal() else []
+        if column in stated:
+            own = stated[column][:1]
+        elif len(own) > 1:
+            own = own[int(number) : int(number) + 1]
+        if own and own[0]:
+            units[column] = own[0]
     return units
 
 

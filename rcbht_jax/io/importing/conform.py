@@ -18,7 +18,7 @@ GAP = 5  # periods without a sample
 MISSING = 5  # samples in a row without a value that are interpolated
 SPAN = 7  # steps in a row whose mean is a period
 HELD = 10  # samples in a row of one value, by which an axis is saturated or stuck
-MOST = 0.9  # share of the samples that tells what the others are like
+MOST = 0.9  # share of the samples that must agree
 SHORTEST, LONGEST = 1e-6, 1e3  # s: periods of samples that sensors have
 EQUAL = 1e-3  # relative difference below which two rates are one
 NEAR = 0.05  # the same difference for recordings whose samples are not evenly spaced
@@ -270,7 +270,7 @@ def fresh(values: Float[np.ndarray, "sample axis"]) -> NDArray[np.int64]:
 
     A log that is written more often than the sensor measures holds values like this; a steady ramp in whole numbers
     also does, but all of its steps have one or two sizes. A first value that is held for less time than others is left
-    out, since it is older than its sample.
+    out, because it was measured before the log began.
 
     >>> fresh(np.repeat(np.random.default_rng(0).normal(size=(40, 2)), 5, axis=0)[3:])[:3].tolist()
     [2, 7, 12]

@@ -123,7 +123,8 @@ def _with_nanoseconds(table: Table, free: list[str]) -> dict[str, str]:
     for key, name in lower.items():
         if (match := _SECONDS.match(key)) and table.columns[name].any():
             rest = next((lower[match[1] + ending] for ending in names.NANOSECONDS if match[1] + ending in lower), "")
-            found |= {name: rest} if rest else {}
+            if rest:
+                found[name] = rest
     return found
 
 

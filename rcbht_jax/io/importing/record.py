@@ -169,9 +169,10 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
     new = conform.fresh(raw)
     padded += [f"held:{len(raw) - len(new)}"] if len(new) < len(raw) else []
     values = raw * [channel.scale for channel in mapping.channels] + [channel.offset for channel in mapping.channels]
-    timed = stamps[new][np.isfinite(stamps[new])]
-    first = timed.min() if len(timed) else 0.0
-    time, values, notes = conform.tidy(stamps[new] - first, values[new])
+    measured = stamps[new]
+    known = measured[np.isfinite(measured)]
+    first = known.min() if len(known) else 0.0
+    time, values, notes = conform.tidy(measured - first, values[new])
     columns = {column_name(key): value for key, value in table.facts.items()}
     for key, fact in table.facts.items():
         if key.lower() == "success" and is_outcome("success", [fact]):  # a word of "outcome" stays that of its file
