@@ -135,7 +135,7 @@ class FailureType(Event):
 class Notice(Event):
     """An irregularity of the stream itself."""
 
-    kind: Literal["gap", "late", "repeated", "not-finite", "malformed", "jitter", "silent", "resumed"]
+    kind: Literal["gap", "late", "repeated", "not-finite", "malformed", "jitter", "faster", "silent", "resumed"]
     text: str
     count: int = 1  # samples or messages concerned
 

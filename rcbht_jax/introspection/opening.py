@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.resampling import LARGEST, Resampler
-from rcbht_jax.io.importing.conform import checked_period, clock
+from rcbht_jax.io.importing.conform import checked_period, clock, fresh
 from rcbht_jax.io.messages import Malformed, Message, Sample
 from rcbht_jax.types import Recordings, axis_names
 
@@ -47,12 +47,13 @@ class Opening:
         return axis_names(self.wrench.shape[1])
 
     def rate(self) -> float:
-        """Samples per second by the time stamps, as a round number.
+        """Samples per second by the time stamps, as a round number; of the sensor, if readings repeat its values.
 
         Raises:
             InputError: fewer than two readings have a time stamp of their own, or the rate is impossible for a sensor.
         """
-        stamps = self.time[np.abs(self.time) <= FARTHEST]
+        stamps = self.time[fresh(self.wrench)]
+        stamps = stamps[np.abs(stamps) <= FARTHEST]
         moments = np.unique(stamps)
         if len(moments) == 1 and len(stamps) > 1:
             raise InputError(

@@ -1,8 +1,10 @@
 """Resampling of readings to equal times: the encoder counts samples, so none may be missing or repeated.
 
 The grid starts at the first sample. A reading on a grid time passes unchanged, bit for bit; between grid times the
-signal is linear. Short gaps are bridged that way and reported; after a longer one, or a clock that jumps back, the
-stream starts anew, since what happened in between is unknown. Nothing is dropped or filled in without a report.
+signal is linear. Of a source with more readings than the grid, a sample is the mean of the period around its time, so
+that noise and vibration above half the rate of the grid do not come back as slow signals. Short gaps are bridged by a
+straight line and reported; after a longer one, or a clock that jumps back, the stream starts anew, since what happened
+in between is unknown. Nothing is dropped or filled in without a report.
 """
 
 from __future__ import annotations
@@ -20,13 +22,15 @@ from rcbht_jax.io.messages import Sample
 from rcbht_jax.labels import AXES
 
 ON_GRID = 0.01  # of a period: nearer than this is on the grid
+FASTER = 0.9  # of a period between readings, or less: the source is faster than the grid
+COUNTED = 50  # readings of which this is the mean
 JITTER = 0.25  # of a period: readings further off the grid are reported
 PAUSE = 1.0  # s between reports of continuing irregularities: jitter, bridged readings
 CLOCK_JUMP = 1.0  # s back in time: the source was restarted
 WIDEST = 60.0  # s: gap that may be bridged
 LARGEST = 1e6  # N or Nm: beyond any sensor's range, and single precision sums stay finite
 
-Kind = Literal["gap", "late", "repeated", "not-finite", "jitter"]
+Kind = Literal["gap", "late", "repeated", "not-finite", "jitter", "faster"]
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,9 @@ class Resampler:
         self._origin = self._last = 0.0
         self._value: Float[np.ndarray, " axis"] = np.zeros(axes)
         self._index = -1  # of the latest grid sample; -1 = none yet
+        self._faster = False  # since COUNTED readings had shown it; how many there are, and the time of the first:
+        self._counted, self._first = 0, 0.0
+        self._summed, self._area = 0, self._value  # number of the next mean, and the integral of its period so far
         self._skipped = 0  # readings without a time that were left out since the latest good one
         self._since = 0.0  # s, when jitter and bridged readings were reported; since then:
         self._readings = self._off = self._missing = 0
@@ -119,6 +126,7 @@ class Resampler:
         self._origin = self._last = self._since = time
         self._value, self._index, self._skipped, self._gaps = value, 0, 0, False
         self._readings = self._off = self._missing = 0
+        self._counted, self._first, self._summed, self._area = 0, time, 1, np.zeros_like(value)
         return Resampled(value[None].astype(np.float32), time)
 
     def _anew(self, time: float, value: Float[np.ndarray, " axis"], text: str) -> Resampled:
@@ -131,21 +139,55 @@ class Resampler:
         position = (time - self._origin) / self._dt
         nearest = round(position)
         on = abs(position - nearest) < ON_GRID
-        reached = nearest if on else math.floor(position)
-        indices = np.arange(self._index + 1, reached + 1)
-        share = np.clip(((self._origin + indices * self._dt) - self._last) / step, 0, 1)[:, None]
-        samples = self._value + (value - self._value) * share
-        if on and len(indices):
+        samples = self._means(time, value) if self._faster else self._points(value, step, nearest if on else position)
+        if on and len(samples) and not self._faster:
             samples[-1] = value
-        self._last, self._value, self._index, self._skipped = time, value, max(reached, self._index), 0
-        reports = self._reports(step, position - nearest)
+        self._last, self._value, self._skipped = time, value, 0
+        self._index += len(samples)
+        reports = self._reports(step, position - nearest) + self._measure(time, position)
         stamp = stamp_before(self._origin, -self._index, self._dt)
         return Resampled(samples.astype(np.float32), stamp, reports=reports)
+
+    def _points(
+        self, value: Float[np.ndarray, " axis"], step: float, position: float
+    ) -> Float[np.ndarray, "time axis"]:
+        """Values of the straight line from the reading before at the grid times up to a position."""
+        indices = np.arange(self._index + 1, math.floor(position) + 1)
+        share = np.clip(((self._origin + indices * self._dt) - self._last) / step, 0, 1)[:, None]
+        return self._value + (value - self._value) * share
+
+    def _means(self, time: float, value: Float[np.ndarray, " axis"]) -> Float[np.ndarray, "time axis"]:
+        """Means of the straight lines between readings over the periods around grid times that have ended."""
+        start, stop = ((moment - self._origin) / self._dt for moment in (self._last, time))
+        moments = np.array([start, *(np.arange(self._summed, math.floor(stop + 0.5)) + 0.5), stop])
+        share = ((moments - start) / (stop - start))[:, None]
+        values = self._value + (value - self._value) * share
+        areas = np.diff(moments)[:, None] * (values[1:] + values[:-1]) / 2
+        areas[0] += self._area
+        self._area, first = areas[-1], self._index + 1 - self._summed
+        self._summed += len(areas) - 1
+        return areas[max(first, 0) : -1]
+
+    def _measure(self, time: float, position: float) -> list[Report]:
+        """Whether the source has more readings than the grid; reported when it is found."""
+        if self._faster:
+            return []
+        self._counted += 1
+        if self._counted < COUNTED:
+            return []
+        period = (time - self._first) / self._counted
+        self._counted, self._first = 0, time
+        if period > FASTER * self._dt:
+            return []
+        self._faster, self._off, self._summed = True, 0, math.floor(position + 0.5)
+        self._area = self._value * (position + 0.5 - self._summed)
+        text = f"readings come at {1 / period:.4g} Hz; a sample is their mean over a period of {1 / self._dt:.4g} Hz"
+        return [Report("faster", text)]
 
     def _reports(self, step: float, off: float) -> list[Report]:
         missing = round(step / self._dt) - 1
         self._readings += 1
-        self._off += abs(off) > JITTER
+        self._off += abs(off) > JITTER and not self._faster
         reports = []
         if missing > 0 and self._gaps:
             self._missing += missing

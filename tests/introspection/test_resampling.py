@@ -1,9 +1,144 @@
-"""What is said of the readings of a source."""
+"""What becomes of the readings of a source, and what is said of them."""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import Notice
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.opening import read_opening
 from rcbht_jax.introspection.resampling import Resampler
+from rcbht_jax.introspection.session import Session
 from rcbht_jax.io.messages import Sample
+from tests.support.introspection_models import model
+
+DT = 0.005
+ZERO = (0.0,) * 6
+
+
+def fed(readings: list[tuple[float | None, float]], **options: float) -> tuple[np.ndarray, list[str], int]:
+    """First axis of the grid samples, kinds of reports, and how often everything started anew."""
+    resampler, out, kinds, anew = Resampler(DT, **options), [], [], 0
+    for stamp, value in readings:
+        regular = resampler.feed(Sample((value,) * 6, stamp))
+        out.append(regular.samples[:, 0])
+        kinds += [report.kind for report in regular.reports]
+        anew += regular.anew
+    return np.concatenate(out), kinds, anew
+
+
+@given(st.floats(-1e9, 2e9), st.lists(st.floats(-1e3, 1e3, width=32), min_size=1, max_size=50))
+def test_regular_readings_pass_unchanged(start, values):
+    samples, kinds, _ = fed([(start + k * DT, v) for k, v in enumerate(values)])
+    assert samples.tolist() == values
+    assert not kinds
+    untimed, kinds, _ = fed([(None, v) for v in values])
+    assert untimed.tolist() == values
+    assert not kinds
+
+
+@given(st.lists(st.floats(-0.45, 0.45), min_size=10, max_size=60), st.floats(0.5, 4))
+def test_a_straight_line_stays_straight_whatever_the_clock(off, pace):
+    """Jitter and another sampling rate do not bend a ramp, and every grid time has one sample."""
+    stamps = (np.arange(len(off)) + np.array(off)) * DT * pace
+    stamps[0] = 0.0
+    samples, _, anew = fed([(float(t), 100 * float(t)) for t in stamps])
+    assert anew == 0
+    count = round(stamps[-1] / DT)
+    assert abs(len(samples) - 1 - count) <= 1
+    np.testing.assert_allclose(samples, np.arange(len(samples)) * DT * 100, atol=100 * DT * 0.011)
+
+
+def test_missing_repeated_late_and_bad_readings():
+    samples, kinds, anew = fed([(0.0, 0.0), (DT, 1.0), (3 * DT, 3.0), (3 * DT, 9.0), (2 * DT, 9.0), (4 * DT, 4.0)])
+    assert samples.tolist() == [0, 1, 2, 3, 4]
+    assert kinds == ["gap", "repeated", "late"]
+    samples, kinds, anew = fed([(0.0, 0.0), (DT, math.nan), (2 * DT, 2.0), (3 * DT, math.inf), (4 * DT, 4.0)])
+    assert samples.tolist() == [0, 1, 2, 3, 4]
+    assert kinds == ["not-finite", "gap", "not-finite"]  # the second gap is told later, with those that follow
+    samples, kinds, anew = fed([(None, 0.0), (None, math.nan), (None, 1e30), (None, 3.0), (None, 4.0)])
+    assert samples.tolist() == [0, 1, 2, 3, 4]
+    assert anew == 0
+
+
+def test_long_gaps_and_jumps_start_anew():
+    samples, kinds, anew = fed([(0.0, 0.0), (0.06, 1.0), (-5.0, 2.0), (-5.0 + DT, 3.0)])
+    assert samples.tolist() == [0, 1, 2, 3]
+    assert kinds == ["gap", "gap"]
+    assert anew == 2
+    with pytest.raises(InputError):
+        Resampler(DT, bridge=DT)
+
+
+def test_jitter_is_reported_once_per_second():
+    rng = np.random.default_rng(0)
+    readings = [((k + rng.uniform(-0.4, 0.4)) * DT, 0.0) for k in range(1000)]
+    kinds = fed(readings)[1]
+    assert kinds.count("jitter") == 4
+    assert not fed([((k + 0.001) * DT, 0.0) for k in range(1000)])[1]
+
+
+@pytest.mark.parametrize("rate", [40, 125])
+def test_a_source_of_another_rate_is_told_of_once_per_second(rate):
+    """It was one notice for each reading of a slower source."""
+    resampler = Resampler(DT)
+    told = [report for k in range(10 * rate) for report in resampler.feed(Sample(ZERO, k / rate)).reports]
+    assert 9 <= len(told) <= 20
+    assert f"{rate} readings in 1 s" in told[-1].text
+    bridged = sum(report.count for report in told + resampler.finish() if report.kind == "gap")
+    assert bridged == {40: 4, 125: 1}.get(rate, 0) * (10 * rate - 1)
+
+
+@pytest.mark.parametrize("rate", [250, 333, 500, 1000])
+def test_of_a_faster_source_samples_are_means_over_a_period(rate):
+    """They were single readings, so that a vibration of 200 Hz came into an encoder of 200 Hz as a constant force."""
+    time = np.arange(3 * rate) / rate
+    signal = np.interp(time, [0.5, 1.0, 2.0], [0.0, 5.0, -5.0])
+    samples, kinds, _ = fed(list(zip(time, signal, strict=True)))
+    assert kinds == ["faster"]
+    assert 598 <= len(samples) <= 600
+    fine = np.interp(np.arange(6000) / 2000, time, signal)  # mean of the ten twentieths of each period
+    expected = [fine[max(10 * k - 5, 0) : 10 * k + 5].mean() for k in range(len(samples))]
+    np.testing.assert_allclose(samples[51:], expected[51:], atol=0.02)
+    vibration = fed(list(zip(time, np.sin(2 * np.pi * 200 * time + 1.0), strict=True)))[0]
+    assert rate < 500 or np.abs(vibration[51:]).max() < 0.2  # 0.84 in single readings
+
+
+def test_a_stream_that_repeats_the_values_of_a_slower_sensor_has_its_rate():
+    values = np.repeat(np.random.default_rng(0).normal(size=(60, 6)), 10, axis=0)
+    opening = read_opening(iter([Sample(tuple(value), k / 1000) for k, value in enumerate(values.tolist())]), 1.0)
+    assert opening.rate() == 100
+
+
+def test_jitter_is_reported_when_a_stretch_ends():
+    """A pause, and the end, tell what less than a second of readings had to report."""
+    stretch = [(k * 0.0065, 0.0) for k in range(90)]
+    kinds = fed(stretch + [(5 + time, 0.0) for time, _ in stretch])[1]
+    assert kinds == ["gap", "jitter"]
+    session = Session(Introspector(model()))
+    events = list(session.run([Sample(ZERO, time) for time, _ in stretch]))
+    assert not [event for event in events if isinstance(event, Notice)]
+    assert [event.kind for event in session.finish() if isinstance(event, Notice)] == ["jitter"]
+    assert session.finish() == []
+
+
+anything = st.floats() | st.sampled_from([0.0, DT, 2 * DT, 3 * DT, 1.0, -1e308, 1e308])
+
+
+@given(st.lists(st.tuples(st.none() | anything, anything), max_size=60))
+def test_any_readings_give_few_finite_samples(readings):
+    resampler = Resampler(DT)
+    for stamp, value in readings:
+        regular = resampler.feed(Sample((value,) * 6, stamp))
+        assert len(regular.samples) <= 12
+        assert np.isfinite(regular.samples).all()
+        assert regular.samples.dtype == np.float32
 
 
 def test_a_source_too_slow_for_every_gap_is_told_what_helps() -> None:
