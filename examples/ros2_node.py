@@ -2,10 +2,11 @@
 
     python examples/ros2_node.py --ros-args -p topic:=/wrench -p robot:=auto
     python examples/ros2_node.py --ros-args -p topic:=/wrench -p model:=/home/me/states.model
+    python examples/ros2_node.py --ros-args -p topic:=/wrench -p monitor:=/home/me/skill.monitor
 
 Subscribes to geometry_msgs/WrenchStamped on ``topic`` and to std_msgs/String on ``~/control``, whose data "begin"
-begins a sub-task and "reset" a trial. Publishes on ``~/words``, ``~/beliefs`` and ``~/events`` (alarms, sub-tasks,
-irregularities of the stream). Each message is one event of rcbht_jax.events as a JSON object.
+begins a sub-task and "reset" a trial. Publishes on ``~/words``, ``~/beliefs``, ``~/scores`` and ``~/events`` (alarms,
+sub-tasks, irregularities of the stream). Each message is one event of rcbht_jax.events as a JSON object.
 
 Everything but ``main`` runs without ROS, and is tested so.
 """
@@ -23,11 +24,14 @@ from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.limit_files import has_tolerances, read_limits
 from rcbht_jax.encoding.rules import AnyLimits, config_of, limits_for
 from rcbht_jax.encoding.thresholds import preset
-from rcbht_jax.events import Belief, Event, Word
+from rcbht_jax.events import AnomalyScore, Belief, Event, Word
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
+from rcbht_jax.introspection.nominal_file import load as load_monitor
+from rcbht_jax.introspection.nominal_watch import NominalWatch
 from rcbht_jax.introspection.opening import READINGS, duration, read_opening
 from rcbht_jax.introspection.session import Session
+from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample, Silence, sample_of
 from rcbht_jax.labels import AXES
@@ -42,8 +46,11 @@ PARAMETERS: dict[str, Any] = {
     "rule": "paper",  # of the words, paper or fit, for words alone
     "tolerance": 0.0,  # of rule:=fit, N and Nm; 0 = from the first readings
     "lead": 10.0,  # s at the beginning from which robot:=auto takes the thresholds, and rule:=fit the tolerances
+    "monitor": "",  # file of "rcbht monitor fit", for scores and alarms beside words and beliefs
+    "false_alarms": 0.05,  # of the monitor: share of nominal recordings that may raise an alarm
     "timeout": 1.0,  # s without a message that are reported as silence
 }
+TOPICS: dict[type[Event], str] = {Word: "words", Belief: "beliefs", AnomalyScore: "scores"}  # all others: events
 CONTROL: dict[str, Message] = {"begin": Begin(), "reset": Reset()}
 
 
@@ -52,7 +59,7 @@ class Bridge:
 
     Args:
         parameters: see ``PARAMETERS``.
-        publish: called with a topic (words, beliefs or events) and a JSON object for each event.
+        publish: called with a topic (words, beliefs, scores or events) and a JSON object for each event.
     """
 
     def __init__(self, parameters: dict[str, Any], publish: Callable[[str, str], None]) -> None:
@@ -61,6 +68,8 @@ class Bridge:
         self._readings: list[Sample] = []  # among them
         self._latest = 0.0  # s, when the latest message was received
         self.session: Session | None = None
+        monitor, share = self._parameters["monitor"], self._parameters["false_alarms"]
+        self._watch = NominalWatch(load_monitor(monitor), share) if monitor else None
         if self._parameters["model"]:
             model = load(Path(self._parameters["model"]))
             model.check_wrench("A wrench of ROS")
@@ -115,7 +124,8 @@ class Bridge:
 
     def _words(self, early: list[Message]) -> WordIntrospector:
         opening = read_opening(iter(early), self._lead)
-        rate, window = self._parameters["rate"] or opening.rate(), self._parameters["window"]
+        own = 0.0 if self._watch is None else 1 / self._watch.dt
+        rate, window = self._parameters["rate"] or own or opening.rate(), self._parameters["window"]
         recordings = opening.recordings(rate, AXES)
         thresholds: AnyLimits
         if self._parameters["thresholds"]:
@@ -129,12 +139,13 @@ class Bridge:
         return WordIntrospector(config, limits, AXES)
 
     def _open(self, introspector: Introspector | WordIntrospector) -> None:
-        introspector.warm_up()
-        self.session = Session(introspector)
+        both = Together(introspector, monitor=self._watch)
+        both.warm_up()
+        self.session = Session(both)
 
     def _emit(self, events: Iterable[Event]) -> None:
         for event in events:
-            topic = "words" if isinstance(event, Word) else "beliefs" if isinstance(event, Belief) else "events"
+            topic = next((topic for kind, topic in TOPICS.items() if isinstance(event, kind)), "events")
             self._publish(topic, json.dumps(event.to_json(), allow_nan=False))
 
 
@@ -149,7 +160,7 @@ def main() -> None:
     rclpy.init()
     node = rclpy.create_node("rcbht")
     parameters = {name: node.declare_parameter(name, value).value for name, value in PARAMETERS.items()}
-    publishers = {name: node.create_publisher(String, f"~/{name}", 100) for name in ("words", "beliefs", "events")}
+    publishers = {name: node.create_publisher(String, f"~/{name}", 100) for name in (*TOPICS.values(), "events")}
     bridge = Bridge(parameters, lambda topic, text: publishers[topic].publish(String(data=text)))
 
     def now() -> float:

@@ -67,6 +67,15 @@ class Belief(Event):
 
 
 @dataclass(frozen=True)
+class AnomalyScore(Event):
+    """How the last moments differ from nominal recordings, by a nominal monitor."""
+
+    score: float
+    threshold: float  # of the alarm
+    p_value: float  # conformal: about the share of nominal recordings whose highest score is at least as high
+
+
+@dataclass(frozen=True)
 class Word(Event):
     """A label of one axis that the encoder has published; it will not change any more."""
 
@@ -108,15 +117,15 @@ class Snap(Event):
 
 @dataclass(frozen=True)
 class AnomalyRaised(Event):
-    """The abnormal class has been certain for the hold time."""
+    """The abnormal class has been certain for the hold time, or the score of a monitor exceeds its threshold."""
 
-    head: str
-    probability: float
+    head: str  # of the model; "monitor" = a nominal monitor
+    probability: float  # of the class; of a monitor 1 - p-value
 
 
 @dataclass(frozen=True)
 class AnomalyCleared(Event):
-    """The abnormal class has fallen below the clearing threshold for the hold time."""
+    """The abnormal class has fallen below the clearing threshold, or the score below its own, for the hold time."""
 
     head: str
     probability: float

@@ -42,7 +42,8 @@ from rcbht_jax.introspection.model import Head, IntrospectionModel
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.svm import SvmSpec, fit
-from rcbht_jax.report.live_page import Frames, PageServer
+from rcbht_jax.report.live_frames import Frames
+from rcbht_jax.report.live_page import PageServer
 
 WINDOW = 50  # samples, 100 ms
 RATE = 10.0  # beliefs per second of stream

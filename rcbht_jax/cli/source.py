@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 
 import tyro
 
@@ -23,6 +23,7 @@ from rcbht_jax.cli.command import (
     checked_tolerance,
     option,
 )
+from rcbht_jax.cli.monitor import MONITOR, FalseAlarms
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
@@ -36,6 +37,14 @@ if TYPE_CHECKING:
 
     AnyIntrospector = Introspector | WordIntrospector | Together
     Messages = Iterator[Message]
+
+
+class Reads(NamedTuple):
+    """The signal that a model or a monitor reads."""
+
+    axes: tuple[str, ...]
+    units: tuple[str, ...]
+    rate: float  # Hz
 
 
 @dataclass(frozen=True)
@@ -92,6 +101,12 @@ class Source(RuleCommand):
         ),
     ] = None
     snap: SnapSize = ()
+    monitor: Annotated[
+        Path | None,
+        option('File of "rcbht monitor fit", for scores and alarms beside words and beliefs.', "", metavar="MONITOR"),
+        MONITOR,
+    ] = None
+    false_alarms: FalseAlarms = 0.05
     max_gap: Annotated[
         float | None,
         option(
@@ -126,20 +141,25 @@ class Source(RuleCommand):
             InputError: no such model, no such source, or options that contradict each other.
         """
         from rcbht_jax._util import compile_cache
+        from rcbht_jax._util.signals import check_axes
         from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
+        from rcbht_jax.introspection.nominal_file import load as load_monitor
+        from rcbht_jax.introspection.nominal_watch import NominalWatch
         from rcbht_jax.introspection.session import Session, paced
         from rcbht_jax.introspection.together import Together
 
         self.check()
         model = None if self.model is None else load(self.model)
+        monitor = None if self.monitor is None else load_monitor(self.monitor)
         live, messages = self.source == "-", self._messages(model)
         compile_cache.use(self.compile_cache)
         if live:  # its beginning must not be read faster than it is played
             messages = paced(messages, self.pace)
         introspector: AnyIntrospector
         if model is None:
-            introspector, messages = self._words(messages, say)
+            reads = None if monitor is None else Reads(monitor.axes, monitor.units, monitor.monitor.rate)
+            introspector, messages = self._words(messages, say, reads)
         else:
             detect = self.starts == "detected"
             beside = self._beside(model)
@@ -147,10 +167,16 @@ class Source(RuleCommand):
                 model, belief_rate(self.rate), self.certainty, detect=detect, words=words and not beside
             )
             if beside:
-                others, messages = self._words(messages, say, model)
+                reads = Reads(model.axes, model.units, 1 / model.encoder.dt)
+                others, messages = self._words(messages, say, reads)
                 introspector = Together(introspector, others)
         if snaps := detector_of(self.snap, 1 / introspector.config.dt):
             introspector = Together(introspector, snaps=snaps)
+        if monitor is not None:
+            units = dict(zip(introspector.axes, introspector.units, strict=True))
+            found = [units.get(axis, "") for axis in monitor.axes]
+            check_axes(monitor.axes, found, monitor.axes, monitor.units, self.source)
+            introspector = Together(introspector, monitor=NominalWatch(monitor, self.false_alarms))
         return Session(introspector, self.max_gap, self.tare), messages if live else paced(messages, self.pace)
 
     @property
@@ -204,14 +230,14 @@ class Source(RuleCommand):
             raise InputError(f"--lead is {self.lead}; expected 0 to 600 s.")
 
     def _words(
-        self, messages: Messages, say: Callable[[str], None], model: IntrospectionModel | None = None
+        self, messages: Messages, say: Callable[[str], None], reads: Reads | None = None
     ) -> tuple[WordIntrospector, Messages]:
         """What reports words of its own, with the thresholds of the options, and the messages for it.
 
         Args:
             messages: the stream.
             say: called with what is being waited for.
-            model: beside which the words are shown; it knows rate and axes.
+            reads: what the model or monitor reads beside which the words are shown; without, the stream tells.
         """
         from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.limit_files import has_tolerances
@@ -221,7 +247,7 @@ class Source(RuleCommand):
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.labels import UNIT_OF
 
-        path, known = as_path(self.source), self.sampling_rate if model is None else 1 / model.encoder.dt
+        path, known = as_path(self.source), self.sampling_rate or (reads and reads.rate)
         if _is_store(path):
             recordings = read_recordings(path)
             rate = known or 1 / recordings.dt
@@ -235,8 +261,8 @@ class Source(RuleCommand):
                 say(f"taking the {what} from the first {self.lead:g} s")
             opening = read_opening(messages, self.lead if learns or measured else 0.0, known)
             messages, rate = opening.messages, known or opening.rate()
-            its = model is not None and len(model.axes) == len(opening.axes)
-            recordings = opening.recordings(rate, *((model.axes, model.units) if model and its else (opening.axes,)))
+            its = reads is not None and not self.axes and len(reads.axes) == len(opening.axes)
+            recordings = opening.recordings(rate, *(reads[:2] if reads and its else (opening.axes,)))
         if self.axes:
             if len(self.axes) != len(recordings.axes):
                 raise InputError(f"--axes names {len(self.axes)} axes; the stream has {len(recordings.axes)}.")

@@ -255,7 +255,8 @@ class Serve(Source):
     OWN_WORDS: ClassVar[bool] = True
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.report.live_page import Frames, PageServer
+        from rcbht_jax.report.live_frames import Frames
+        from rcbht_jax.report.live_page import PageServer
 
         # What is wrong with the options is said before the page opens, and so is what is wrong with a recording.
         self.check()

@@ -51,6 +51,15 @@ def conformal_threshold(peaks: Float[np.ndarray, " trial"], share: float) -> flo
     return float(np.sort(peaks)[rank - 1])
 
 
+def conformal_p(peaks: Float[np.ndarray, " trial"], score: float) -> float:
+    """Conformal p-value of a score: at most ``share`` just where it exceeds the :func:`conformal_threshold`.
+
+    >>> conformal_p(np.arange(9) / 10, 0.85)
+    0.1
+    """
+    return (1 + int((peaks >= score).sum())) / (len(peaks) + 1)
+
+
 def trials_needed(share: float) -> int:
     """Fewest nominal trials that promise ``share`` false alarms per trial, more than 0 and less than 1.
 

@@ -86,7 +86,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         if names.shape != (len(series),):
             raise InputError(f"There are {len(names)} groups for {len(series)} recordings; expected one for each.")
         names = names if len(np.unique(names)) > 1 else np.arange(len(series))
-        parts = [_blocks(part, self._step) for part in series]
+        parts = [_blocks(part, self.score_step) for part in series]
         self._prepare(parts, names)
         if self.calibration == "split":
             train = np.sort(np.random.default_rng(self.random_state).permutation(len(parts))[: (len(parts) + 1) // 2])
@@ -135,12 +135,13 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         return MonitorStream(self)
 
     @property
-    def _step(self) -> int:
+    def score_step(self) -> int:
+        """Samples that are averaged for a score."""
         return max(round(self.rate / self.score_rate), 1)
 
     def _count(self, seconds: float) -> int:
         """Scores within so many seconds, at least one."""
-        return max(round(seconds * self.rate / self._step), 1)
+        return max(round(seconds * self.rate / self.score_step), 1)
 
     def _check(self) -> None:
         for name in ("rate", "score_rate", "memory", "folds"):
@@ -235,7 +236,7 @@ class MonitorStream:
             raise InputError(f"The samples have the axes {', '.join(names)}; the monitor learned {', '.join(known)}.")
         if new.shape[1] != monitor.n_features_in_:
             raise InputError(f"The samples have {new.shape[1]} axes; the monitor learned {monitor.n_features_in_}.")
-        waiting, step = len(self._samples), monitor._step
+        waiting, step = len(self._samples), monitor.score_step
         joined = np.concatenate([self._samples, new])
         whole = len(joined) // step * step
         self._samples = joined[whole:]
@@ -350,7 +351,7 @@ class NominalMonitor(Monitor):
     def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
         first = self._count(self.baseline)
         described = [self._describe(part, part[:first], part[:0], np.arange(len(part))) for part in parts]
-        slack = self.slack * self.rate / self._step
+        slack = self.slack * self.rate / self.score_step
         return make_bank(described, groups, slack, self.drift, self.neighbours)
 
     def _score(

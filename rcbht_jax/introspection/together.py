@@ -1,4 +1,4 @@
-"""Several readers of one stream with the interface of one: beliefs of a model, words of another rule, snaps."""
+"""Several readers of one stream with the interface of one: a model, words of another rule, snaps, a monitor."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, Word
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import Head
+from rcbht_jax.introspection.nominal_watch import NominalWatch
 from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.introspection.words import WordIntrospector
 
 
 class Together:
-    """An introspector with words that its model does not read, with a detector of snaps, or with both.
+    """An introspector with words that its model does not read, a detector of snaps, a nominal monitor, or several.
 
     Args:
         main: reports sub-tasks, and beliefs if it has a model.
         words: whose words are reported in place of those of ``main``.
-        snaps: detector of some of the axes; those of ``main`` by name.
+        snaps: detector on some of the axes; those of ``main`` by name.
+        monitor: on some of the axes, likewise.
 
     Raises:
         InputError: their axes or their sampling periods differ.
@@ -40,15 +42,17 @@ class Together:
         main: Introspector | WordIntrospector | Together,
         words: WordIntrospector | None = None,
         snaps: SnapDetector | None = None,
+        monitor: NominalWatch | None = None,
     ) -> None:
-        self._main, self._snaps = main, snaps
+        self._main = main
         self._words: WordIntrospector | Introspector | Together = words or main
         if words is not None and (words.axes != main.axes or not np.isclose(words.config.dt, main.config.dt)):
             raise InputError(
                 f"The stream has {', '.join(words.axes)} at {1 / words.config.dt:g} Hz; the model reads "
                 f"{', '.join(main.axes)} at {1 / main.config.dt:g} Hz."
             )
-        self._columns = [] if snaps is None else snaps.columns(main.axes, main.config.dt)
+        readers = [reader for reader in (snaps, monitor) if reader is not None]
+        self._readers = [(reader, reader.columns(main.axes, main.config.dt)) for reader in readers]
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -95,8 +99,8 @@ class Together:
         self._main.warm_up()
         if self._words is not self._main:
             self._words.warm_up()
-        if self._snaps is not None:
-            self._snaps.warm_up()
+        for reader, _ in self._readers:
+            reader.warm_up()
 
     def provisional(self) -> list[Word]:
         """Words that are not published yet, with labels that may still change."""
@@ -115,14 +119,14 @@ class Together:
         self._main.reset()
         if self._words is not self._main:
             self._words.reset()
-        if self._snaps is not None:
-            self._snaps.reset()
+        for reader, _ in self._readers:
+            reader.reset()
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
         """Feed samples ``[time, axis]``; returns all events that they cause, in order; see ``Introspector.push``."""
         events = list(self._main.push(samples, time))
         if self._words is not self._main:
             events += self._words.push(samples, time)
-        if self._snaps is not None:
-            events += self._snaps.push(np.asarray(samples)[:, self._columns], time)
+        for reader, columns in self._readers:
+            events += reader.push(np.asarray(samples)[:, columns], time)
         return sorted(events, key=lambda event: event.sample)

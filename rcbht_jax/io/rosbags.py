@@ -19,7 +19,7 @@ from rcbht_jax._util.atomic import atomic_write, draft_of
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_BAG_INFO_BYTES, check_file, check_inside
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import LEVELS, Belief, Event, Word
+from rcbht_jax.events import LEVELS, AnomalyScore, Belief, Event, Word
 from rcbht_jax.io.bag_chunks import bound_chunks, take_packed, unpacked_file, unpacked_message
 from rcbht_jax.io.mcap_file import seal, sound
 from rcbht_jax.io.messages import Malformed, Message, sample_of
@@ -65,6 +65,11 @@ string label
 int32 code
 float64 start
 float64 stop
+"""
+_SCORE = """std_msgs/Header header
+float64 score
+float64 threshold
+float64 p_value
 """
 _EVENT = """std_msgs/Header header
 string event
@@ -200,7 +205,8 @@ class McapWriter:
     """Context manager that writes a stream as an MCAP file for Foxglove and PlotJuggler.
 
     Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where axes are not those of one), ``/labels``
-    (codes and names per axis), ``/words`` (as they are published), ``/belief/HEAD`` and ``/events`` (JSON). The file
+    (codes and names per axis), ``/words`` (as they are published), ``/belief/HEAD``, ``/monitor`` (the scores of a
+    nominal monitor) and ``/events`` (JSON). The file
     appears when the block ends; also when an error or an interruption ends it, with what was written until then, if
     anything was. A trial whose stamps do not continue those before begins a second after their end. Stamps of ROS begin
     in 1970 and end in 2038: if the first message lies outside, it is at time zero; single messages outside get the
@@ -220,6 +226,7 @@ class McapWriter:
             ("Signal", _SIGNAL),
             ("Belief", _BELIEF),
             ("Word", _WORD),
+            ("Score", _SCORE),
             ("Event", _EVENT),
         ):
             self._store.register(get_types_from_msg(text, f"rcbht_msgs/msg/{kind}"))
@@ -289,10 +296,14 @@ class McapWriter:
         self._write("/labels", "rcbht_msgs/msg/Labels", time, **fields)
 
     def event(self, event: Event) -> None:
-        """One event; words, and the beliefs of every head, have their own topics."""
+        """One event; words, the beliefs of every head, and the scores of a monitor have their own topics."""
         if isinstance(event, Word):
             fields = {key: getattr(event, key) for key in ("layer", "axis", "label", "code", "start", "stop")}
             self._write("/words", "rcbht_msgs/msg/Word", event.time, **fields)
+            return
+        if isinstance(event, AnomalyScore):
+            fields = {key: getattr(event, key) for key in ("score", "threshold", "p_value")}
+            self._write("/monitor", "rcbht_msgs/msg/Score", event.time, **fields)
             return
         if not isinstance(event, Belief):
             text = json.dumps(event.to_json(), allow_nan=False)

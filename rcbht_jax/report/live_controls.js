@@ -66,7 +66,11 @@ function build() {
     }));
     bars.push(box);
   }
-  byId("beliefs").replaceChildren(...charts);
+  const monitor = text("div", "");
+  monitor.id = "monitor";
+  monitor.hidden = true; // until a score comes
+  monitor.append(text("h2", "Anomaly score"), chart("score", "anomaly score over time, with the threshold of the alarm"));
+  byId("beliefs").replaceChildren(...charts, monitor);
   byId("bars").replaceChildren(...bars);
   byId("events").replaceChildren();
   listen();
@@ -117,7 +121,7 @@ function tell() {
   if (!known) byId("wait").textContent = said[0].toUpperCase() + said.slice(1) + ".";
   document.querySelector("main").hidden = !known;
   byId("clock").textContent = known ? `${ownTime(kept.latest).toFixed(2)} s, ${kept.sample} samples` : "";
-  const raised = [...kept.raised].map(head => "alarm: " + about.alarms[head].class).join(", "), alarm = byId("alarm");
+  const raised = [...kept.raised].map(head => "alarm: " + (about.alarms[head]?.class ?? head)).join(", "), alarm = byId("alarm");
   if (alarm.textContent !== raised) alarm.textContent = raised;
   alarm.hidden = !raised;
 }
@@ -141,6 +145,8 @@ function readOut(now) {
     row.cells[2].textContent = other ? `${about.names[layer][other[0]]} ${about.meanings[layer][other[0]]}` : "–";
     row.cells[2].className = other && !word ? "provisional" : "";
   });
+  const scored = lower(kept.score.t, t + 1e-6) - 1;
+  if (scored >= 0) byId("monitor").firstChild.textContent = `Anomaly score ${kept.score.p[scored][0].toFixed(2)}, alarm above ${kept.threshold.toFixed(2)}`;
   for (const [head, classes] of Object.entries(about.heads)) {
     const of = kept.beliefs[head], place = lower(of.t, t + 1e-6) - 1;
     const p = place < 0 ? null : of.p[place], best = p ? p.indexOf(Math.max(...p)) : -1, box = byId("head-" + head);

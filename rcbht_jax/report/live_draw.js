@@ -198,9 +198,9 @@ function words() {
   marks(pen, width, height, x, false);
 }
 
-function scale(pen, width, height, y) {
+function scale(pen, width, y, values = [0, .5, 1]) {
   pen.textAlign = "right";
-  for (const p of [0, .5, 1]) {
+  for (const p of values) {
     pen.strokeStyle = colors().grid;
     line(pen, LEFT, y(p), width - RIGHT, y(p));
     pen.fillStyle = colors().soft;
@@ -233,16 +233,27 @@ function beliefs(head, classes) {
     });
   }
   pen.restore();
-  scale(pen, width, height, y);
+  scale(pen, width, y);
   marks(pen, width, height, x, false);
 }
 
-function alarm(head, { class: name, level }) {
-  const height = 70, [pen, width, x] = prepare(byId("alarm-" + head), height), y = p => 6 + (height - 12) * (1 - p), c = about.heads[head].indexOf(name);
+const alarm = (head, { class: name, level }) => exceeded("alarm-" + head, kept.beliefs[head], about.heads[head].indexOf(name), level, [0, .5, 1]);
+
+function score() {
+  byId("monitor").hidden = kept.threshold === null;
+  if (kept.threshold === null) return;
+  const [begin, end] = inView(kept.score.t), most = kept.score.p.slice(begin, end).reduce((top, [p]) => Math.max(top, p), 1.5 * kept.threshold);
+  const size = step(most, 3), values = Array.from({ length: Math.ceil(most / size) + 1 }, (_, n) => +(n * size).toPrecision(6));
+  exceeded("score", kept.score, 0, kept.threshold, values);
+}
+
+// One of the numbers of each answer, and what exceeds the level; the last value marked on the scale is its top.
+function exceeded(id, of, c, level, values) {
+  const height = 70, [pen, width, x] = prepare(byId(id), height), y = p => 6 + (height - 12) * (1 - p / values.at(-1));
   grid(pen, width, height, x);
-  scale(pen, width, height, y);
+  scale(pen, width, y, values);
   clip(pen, width, height);
-  for (const piece of answers(kept.beliefs[head], x, width)) {
+  for (const piece of answers(of, x, width)) {
     pen.fillStyle = mix(colors().bad, colors().back, .35); // what exceeds the level
     pen.beginPath();
     pen.moveTo(piece[0][0], y(level));
@@ -310,6 +321,7 @@ function draw(now) {
     words();
     for (const [head, classes] of Object.entries(about.heads)) beliefs(head, classes);
     for (const [head, level] of Object.entries(about.alarms)) alarm(head, level);
+    score();
     timeAxis();
     overview();
   }

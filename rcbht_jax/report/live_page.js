@@ -13,7 +13,7 @@ function empty(axes, classes = {}) {
   const beliefs = Object.fromEntries(Object.keys(classes).map(head => [head, { t: [], p: [], step: Infinity, latest: null }]));
   return {
     t: [], v: Array.from({ length: axes }, () => []), words: lanes(), provisional: lanes(), beliefs, marks: [],
-    raised: new Set(), trials: [], latest: 0, sample: 0, stamp: 0,
+    score: { t: [], p: [], step: Infinity }, threshold: null, raised: new Set(), trials: [], latest: 0, sample: 0, stamp: 0,
   };
 }
 
@@ -78,12 +78,18 @@ function take(frame) {
   for (const word of frame.words) kept.words[word[0]][word[1]].push(moved(word));
   for (const layer of kept.provisional) for (const lane of layer) lane.length = 0;
   for (const word of frame.provisional) kept.provisional[word[0]][word[1]].push(moved(word));
+  const keep = (of, t, values) => {
+    of.step = Math.min(of.step, t - (of.t.at(-1) ?? -Infinity));
+    of.t.push(t);
+    of.p.push(values);
+  };
   for (const [head, belief] of Object.entries(frame.beliefs)) {
-    const of = kept.beliefs[head];
-    of.step = Math.min(of.step, belief.time - shift - (of.t.at(-1) ?? -Infinity));
-    of.t.push(belief.time - shift);
-    of.p.push(belief.probabilities);
-    of.latest = belief;
+    keep(kept.beliefs[head], belief.time - shift, belief.probabilities);
+    kept.beliefs[head].latest = belief;
+  }
+  for (const [time, score, threshold] of frame.scores) {
+    keep(kept.score, time - shift, [score]);
+    kept.threshold = threshold;
   }
   if (lost) note({ event: "Notice", kind: "lost", text: `${lost} frames did not reach this page`, time: frame.time }, frame.wrench.length ? frame.wrench[0][0] - shift : kept.latest);
   for (const event of frame.events) note(event, event.time - shift);
@@ -112,7 +118,7 @@ function forget(before) {
   kept.t.splice(0, cut);
   for (const values of kept.v) values.splice(0, cut);
   for (const layer of kept.words) for (const lane of layer) lane.splice(0, lower(lane, from, word => word[2]));
-  for (const of of Object.values(kept.beliefs)) {
+  for (const of of [...Object.values(kept.beliefs), kept.score]) {
     const old = lower(of.t, from);
     of.t.splice(0, old);
     of.p.splice(0, old);

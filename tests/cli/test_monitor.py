@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -114,4 +115,46 @@ def test_wrong_input_is_one_sentence(
     store: Path, words: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["monitor", words[0], str(store), *words[1:], "-o", str(store.parent / "none")]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_stream_is_watched_as_a_store_is(
+    store: Path, model: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Words and scores of the same stream, from a store and from lines without names of the axes."""
+    expected = lines(capsys, "monitor", "watch", store, "-m", model, "--false-alarms", 0.1)
+    alarms = {event["trial"]: event for event in expected if event["event"] == "Alarm"}
+    options = ("--monitor", model, "--false-alarms", 0.1)
+    trial, events = "", lines(capsys, "stream", store, *options)
+    raised: dict[str, float] = {}
+    for event in events:
+        trial = event["trial"] if event["event"] == "TrialStarted" else trial
+        if event["event"] == "AnomalyRaised":
+            raised.setdefault(trial, event["time"])
+    assert {name: round(time + 0.05, 6) for name, time in raised.items()} == {
+        name: alarm["time"] for name, alarm in alarms.items()
+    }
+    assert {"Word", "AnomalyScore"} <= {event["event"] for event in events}
+    recordings = read_recordings(store)
+    read = [{"time": 0.05 * k, "wrench": row.tolist()} for k, row in enumerate(recordings.wrench[3, :50].astype(float))]
+    text = "".join(json.dumps(line) + "\n" for line in read).encode()
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
+    live = lines(capsys, "stream", "-", *options)
+    name = str(recordings.trial[3])
+    assert [event["time"] for event in live if event["event"] == "AnomalyRaised"] == [raised[name]]
+    assert {event["axis"] for event in live if event["event"] == "Word"} == {"Fz", "grip"}
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--sampling-rate", "40"), "The monitor needs Fz, grip at 20 Hz; the stream has Fz, grip at 40 Hz."),
+        (("--axes", "Fz", "other"), "The monitor needs Fz, grip at 20 Hz; the stream has Fz, other at 20 Hz."),
+        (("--false-alarms", "0.001"), "cannot promise 0.001 false alarms"),
+    ],
+)
+def test_a_stream_that_a_monitor_cannot_watch_is_refused(
+    store: Path, model: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], sentence: str
+) -> None:
+    assert main(["stream", str(store), "--monitor", str(model), "--false-alarms", "0.1", *options]) == 2
     assert sentence in capsys.readouterr().err

@@ -18,6 +18,9 @@ from rosbags.highlevel import AnyReader
 from rcbht_jax._util import compile_cache
 from rcbht_jax.cli.main import main
 from rcbht_jax.introspection import model as model_files
+from rcbht_jax.introspection import nominal_file
+from rcbht_jax.introspection.nominal import NominalMonitor
+from rcbht_jax.labels import AXES
 from tests.support.introspection_models import model, trial
 
 LAYOUTS = Path(__file__).resolve().parents[2] / "examples/layouts"
@@ -42,6 +45,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Fields of a recorded stream and a value of each."""
     folder = tmp_path_factory.mktemp("stream")
     model_files.save(folder / "m", model())
+    monitor = NominalMonitor(rate=200).fit([trial(1, seed, 300) for seed in range(6)])
+    nominal_file.save(folder / "n", nominal_file.MonitorFile(monitor, AXES, ()))
     wrench = np.concatenate([trial(1, 30, 150), trial(0, 31, 150)])
     rows = [json.dumps({"wrench": row, "time": 1 + 0.005 * k}) for k, row in enumerate(wrench.tolist())]
     text = "\n".join([*rows[:150], '{"begin": true}', *rows[150:]])
@@ -49,6 +54,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         patch.setattr(compile_cache, "use", lambda folder: None)
         patch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(text.encode())}))
         words = ["stream", "-", "-m", str(folder / "m"), "--words", "--mcap", str(folder / "o.mcap")]
+        words += ["--monitor", str(folder / "n"), "--false-alarms", "0.2"]
         assert main([*words, "-o", str(folder / "o.jsonl")]) == 0
     with AnyReader([folder / "o.mcap"]) as reader:
         fields: dict[str, Any] = {}

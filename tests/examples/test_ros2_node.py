@@ -18,6 +18,8 @@ import pytest
 import rcbht_jax as rj
 from rcbht_jax.encoding.thresholds import write_thresholds
 from rcbht_jax.introspection import model as model_files
+from rcbht_jax.introspection import nominal_file
+from rcbht_jax.introspection.nominal import NominalMonitor
 from rcbht_jax.io.rosbags import messages, open_bag
 from rcbht_jax.labels import LAYERS
 from tests.support.introspection_models import model, trial
@@ -30,7 +32,7 @@ class Heard:
     """What was published, by topic."""
 
     def __init__(self) -> None:
-        self.events: dict[str, list[dict[str, Any]]] = {"words": [], "beliefs": [], "events": []}
+        self.events: dict[str, list[dict[str, Any]]] = {name: [] for name in ("words", "beliefs", "scores", "events")}
 
     def __call__(self, topic: str, text: str) -> None:
         self.events[topic].append(json.loads(text))
@@ -78,6 +80,20 @@ def test_beliefs_sub_tasks_and_silence(tmp_path: Path) -> None:
     assert alarms & {*kinds}
     assert [kind for kind in kinds if kind not in alarms] == ["SubtaskStarted", "malformed", "silent"]
     assert Counter(belief["head"] for belief in heard.events["beliefs"])["states"] == 10
+    assert heard.events["words"]
+
+
+def test_scores_of_a_monitor(tmp_path: Path) -> None:
+    monitor = NominalMonitor(rate=200).fit([trial(1, seed, 300) for seed in range(6)])
+    nominal_file.save(tmp_path / "n", nominal_file.MonitorFile(monitor, rj.labels.AXES, ()))
+    wrench = trial(1, 8, 300) + 50.0 * (np.arange(300) > 200)[:, None]
+    heard = Heard()
+    bridge = Bridge({"monitor": str(tmp_path / "n"), "false_alarms": 0.2, "robot": "hiro"}, heard)
+    for k, row in enumerate(wrench.tolist()):
+        bridge.wrench(stamped(row, 10 + 0.005 * k), 10 + 0.005 * k)
+    scores = monitor.scores(wrench.astype(np.float32))[9::10]
+    np.testing.assert_allclose([event["score"] for event in heard.events["scores"]], scores, rtol=1e-5)
+    assert [event["event"] for event in heard.events["events"]] == ["AnomalyRaised"]
     assert heard.events["words"]
 
 

@@ -22,12 +22,17 @@ import rcbht_jax as rj
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event
 from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.nominal import NominalMonitor
+from rcbht_jax.introspection.nominal_file import MonitorFile
+from rcbht_jax.introspection.nominal_watch import NominalWatch
 from rcbht_jax.introspection.session import Session
+from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Malformed, Message, Reset, Sample, Silence
-from rcbht_jax.labels import LAYERS
-from rcbht_jax.report import live_page
-from rcbht_jax.report.live_page import Broadcast, Frames, PageServer
+from rcbht_jax.labels import AXES, LAYERS
+from rcbht_jax.report import live_frames, live_page
+from rcbht_jax.report.live_frames import Broadcast, Frames
+from rcbht_jax.report.live_page import PageServer
 from tests.io.test_stream_sources import samples_of
 from tests.support.introspection_models import CONFIG, model, trial
 
@@ -213,7 +218,7 @@ def test_no_band_is_ever_empty(kind):
 def test_any_number_of_axes(count):
     axes = tuple(f"axis{number}" for number in range(count))
     session = words_only(axes)
-    about = live_page.description(session)
+    about = live_frames.description(session)
     assert (about["axes"], about["heads"], about["alarms"]) == (axes, {}, {})
     wrench = np.tile(trial(1, 3, 100), (1, 2))[:, :count]
     frames, _ = frames_of(session, [Sample(tuple(row), 0.005 * k) for k, row in enumerate(wrench.tolist())])
@@ -238,6 +243,19 @@ def test_silence_is_told_at_once():
     frames, _ = frames_of(words_only(), messages, end=False)
     assert [event["kind"] for event in frames[-1]["events"]] == ["silent"]
     assert frames[-1]["sample"] == 13  # with the readings that had not filled a frame
+
+
+def test_scores_of_a_monitor_are_shown():
+    monitor = NominalMonitor(rate=200).fit([trial(1, seed, 300) for seed in range(6)])
+    watch = NominalWatch(MonitorFile(monitor, AXES, ()), 0.2)
+    session = Session(Together(Introspector(model()), monitor=watch))
+    wrench = trial(1, 8, 300) + 50.0 * (np.arange(300) > 200)[:, None]
+    said, _ = frames_of(session, samples_of(wrench))
+    shown = np.array([row for frame in said for row in frame["scores"]])
+    np.testing.assert_allclose(shown[:, 0], 0.005 * np.arange(9, 300, 10), atol=1e-6)
+    np.testing.assert_allclose(shown[:, 1], monitor.scores(wrench.astype(np.float32))[9::10], atol=1e-5)
+    assert set(shown[:, 2]) == {monitor.threshold(0.2)}
+    assert "monitor" in said[-1]["raised"]
 
 
 def test_whoever_looks_later_sees_the_alarm_that_stands_and_the_same_clock():
@@ -280,12 +298,12 @@ def test_a_slow_viewer_costs_nothing(monkeypatch):
     broadcast = Broadcast()
     viewer = broadcast.join()
     assert viewer is not None
-    for k in range(5 * live_page.HISTORY):
+    for k in range(5 * live_frames.HISTORY):
         broadcast.publish({"k": k})
-    assert viewer.qsize() == 2 * live_page.HISTORY
+    assert viewer.qsize() == 2 * live_frames.HISTORY
     [(kind, value)] = packets((viewer.get_nowait() or b"").decode())
-    assert (kind, value) == ("frame", {"k": 3 * live_page.HISTORY, "number": 3 * live_page.HISTORY + 1})
-    joined = [broadcast.join() for _ in range(live_page.VIEWERS)]
+    assert (kind, value) == ("frame", {"k": 3 * live_frames.HISTORY, "number": 3 * live_frames.HISTORY + 1})
+    joined = [broadcast.join() for _ in range(live_frames.VIEWERS)]
     assert joined[-1] is None
     broadcast.leave(viewer)
     last = broadcast.join()

@@ -15,7 +15,8 @@ from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Malformed, Message, Reset, Sample
-from rcbht_jax.report.live_page import Frames, PageServer
+from rcbht_jax.report.live_frames import Frames
+from rcbht_jax.report.live_page import PageServer
 from tests.io.test_stream_sources import samples_of
 from tests.support.browser import browser
 from tests.support.introspection_models import CONFIG, FIT, FIT_LIMITS, model, trial

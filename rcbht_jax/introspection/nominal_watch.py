@@ -1,0 +1,102 @@
+"""A nominal monitor as a reader of a stream: its score as an event, and an alarm above its threshold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_before
+from rcbht_jax.introspection.alarms import conformal_p
+from rcbht_jax.introspection.nominal_file import MonitorFile
+
+MONITOR = "monitor"  # name in the events of alarms
+
+
+class NominalWatch:
+    """The scores of a nominal monitor over a stream, and its alarms; chunks of any size give the same events.
+
+    The stream must begin where recordings of the skill do; :meth:`reset` begins the next one. The alarm is raised as
+    soon as a score exceeds the threshold, and cleared when none has for ``memory`` seconds of the monitor.
+
+    Args:
+        file: a fitted monitor, and the axes that it reads.
+        false_alarms: share of nominal recordings that may raise an alarm.
+
+    Raises:
+        InputError: too few recordings set the threshold for this share.
+
+    Example:
+        >>> from rcbht_jax.introspection.nominal import NominalMonitor
+        >>> rng = np.random.default_rng(0)
+        >>> monitor = NominalMonitor(rate=20).fit(0.1 * rng.normal(size=(40, 80, 1)))
+        >>> watch = NominalWatch(MonitorFile(monitor, ("grip",), ()), false_alarms=0.05)
+        >>> {type(event).__name__ for event in watch.push(0.1 * rng.normal(size=(40, 1)))}
+        {'AnomalyScore'}
+        >>> [event.time for event in watch.push(np.full((20, 1), 3.0)) if isinstance(event, AnomalyRaised)]
+        [2.1]
+    """
+
+    def __init__(self, file: MonitorFile, false_alarms: float = 0.05) -> None:
+        monitor = self._monitor = file.monitor
+        self.axes, self.units, self.dt = file.axes, file.units, 1 / monitor.rate
+        self.threshold = monitor.threshold(false_alarms)
+        self._hold = monitor.memory
+        self.reset()
+
+    def columns(self, axes: Sequence[str], dt: float) -> list[int]:
+        """Column numbers of its axes in a signal with these axes and ``dt`` s between samples.
+
+        Raises:
+            InputError: the signal lacks an axis or has another rate.
+        """
+        if not set(self.axes) <= set(axes) or not np.isclose(dt, self.dt):
+            raise InputError(
+                f"The monitor needs {', '.join(self.axes)} at {1 / self.dt:g} Hz; the stream has {', '.join(axes)} at "
+                f"{1 / dt:g} Hz."
+            )
+        return [tuple(axes).index(axis) for axis in self.axes]
+
+    def warm_up(self) -> None:
+        """Nothing is compiled."""
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        self._stream = self._monitor.stream()
+        self._received, self._above, self._raised = 0, 0, False  # samples; after which the threshold was exceeded
+
+    def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
+        """Feed any number of samples ``[time, axis]``; returns the scores and alarms that come with them, in order.
+
+        Args:
+            samples: in the units of the training recordings.
+            time: stamp of the last of them, s; None = samples received x period.
+
+        Raises:
+            InputError: other axes, or values that are not finite.
+        """
+        scores = self._stream.push(samples)
+        count = len(scores)
+        last = (self._received + count) * self.dt if time is None else time
+        step = self._monitor.score_step
+        first = -(self._received + 1) % step  # the first sample with a new score
+        events: list[Event] = []
+        for place in range(first, count, step):
+            sample = self._received + place + 1
+            events += self._judged(sample, stamp_before(last, count - place - 1, self.dt), float(scores[place]))
+        self._received += count
+        return events
+
+    def _judged(self, sample: int, time: float, score: float) -> list[Event]:
+        """The score after a sample, and the alarm that it raises or clears."""
+        p = conformal_p(self._monitor.peaks_, score)
+        events: list[Event] = [AnomalyScore(sample, time, score, self.threshold, p)]
+        if score > self.threshold:
+            self._above = sample
+        raised = self._above > 0 and (sample - self._above) * self.dt < self._hold
+        if raised != self._raised:
+            events.append((AnomalyRaised if raised else AnomalyCleared)(sample, time, MONITOR, 1 - p))
+        self._raised = raised
+        return events

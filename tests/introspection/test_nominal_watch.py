@@ -1,0 +1,60 @@
+"""A nominal monitor in a stream: the events of its scores and alarms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore
+from rcbht_jax.introspection.alarms import conformal_p, conformal_threshold, trials_needed
+from rcbht_jax.introspection.nominal import NominalMonitor
+from rcbht_jax.introspection.nominal_file import MonitorFile
+from rcbht_jax.introspection.nominal_watch import NominalWatch
+
+RNG = np.random.default_rng(0)
+MONITOR = NominalMonitor(rate=20, score_rate=10, memory=0.5).fit(0.1 * RNG.normal(size=(30, 80, 2)))
+FAULT = 0.1 * RNG.normal(size=(80, 2)) + np.array([3.0, 2.0]) * ((np.arange(80) >= 30) & (np.arange(80) < 40))[:, None]
+
+
+def watch() -> NominalWatch:
+    return NominalWatch(MonitorFile(MONITOR, ("Fz", "grip"), ()), 0.1)
+
+
+def test_events_do_not_depend_on_pieces_and_agree_with_the_monitor() -> None:
+    whole = watch().push(FAULT, 13.95)
+    for pieces in (3, 7, 80):
+        reader, parts = watch(), np.array_split(np.arange(80), pieces)
+        assert [event for part in parts for event in reader.push(FAULT[part], 10 + 0.05 * part[-1])] == whole
+    scores = [event for event in whole if isinstance(event, AnomalyScore)]
+    assert [event.sample for event in scores] == list(range(2, 81, 2))
+    assert [event.score for event in scores] == MONITOR.scores(FAULT)[1::2].tolist()
+    (raised,) = [event for event in whole if isinstance(event, AnomalyRaised)]
+    assert raised.sample * 0.05 == pytest.approx(MONITOR.detect(FAULT, 0.1))
+    assert raised.time == pytest.approx(10 + (raised.sample - 1) * 0.05)
+
+
+def test_an_alarm_stands_until_no_score_has_exceeded_the_threshold_for_the_memory() -> None:
+    events = watch().push(FAULT)
+    scores = {event.sample: event for event in events if isinstance(event, AnomalyScore)}
+    (raised,) = [event.sample for event in events if isinstance(event, AnomalyRaised)]
+    (cleared,) = [event.sample for event in events if isinstance(event, AnomalyCleared)]
+    latest = max(sample for sample, event in scores.items() if event.score > event.threshold)
+    assert cleared == latest + 10  # 0.5 s
+    assert raised == min(sample for sample, event in scores.items() if event.p_value <= 0.1)
+
+
+@given(st.lists(st.integers(0, 9), min_size=4, max_size=40), st.integers(0, 10), st.floats(0.01, 0.9))
+def test_the_p_value_is_small_just_where_the_threshold_is_exceeded(peaks, score, share):
+    values = np.array(peaks, float)
+    if len(peaks) >= trials_needed(share):
+        assert (conformal_p(values, score) <= share + 1e-9) == (score > conformal_threshold(values, share))
+
+
+def test_a_stream_needs_its_axes_and_its_rate() -> None:
+    assert watch().columns(("grip", "Fx", "Fz"), 0.05) == [2, 0]
+    for axes, dt in ((("Fz",), 0.05), (("Fz", "grip"), 0.01)):
+        with pytest.raises(InputError, match="The monitor needs Fz, grip at 20 Hz; the stream has"):
+            watch().columns(axes, dt)
