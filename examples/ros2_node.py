@@ -139,7 +139,7 @@ class Bridge:
         return WordIntrospector(config, limits, AXES)
 
     def _open(self, introspector: Introspector | WordIntrospector) -> None:
-        both = Together(introspector, monitor=self._watch)
+        both = Together(introspector, readers=[self._watch] if self._watch else [])
         both.warm_up()
         self.session = Session(both)
 

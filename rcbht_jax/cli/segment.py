@@ -55,13 +55,24 @@ class Segment(Command):
     """Seed of trees and copies."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="SEGMENTS.csv")] = Path("segments.csv")
     """Table to write."""
+    write_model: Annotated[
+        Path | None,
+        option(
+            'Also write the segmenter trained on all annotated recordings, for "rcbht stream --segmenter".',
+            "",
+            metavar="SEGMENTER",
+        ),
+    ] = None
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
         from rcbht_jax.encoding.rules import AUTO
-        from rcbht_jax.introspection.segmentation import Protocol, WrenchSegmenter, segment
+        from rcbht_jax.introspection.segmentation import Protocol, WrenchSegmenter, fit_annotated, segment
+        from rcbht_jax.introspection.segmenter_file import SegmenterFile, save
         from rcbht_jax.io.store import read_recordings
 
+        if self.write_model is not None and self.offline:
+            raise InputError("A segmenter that reads later samples cannot follow a stream; leave out --offline.")
         if self.out.suffix != ".csv":
             raise InputError(f"{self.out} must end in .csv.")
         recordings = read_recordings(self.store)
@@ -72,9 +83,14 @@ class Segment(Command):
         segmenter = WrenchSegmenter(offline=self.offline, random_state=self.seed, **words)
         with progress_bar("segment", "models") as bar:
             result = segment(recordings.take(np.flatnonzero(chosen)), segmenter, protocol, bar.update)
+            if self.write_model is not None:
+                whole = fit_annotated(segmenter, result.recordings, result.truth)
+                save(self.write_model, SegmenterFile.of(whole, result.protocol.track, result.classes))
+                bar.update(1)
         with atomic_write(self.out) as draft:
             draft.write_text(_table(result), encoding="utf-8")
-        return {"out": str(self.out), "causal": not self.offline, "rule": self.rule, **result.to_json()}
+        model = {} if self.write_model is None else {"model": str(self.write_model)}
+        return {"out": str(self.out), **model, "causal": not self.offline, "rule": self.rule, **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
         how = "causal" if result["causal"] else "offline"
@@ -87,7 +103,8 @@ class Segment(Command):
             unit = " s, median" if name == "delay" else ""
             lines.append(f"  {names.get(name, name):32}{value:.3f}{unit}")
         lines.append(f"  {'most frequent class':32}{result['majority']:.3f}")
-        return "\n".join([*lines, f"{result['protocol']}, {how}"])
+        model = [f"{result['model']}: trained on all annotated recordings"] if "model" in result else []
+        return "\n".join([*lines, f"{result['protocol']}, {how}", *model])
 
 
 def _table(result: Segmentation) -> str:

@@ -17,6 +17,7 @@ from rcbht_jax.cli.command import (
     Arm,
     BeliefRate,
     CompileCache,
+    MadeBy,
     OnlineModel,
     RuleCommand,
     belief_rate,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from rcbht_jax.introspection.introspector import Introspector
     from rcbht_jax.introspection.model import IntrospectionModel
     from rcbht_jax.introspection.session import Session
-    from rcbht_jax.introspection.together import Together
+    from rcbht_jax.introspection.together import Reader, Together
     from rcbht_jax.introspection.words import WordIntrospector
     from rcbht_jax.io.messages import LineReader, Message
 
@@ -107,6 +108,11 @@ class Source(RuleCommand):
         MONITOR,
     ] = None
     false_alarms: FalseAlarms = 0.05
+    segmenter: Annotated[
+        Path | None,
+        option('File of "rcbht segment --write-model", for a label of the newest sample.', "", metavar="SEGMENTER"),
+        MadeBy('"rcbht segment STORE.zarr --write-model {path}"'),
+    ] = None
     max_gap: Annotated[
         float | None,
         option(
@@ -144,21 +150,19 @@ class Source(RuleCommand):
         from rcbht_jax._util.signals import check_axes
         from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
-        from rcbht_jax.introspection.nominal_file import load as load_monitor
-        from rcbht_jax.introspection.nominal_watch import NominalWatch
         from rcbht_jax.introspection.session import Session, paced
         from rcbht_jax.introspection.together import Together
 
         self.check()
         model = None if self.model is None else load(self.model)
-        monitor = None if self.monitor is None else load_monitor(self.monitor)
+        readers = self._readers()
+        reads = readers[-1][1] if readers else None
         live, messages = self.source == "-", self._messages(model)
         compile_cache.use(self.compile_cache)
         if live:  # its beginning must not be read faster than it is played
             messages = paced(messages, self.pace)
         introspector: AnyIntrospector
         if model is None:
-            reads = None if monitor is None else Reads(monitor.axes, monitor.units, monitor.monitor.rate)
             introspector, messages = self._words(messages, say, reads)
         else:
             detect = self.starts == "detected"
@@ -171,12 +175,12 @@ class Source(RuleCommand):
                 others, messages = self._words(messages, say, reads)
                 introspector = Together(introspector, others)
         if snaps := detector_of(self.snap, 1 / introspector.config.dt):
-            introspector = Together(introspector, snaps=snaps)
-        if monitor is not None:
+            introspector = Together(introspector, readers=[snaps])
+        if readers:
             units = dict(zip(introspector.axes, introspector.units, strict=True))
-            found = [units.get(axis, "") for axis in monitor.axes]
-            check_axes(monitor.axes, found, monitor.axes, monitor.units, self.source)
-            introspector = Together(introspector, monitor=NominalWatch(monitor, self.false_alarms))
+            for _, own in readers:
+                check_axes(own.axes, [units.get(axis, "") for axis in own.axes], own.axes, own.units, self.source)
+            introspector = Together(introspector, readers=[reader for reader, _ in readers])
         return Session(introspector, self.max_gap, self.tare), messages if live else paced(messages, self.pace)
 
     @property
@@ -195,6 +199,22 @@ class Source(RuleCommand):
         from rcbht_jax.introspection.model import load
 
         return self.source == "-" and (self.model is None or self._beside(load(self.model)))
+
+    def _readers(self) -> list[tuple[Reader, Reads]]:
+        """The segmenter and the monitor of the options, each with what it reads."""
+        from rcbht_jax.introspection import nominal_file, segmenter_file
+        from rcbht_jax.introspection.nominal_watch import NominalWatch
+        from rcbht_jax.introspection.segmenter_stream import SegmenterStream
+
+        readers: list[tuple[Reader, Reads]] = []
+        if self.segmenter is not None:
+            segmenter = segmenter_file.load(self.segmenter)
+            reads = Reads(segmenter.axes, segmenter.units, 1 / segmenter.encoder.dt)
+            readers.append((SegmenterStream(segmenter, self.certainty), reads))
+        if self.monitor is not None:
+            file = nominal_file.load(self.monitor)
+            readers.append((NominalWatch(file, self.false_alarms), Reads(file.axes, file.units, file.monitor.rate)))
+        return readers
 
     def _beside(self, model: IntrospectionModel) -> bool:
         """Whether words are shown that the model does not read."""

@@ -32,29 +32,61 @@ def trailing_statistics(signal: Signal, dt: float, windows: Sequence[float] = WI
         >>> trailing_statistics(np.arange(4.0)[:, None], 1.0, (2.0,)).round(2).tolist()[2]
         [2.0, 1.5, 0.5, 1.0, -0.5, 0.5]
     """
-    columns, level = [signal], signal[:1]
-    signal = signal - level  # sums of squares of a large level would lose what varies
-    for seconds in windows:
-        count = max(2, round(seconds / dt))
-        first = np.maximum(np.arange(len(signal)) - count + 1, 0)
-        n = (np.arange(len(signal)) - first + 1)[:, None]
-        mean, square, moment = _means(signal, first, n)
-        spread = np.sqrt(np.maximum(square - mean**2, 0))
-        width = (n**2 - 1) / 12  # variance of n consecutive sample numbers
-        slope = np.where(n > 1, moment / np.maximum(width, 1e-12), 0) / dt
-        low, high = _extremes(signal, count)
-        columns += [mean + level, spread, slope, low - mean, high - mean]
-    return np.concatenate(columns, 1)
+    return TrailingStatistics(dt, windows).push(signal)
 
 
-def _means(
-    signal: Signal, first: Int[np.ndarray, " time"], n: Int[np.ndarray, "time 1"]
-) -> tuple[Signal, Signal, Signal]:
-    """Of each window the mean, the mean square and the covariance with the sample number."""
-    time = np.arange(len(signal))[:, None]
-    sums = [np.concatenate([np.zeros_like(x[:1]), np.cumsum(x, 0)]) for x in (signal, signal**2, signal * time)]
-    mean, square, product = ((total[1:] - total[first]) / n for total in sums)
-    return mean, square, product - mean * (time + first[:, None]) / 2
+class TrailingStatistics:
+    """:func:`trailing_statistics` of a stream: pieces of any size give the rows of the whole, bit for bit.
+
+    Args:
+        dt: seconds between samples.
+        windows: s, increasing.
+
+    Example:
+        >>> stream, signal = TrailingStatistics(1.0, (2.0,)), np.arange(9.0)[:, None] ** 2
+        >>> pieces = np.concatenate([stream.push(signal[:4]), stream.push(signal[4:])])
+        >>> bool((pieces == trailing_statistics(signal, 1.0, (2.0,))).all())
+        True
+    """
+
+    def __init__(self, dt: float, windows: Sequence[float] = WINDOWS) -> None:
+        self._dt = dt
+        self._counts = [max(2, round(seconds / dt)) for seconds in windows]
+        self._received = 0
+        self._level: Signal | None = None  # the first sample; sums of squares of a large level lose what varies
+        self._past: Signal = np.zeros((0, 0))  # as many samples as the longest window reads
+        self._totals: list[Signal] = []  # of values, squares and moments, up to each of them
+
+    def push(self, signal: Signal) -> Table:
+        """Rows of new samples."""
+        if not len(signal):
+            return np.zeros((0, signal.shape[1] * (1 + 5 * len(self._counts))))
+        if self._level is None:
+            self._level = signal[:1]
+            self._past = signal[:0]
+            self._totals = [np.zeros_like(signal[:1], np.float64)] * 3
+        new = signal - self._level
+        number = self._received + np.arange(len(new))
+        parts = (new, new**2, new * number[:, None])
+        totals = [
+            np.concatenate([kept[:-1], np.cumsum(np.concatenate([kept[-1:], part]), 0)])
+            for kept, part in zip(self._totals, parts, strict=True)
+        ]
+        before, joined, columns = self._received - len(self._past), np.concatenate([self._past, new]), [signal]
+        for count in self._counts:
+            first = np.maximum(number - count + 1, 0)
+            n = (number - first + 1)[:, None]
+            mean, square, product = ((total[-len(new) :] - total[first - before]) / n for total in totals)
+            spread = np.sqrt(np.maximum(square - mean**2, 0))
+            width = (n**2 - 1) / 12  # variance of n consecutive sample numbers
+            moment = product - mean * (number + first)[:, None] / 2
+            slope = np.where(n > 1, moment / np.maximum(width, 1e-12), 0) / self._dt
+            low, high = _extremes(joined[max(len(self._past) - count + 1, 0) :], count)
+            columns += [mean + self._level, spread, slope, low[-len(new) :] - mean, high[-len(new) :] - mean]
+        keep = max(self._counts, default=1)
+        self._past, self._totals = joined[-keep:], [total[-keep - 1 :] for total in totals]
+        self._received += len(new)
+        return np.concatenate(columns, 1)
 
 
 def _extremes(signal: Signal, count: int) -> tuple[Signal, Signal]:
@@ -78,8 +110,28 @@ def running_totals(signal: Signal) -> Table:
     >>> running_totals(np.array([[1.0], [-2.0], [0.0]])).tolist()
     [[1.0, 0.0], [2.0, 3.0], [2.0, 5.0]]
     """
-    steps = np.abs(np.diff(signal, axis=0, prepend=signal[:1]))
-    return np.concatenate([np.maximum.accumulate(np.abs(signal)), np.cumsum(steps, 0)], 1)
+    return RunningTotals().push(signal)
+
+
+class RunningTotals:
+    """:func:`running_totals` of a stream: pieces of any size give the rows of the whole, bit for bit."""
+
+    def __init__(self) -> None:
+        self._last: Signal | None = None  # sample
+        self._largest = self._path = np.zeros((1, 0))
+
+    def push(self, signal: Signal) -> Table:
+        """Rows of new samples."""
+        if not len(signal):
+            return np.zeros((0, 2 * signal.shape[1]))
+        if self._last is None:
+            self._last, self._path = signal[:1], np.zeros_like(signal[:1])
+            self._largest = self._path
+        steps = np.abs(np.diff(signal, axis=0, prepend=self._last))
+        largest = np.maximum.accumulate(np.concatenate([self._largest, np.abs(signal)]))[1:]
+        path = np.cumsum(np.concatenate([self._path, steps]), 0)[1:]
+        self._last, self._largest, self._path = signal[-1:], largest[-1:], path[-1:]
+        return np.concatenate([largest, path], 1)
 
 
 def with_norms(wrench: Signal, units: Sequence[str]) -> Table:

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.rules import config_of, limits_for
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.features.trailing import latest_words, running_totals, trailing_statistics, with_norms
+from rcbht_jax.introspection.segmenter_columns import WINDOWS, Course, decision_period
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.segment_metrics import UNKNOWN, SegmentationScore, Segments, segmentation_score
 from rcbht_jax.types import Recordings
@@ -35,9 +36,6 @@ with needs_extra("learn"):
     from sklearn.model_selection import GroupKFold
     from sklearn.utils.validation import check_is_fitted
 
-PERIOD = 0.025  # s between decisions; a label stays until the next one
-WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)  # s
-BELIEF_WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s
 ENOUGH = 8  # recordings; fewer are completed by copies
 SPREAD = 0.3  # copies differ in speed and force by factors of exp(-SPREAD) to exp(SPREAD)
 FOLDS = 4  # in which the first ensemble forms beliefs about recordings that it was not trained on
@@ -114,7 +112,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         rng = np.random.default_rng(self.random_state)
         completed, labels, group = _completed(recordings, y, rng)
         tables = self._tables(completed)
-        every = _every(recordings.dt)
+        every = decision_period(recordings.dt)
         labels = [part[::every] for part in labels]
         self.first_ = self._learn(tables, labels)
         beliefs = self._held_out_beliefs(tables, labels, group)
@@ -136,7 +134,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
                 f"{1 / recordings.dt:g} Hz; the segmenter learned {', '.join(self.axes_[0])} in "
                 f"{', '.join(self.axes_[1])} at {1 / self._dt:g} Hz."
             )
-        every = _every(recordings.dt)
+        every = decision_period(recordings.dt)
         out = []
         for table, length in zip(self._tables(recordings), recordings.length.tolist(), strict=True):
             believed = self._believe(self.first_, table)
@@ -147,6 +145,15 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
     def predict(self, recordings: Recordings) -> list[NDArray[np.int64]]:
         """Class of each sample of each recording."""
         return [self.classes_[part.argmax(1)] for part in self.predict_proba(recordings)]
+
+    def encoder(self) -> tuple[AnyConfig, AnyLimits]:
+        """Options and limits of the encoder of the words.
+
+        Raises:
+            NotFittedError: of scikit-learn.
+        """
+        check_is_fitted(self, "second_")
+        return config_of(self.rule, self.window, self._dt), self._limits
 
     def _learn(self, tables: Tables, labels: Sequence[NDArray[Any]]) -> Any:
         x, y = np.concatenate(tables), np.concatenate(labels)
@@ -170,7 +177,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
 
     def _tables(self, recordings: Recordings) -> Tables:
         """Features of each recording for the first ensemble, one row per decision."""
-        dt, every = recordings.dt, _every(recordings.dt)
+        dt, every = recordings.dt, decision_period(recordings.dt)
         words = self._words(recordings, every) if self.words else [np.zeros((0, 0))] * len(recordings)
         tables = []
         for values, length, word in zip(recordings.wrench, recordings.length.tolist(), words, strict=True):
@@ -194,17 +201,10 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
 
     def _course(self, belief: Float[np.ndarray, "moment class"]) -> Float[np.ndarray, "moment column"]:
         """Beliefs of the first ensemble until each decision; with ``offline``, also of later ones."""
-        sides = [belief] if not self.offline else [belief, belief[::-1]]
-        parts = []
-        for step, side in zip((1, -1), sides, strict=False):
-            course = [side, trailing_statistics(side, PERIOD, BELIEF_WINDOWS)]
-            course += [np.maximum.accumulate(side), np.cumsum(side, 0) * PERIOD]
-            parts.append(np.concatenate(course, 1)[::step])
-        return np.concatenate(parts, 1)
-
-
-def _every(dt: float) -> int:
-    return max(1, round(PERIOD / dt))
+        sides = [Course().push(belief)]
+        if self.offline:
+            sides.append(Course().push(belief[::-1])[::-1])
+        return np.concatenate(sides, 1)
 
 
 def _completed(
@@ -352,13 +352,29 @@ def segment(
             progress(1)
     new = np.flatnonzero(~known)
     if len(new):
-        training = np.flatnonzero(known)
-        model = clone(segmenter).fit(recordings.take(training), [truth[row] for row in training])
+        model = fit_annotated(segmenter, recordings, truth)
         for row, part in zip(new.tolist(), model.predict(recordings.take(new)), strict=True):
             predicted[row] = part
     score = segmentation_score([true for true, _ in pairs], [guess for _, guess in pairs], recordings.dt)
     used = replace(protocol, track=track)
     return Segmentation(recordings, used, recordings.annotations.labels[track], predicted, truth, score)
+
+
+def fit_annotated(
+    segmenter: WrenchSegmenter, recordings: Recordings, truth: Sequence[NDArray[np.int64]]
+) -> WrenchSegmenter:
+    """A copy that is fitted to all recordings with an annotated sample.
+
+    Args:
+        segmenter: its parameters are used.
+        recordings: annotated or not.
+        truth: class of each sample of each recording; UNKNOWN = not annotated.
+
+    Raises:
+        InputError: fewer than two classes.
+    """
+    rows = np.flatnonzero([(part != UNKNOWN).any() for part in truth])
+    return clone(segmenter).fit(recordings.take(rows), [truth[row] for row in rows.tolist()])
 
 
 def _splits(rows: NDArray[np.int64], groups: NDArray[Any], protocol: Protocol) -> Iterator[tuple[Any, Any]]:

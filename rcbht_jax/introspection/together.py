@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
 import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike
@@ -11,28 +14,45 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, Word
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import Head
-from rcbht_jax.introspection.nominal_watch import NominalWatch
-from rcbht_jax.introspection.snaps import SnapDetector
+from rcbht_jax.introspection.segmenter_stream import SegmenterHead, SegmenterStream
 from rcbht_jax.introspection.words import WordIntrospector
 
 
+@runtime_checkable
+class Reader(Protocol):
+    """Reads some axes of a stream."""
+
+    def columns(self, axes: Sequence[str], dt: float) -> list[int]:
+        """Column numbers of its axes in a signal with these axes and ``dt`` s between samples."""
+
+    def warm_up(self) -> None:
+        """Compile everything now."""
+
+    def reset(self) -> None:
+        """Start a new trial."""
+
+    def push(self, samples: ArrayLike, time: float | None = None) -> Sequence[Event]:
+        """Feed samples ``[time, axis]`` of these columns; returns the events that they cause."""
+
+
 class Together:
-    """An introspector with words that its model does not read, a detector of snaps, a nominal monitor, or several.
+    """An introspector, and other readers of the same stream.
 
     Args:
         main: reports sub-tasks, and beliefs if it has a model.
         words: whose words are reported in place of those of ``main``.
-        snaps: detector on some of the axes; those of ``main`` by name.
-        monitor: on some of the axes, likewise.
+        readers: such as :class:`rcbht_jax.introspection.snaps.SnapDetector`,
+            :class:`rcbht_jax.introspection.nominal_watch.NominalWatch` and
+            :class:`rcbht_jax.introspection.segmenter_stream.SegmenterStream`; each gets its axes by name.
 
     Raises:
-        InputError: their axes or their sampling periods differ.
+        InputError: their axes or their sampling periods differ, or two classifiers have the same name.
 
     Example:
         >>> import rcbht_jax as rj
         >>> force = np.interp(np.arange(600) / 200, [0, 0.5, 2.0, 2.03, 3], [0, 0, 9, 2, 2])[:, None]
         >>> words = WordIntrospector(rj.EncoderConfig(), rj.preset("hiro", ["Fz"]), ["Fz"])
-        >>> events = Together(words, snaps=SnapDetector(200.0, ["Fz"], least=3.0)).push(force)
+        >>> events = Together(words, readers=[rj.SnapDetector(200.0, ["Fz"], least=3.0)]).push(force)
         >>> [event.published for event in events if type(event).__name__ == "Snap"]
         [None, 2.04]
     """
@@ -41,8 +61,7 @@ class Together:
         self,
         main: Introspector | WordIntrospector | Together,
         words: WordIntrospector | None = None,
-        snaps: SnapDetector | None = None,
-        monitor: NominalWatch | None = None,
+        readers: Sequence[Reader] = (),
     ) -> None:
         self._main = main
         self._words: WordIntrospector | Introspector | Together = words or main
@@ -51,7 +70,10 @@ class Together:
                 f"The stream has {', '.join(words.axes)} at {1 / words.config.dt:g} Hz; the model reads "
                 f"{', '.join(main.axes)} at {1 / main.config.dt:g} Hz."
             )
-        readers = [reader for reader in (snaps, monitor) if reader is not None]
+        self._heads = tuple(reader.head for reader in readers if isinstance(reader, SegmenterStream))
+        names = [head.name for head in self.heads]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise InputError(f"Two classifiers of the stream are named {twice[0]}; use one of them.")
         self._readers = [(reader, reader.columns(main.axes, main.config.dt)) for reader in readers]
 
     @property
@@ -65,9 +87,9 @@ class Together:
         return self._main.units
 
     @property
-    def heads(self) -> tuple[Head, ...]:
-        """The classifiers."""
-        return self._main.heads
+    def heads(self) -> tuple[Head | SegmenterHead, ...]:
+        """The classifiers, also that of a segmenter."""
+        return (*self._main.heads, *self._heads)
 
     @property
     def certainty(self) -> float:

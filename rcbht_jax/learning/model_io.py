@@ -30,6 +30,7 @@ MAKERS = {
     FORMAT: "rcbht train",
     "rcbht-introspection-1": "rcbht train-online",
     "rcbht-monitor-1": "rcbht monitor fit",
+    "rcbht-segmenter-1": "rcbht segment --write-model",
 }
 
 _ARRAYS = ("center", "width", "knots", "support", "support_count", "dual", "intercept")

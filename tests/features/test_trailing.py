@@ -8,7 +8,14 @@ import pytest
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
-from rcbht_jax.features.trailing import latest_words, running_totals, trailing_statistics, with_norms
+from rcbht_jax.features.trailing import (
+    RunningTotals,
+    TrailingStatistics,
+    latest_words,
+    running_totals,
+    trailing_statistics,
+    with_norms,
+)
 
 
 @pytest.mark.parametrize("seconds", [0.05, 0.2, 1.0])
@@ -71,3 +78,16 @@ def test_a_large_level_hides_nothing():
     small = np.random.default_rng(4).normal(size=(500, 1))
     near, far = (trailing_statistics(small + offset, 0.1, (1.0,)) for offset in (0.0, 1e5))
     assert far[:, 2:] == pytest.approx(near[:, 2:], abs=1e-6)
+
+
+@pytest.mark.parametrize("sizes", [(1,) * 60, (7,) * 8, (0, 60), (59, 0, 1)])
+def test_pieces_of_a_stream_give_the_rows_of_the_whole(sizes):
+    signal = np.random.default_rng(4).normal(size=(60, 2)).cumsum(0) + 100
+    pieces = np.split(signal, np.cumsum(sizes)[:-1])
+    for stream, whole in (
+        (TrailingStatistics(0.025, (0.05, 0.2, 1.0)), trailing_statistics(signal, 0.025, (0.05, 0.2, 1.0))),
+        (RunningTotals(), running_totals(signal)),
+    ):
+        rows = np.concatenate([stream.push(piece) for piece in pieces])
+        assert np.array_equal(rows, whole[: len(rows)])
+        assert len(rows) == sum(map(len, pieces))

@@ -173,7 +173,7 @@ def test_sizes_that_mean_nothing_are_refused(options: dict[str, object], sentenc
 
 def test_together_merges_events_by_sample_and_refuses_other_axes() -> None:
     words = WordIntrospector(rj.EncoderConfig(), rj.preset("hiro", AXES), AXES, ["N"] * 3)
-    both = Together(words, snaps=detector())
+    both = Together(words, readers=[detector()])
     events = both.push(wide(released()))
     assert [event.sample for event in events] == sorted(event.sample for event in events)
     assert sum(isinstance(event, Snap) for event in events) == 2
@@ -181,7 +181,7 @@ def test_together_merges_events_by_sample_and_refuses_other_axes() -> None:
     both.reset()
     assert both.received == 0
     with pytest.raises(InputError, match="The detector needs Fy at 200 Hz"):
-        Together(words, snaps=SnapDetector(RATE, ["Fy"], LEAST))
+        Together(words, readers=[SnapDetector(RATE, ["Fy"], LEAST)])
     slow = WordIntrospector(rj.EncoderConfig(dt=0.01), rj.preset("hiro", AXES), AXES, ["N"] * 3)
     with pytest.raises(InputError, match="100 Hz; the model reads"):
         Together(words, slow)

@@ -20,7 +20,7 @@ WRENCH = np.concatenate([trial(2, 4, 200), trial(1, 5, 150)])
 WRENCH[80:200, 2] += 8
 STREAM = Together(
     Together(Introspector(model()), WordIntrospector(FIT, FIT_LIMITS)),
-    snaps=SnapDetector(200.0, ["Fz", "My"], least=3.0),
+    readers=[SnapDetector(200.0, ["Fz", "My"], least=3.0)],
 )
 
 

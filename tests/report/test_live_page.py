@@ -248,7 +248,7 @@ def test_silence_is_told_at_once():
 def test_scores_of_a_monitor_are_shown():
     monitor = NominalMonitor(rate=200).fit([trial(1, seed, 300) for seed in range(6)])
     watch = NominalWatch(MonitorFile(monitor, AXES, ()), 0.2)
-    session = Session(Together(Introspector(model()), monitor=watch))
+    session = Session(Together(Introspector(model()), readers=[watch]))
     wrench = trial(1, 8, 300) + 50.0 * (np.arange(300) > 200)[:, None]
     said, _ = frames_of(session, samples_of(wrench))
     shown = np.array([row for frame in said for row in frame["scores"]])

@@ -1,0 +1,154 @@
+"""A segmenter as a reader of a stream: the class of the newest sample, 40 times per second, as beliefs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from rcbht_jax._util.signals import numbers_of
+from rcbht_jax.encoding.stream import Encoder
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import Belief, stamp_before
+from rcbht_jax.features.trailing import RunningTotals, TrailingStatistics, with_norms
+from rcbht_jax.introspection.alarms import Confidence
+from rcbht_jax.introspection.segmenter_columns import WINDOWS, Course, decision_period
+from rcbht_jax.introspection.segmenter_file import SegmenterFile
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTracks
+
+MARGIN = 0.05  # below the certainty, until which a belief stays certain
+
+
+@dataclass(frozen=True)
+class SegmenterHead:
+    """What a viewer needs to know of a segmenter's answers."""
+
+    name: str  # track of annotations
+    classes: tuple[str, ...]
+    alarm: str = ""
+    alarm_level: float = 0.0
+
+
+class SegmenterStream:
+    """Beliefs of a segmenter over a stream; chunks of any size give the same events.
+
+    They equal :meth:`rcbht_jax.introspection.segmentation.WrenchSegmenter.predict_proba`, but for words that a
+    recording publishes only because it ends. :meth:`reset` begins the next recording.
+
+    Args:
+        file: a fitted segmenter.
+        certainty: probability above which a belief counts as certain.
+
+    Raises:
+        InputError: the certainty is out of range.
+
+    Example:
+        >>> from rcbht_jax import Recordings
+        >>> from rcbht_jax.introspection.segmentation import WrenchSegmenter
+        >>> force = np.random.default_rng(0).normal(size=(4, 200, 1)) * 0.1
+        >>> force[:, 100:] += 5
+        >>> recordings = Recordings.from_arrays(force, rate=40, axes=["grip"], units=["N"])
+        >>> segmenter = WrenchSegmenter(trees=10).fit(recordings, [np.arange(200) // 100] * 4)
+        >>> stream = SegmenterStream(SegmenterFile.of(segmenter, "phase", ("free", "contact")))
+        >>> [stream.push(part)[-1].label for part in np.array_split(force[0], 4)]
+        ['free', 'free', 'contact', 'contact']
+    """
+
+    def __init__(self, file: SegmenterFile, certainty: float = 0.7) -> None:
+        self._file, self.dt = file, file.encoder.dt
+        self.head = SegmenterHead(file.track, file.classes)
+        self._every = decision_period(self.dt)
+        self._encoder = Encoder(file.encoder, file.limits) if file.words else None
+        self._confidence = Confidence(certainty, MARGIN)
+        self.reset()
+
+    def columns(self, axes: Sequence[str], dt: float) -> list[int]:
+        """Column numbers of its axes in a signal with these axes and ``dt`` s between samples.
+
+        Raises:
+            InputError: the signal lacks an axis or has another rate.
+        """
+        known = self._file.axes
+        if not set(known) <= set(axes) or not np.isclose(dt, self.dt):
+            raise InputError(
+                f"The segmenter needs {', '.join(known)} at {1 / self.dt:g} Hz; the stream has {', '.join(axes)} at "
+                f"{1 / dt:g} Hz."
+            )
+        return [tuple(axes).index(axis) for axis in known]
+
+    def warm_up(self) -> None:
+        """Compile the encoder now, instead of in the first :meth:`push`."""
+        if self._encoder is not None:
+            Encoder(self._file.encoder, self._file.limits).push(
+                np.zeros((self._file.encoder.window, len(self._file.axes)))
+            )
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        self._received = 0
+        self._statistics, self._totals = TrailingStatistics(self.dt, WINDOWS), RunningTotals()
+        self._course = Course()
+        self._words = np.zeros((len(LAYERS), len(self._file.axes), 4))  # code, change of value, first sample, end
+        self._confidence.reset()
+        if self._encoder is not None:
+            self._encoder.restart()
+
+    def push(self, samples: ArrayLike, time: float | None = None) -> list[Belief]:
+        """Feed any number of samples ``[time, axis]``; returns the beliefs that come with them.
+
+        Args:
+            samples: in the units of the training recordings.
+            time: stamp of the last of them, s; None = samples received x period.
+
+        Raises:
+            InputError: other axes, or values that are not finite.
+        """
+        chunk = numbers_of(samples).astype(np.float32)
+        if chunk.ndim != 2 or chunk.shape[1] != len(self._file.axes) or not np.isfinite(chunk).all():
+            raise InputError(f"Samples have shape {chunk.shape}; expected finite [time, {len(self._file.axes)}].")
+        last = (self._received + len(chunk)) * self.dt if time is None else time
+        events = []
+        while len(chunk):
+            count = -self._received % self._every + 1  # until the next decision
+            piece, chunk = chunk[:count], chunk[count:]
+            row = self._row(piece)
+            self._received += len(piece)
+            if len(piece) == count:
+                events.append(self._belief(row, stamp_before(last, len(chunk), self.dt)))
+        return events
+
+    def _row(self, piece: Float[np.ndarray, "time axis"]) -> Float[np.ndarray, "1 column"]:
+        """What the first ensemble reads after these samples."""
+        signal = with_norms(piece.astype(np.float64), self._file.units)
+        parts = [self._statistics.push(signal)[-1:], self._totals.push(signal)[-1:]]
+        if self._encoder is not None:
+            for tracks in self._encoder.push(piece):
+                self._publish(tracks)
+            words = self._words.copy()
+            known, now = words[..., 0] > 0, self._received + len(piece)
+            words[..., 2], words[..., 3] = words[..., 3] - words[..., 2], now - words[..., 3]
+            parts.append(np.where(known[..., None], words, 0.0).reshape(1, -1))
+        return np.concatenate(parts, 1)
+
+    def _publish(self, tracks: LabelTracks) -> None:
+        """Remember the newest word of each layer and axis."""
+        for layer, words in zip(LAYERS, self._words, strict=True):
+            track = getattr(tracks, layer)
+            for axis, slot in zip(*np.nonzero(np.asarray(track.label) > 0), strict=True):
+                change = track.vmax[axis, slot] - track.vmin[axis, slot]
+                words[axis] = track.label[axis, slot], change, track.t0[axis, slot], track.t1[axis, slot]
+
+    def _belief(self, row: Float[np.ndarray, "1 column"], time: float) -> Belief:
+        first = self._file.first.probabilities(row)
+        second = self._file.second.probabilities(np.concatenate([row, self._course.push(first)], 1))[0]
+        best = int(second.argmax())
+        label, probability = self.head.classes[best], float(second[best])
+        level, since = self._confidence.update(label, probability, self._received * self.dt)
+        return Belief(
+            self._received, time, self.head.name, label, probability, level, since, self.head.classes,
+            tuple(second.tolist()),
+        )  # fmt: skip
