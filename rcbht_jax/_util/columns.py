@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s per unit of time
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "d": 86400.0}  # s per unit of time
 UNITS = {
     "n": "N", "nm": "Nm", "mn": "mN", "mnm": "mNm", "kn": "kN", "nmm": "Nmm", "ncm": "Ncm", "knm": "kNm", "kgf": "kgf",
     "lbf": "lbf", "lbfin": "lbf in", "lbfft": "lbf ft", "newton": "N", "newtons": "N", "newtonmeter": "Nm",

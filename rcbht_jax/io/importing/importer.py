@@ -2,9 +2,10 @@
 
 Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at its own rate), ``resampled:RATE`` (from
 that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
-``stuck:AXIS``, ``missing:COUNT``, ``repeated:COUNT``, ``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``,
-``held:COUNT``, ``zeros:COUNT`` (samples), ``cp1252``, ``changes:COLUMN`` (one that should be constant),
-``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
+``stuck:AXIS``, ``counts`` (were divided), ``other-lengths:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
+``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples), ``cp1252``,
+``changes:COLUMN`` (one that should be constant), ``beginning-of:OTHER``, ``copy-of:OTHER``,
+``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
-from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches
+from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
 from rcbht_jax.io.importing.mapping import Mapping, Track, check
 from rcbht_jax.io.importing.record import Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
@@ -193,8 +194,8 @@ def _understood(
     """The recordings of a table, and the meaning of its columns."""
     mapping, understood = guess(table, base)
     more = "" if base.channels else more_wrenches(table, mapping)
-    if more and more not in report.remarks:
-        report.remarks.append(more)
+    left = f"Arrays of another length were left out: {some(table.others)}." if table.others else ""
+    report.remarks += [text for text in (more, left) if text and text not in report.remarks]
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)
@@ -203,6 +204,7 @@ def _understood(
             report.warnings.append((record.name, f"{base.table} has no row for it."))
         if "changes:outcome" in record.notes:
             report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
+        record.intervals[:] = [_from_start(record, interval) for interval in record.intervals]
         yield record, (mapping, understood)
 
 
@@ -253,7 +255,7 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
 def _from_start(record: Record, interval: Interval) -> Interval:
     """An interval in s from the first sample, converted if its times can only be on the recording's clock."""
     track, label, start, end = interval
-    late = record.end <= start and record.origin - 1e-6 <= start < record.origin + record.end
+    late = record.end <= start < record.origin + record.end and (start >= record.origin - 1e-6 or end > record.origin)
     return (track, label, max(start - record.origin, 0.0), end - record.origin) if late else interval
 
 

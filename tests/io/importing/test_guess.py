@@ -48,6 +48,13 @@ def table(*names: str, **values: object) -> Table:
         ("Kraft_x_N Kraft_y_N Kraft_z_N Drehmoment_x_Nm Drehmoment_y_Nm Drehmoment_z_Nm", "Fx Fy Fz Mx My Mz",
          "N,N,N,Nm,Nm,Nm"),
         ("Weg_x Weg_y Weg_z", "Weg_x Weg_y Weg_z", ",,"),
+        ("cartForce1_X cartForce1_Y cartForce1_Z cartTorque1_TauX cartTorque1_TauY cartTorque1_TauZ cartPosCmd1_X",
+         "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("tcpForceX tcpForceY tcpForceZ tcpSpeedX", "Fx Fy Fz", ",,"),
+        ("s.force[1] s.force[2] s.force[3] s.torque[1] s.torque[2] s.torque[3]", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        (" ".join(f"wrench.signals.values_{k}" for k in range(6)), "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("F_1 F_2 F_3", "F_1 F_2 F_3", ",,"),
+        ("force_x force_y force_z " + " ".join(f"joint_torque_{k}" for k in range(7)), "Fx Fy Fz", ",,"),
     ],
 )  # fmt: skip
 def test_channels(names: str, axes: str, units: str) -> None:
@@ -74,12 +81,36 @@ def test_channels(names: str, axes: str, units: str) -> None:
         ("time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
         ("Date/Time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
         ("Aufgenommen", np.arange(N).astype("datetime64[s]").astype(str), "s"),
+        ("simTime", np.arange(N) * 0.05, "s"),
+        ("duration", np.arange(N) * 2.0, "ms"),
+        ("Time", 45321.43 + np.arange(N) * 0.005 / 86400, "d"),
+        ("Gemessen", 739311.43 + np.arange(N) * 0.005 / 86400, "d"),
+        ("X_Value", np.arange(N) * 0.001, "s"),
     ],
 )
 def test_time(name: str, values: np.ndarray, unit: str) -> None:
     mapping, _ = guess(Table("a.csv", {name: values, "Fz": np.ones(N)}))
     assert (mapping.time, mapping.time_unit) == (name, unit)
     assert mapping.axes == ("Fz",)
+
+
+@pytest.mark.parametrize(("axes", "unit"), [(["Fx", "Fy", "Fz"], "ms"), (["level"], "s")])
+def test_a_wrench_is_not_logged_once_a_second(axes: list[str], unit: str) -> None:
+    mapping, _ = guess(Table("a.csv", {"time": np.arange(N) * 1.0} | {axis: np.ones(N) for axis in axes}))
+    assert mapping.time_unit == unit
+
+
+def test_a_time_stops_no_stated_rate_if_it_repeats() -> None:
+    columns = {"Time": np.repeat(np.arange(N / 2) * 0.016, 2), "Fz": np.ones(N)}
+    assert guess(Table("a.csv", columns, rate=125.0))[0].time == ""
+
+
+@pytest.mark.parametrize("names", [("ZeitInSec", "ZeitInNanoSec"), ("c0", "c1")])
+def test_seconds_and_nanoseconds_of_other_names(names: tuple[str, str]) -> None:
+    stamps = np.arange(N) * 100_000_000
+    columns = {names[0]: 1.7e9 + stamps // 10**9, names[1]: stamps % 10**9 * 1.0, "Fz": np.ones(N)}
+    mapping, _ = guess(Table("a.csv", columns))
+    assert (mapping.time, mapping.nanoseconds) == names
 
 
 def test_seconds_and_nanoseconds() -> None:
