@@ -11,7 +11,7 @@ that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:CO
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from rcbht_jax._util.digest import files_hash
@@ -21,16 +21,19 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.assemble import assemble
+from rcbht_jax.io.importing.constants import constants_of, describe
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
-from rcbht_jax.io.importing.mapping import Mapping, Track, check
+from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
+from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import Recordings
 
+Constants = dict[str, dict[str, float]]  # recording -> column -> value
 Progress = Callable[[list[Item]], Iterable[Item]]
 _ENDINGS = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
 
@@ -81,7 +84,7 @@ def read_source(
         listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
         were = plural(len(others), "other file was", "other files were")
         report.remarks.append(f"{were} not read: {listed}.")
-    read, used, tables = _read(source, items, base, report, progress)
+    read, used, tables, constants = _read(source, items, base, report, progress)
     found = [record for record, _ in read]
     names = marks.Names((record.file, record.part) for record in found)
     _beside(source, read, [track for track in base.annotations if not track.column], names, report)
@@ -91,9 +94,12 @@ def read_source(
     if not found:
         reason = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
         raise InputError(f"{source} holds no usable recording.{reason}")
+    described = describe(found, constants)
     recordings = assemble(found, source, base.rate, report)
     first, rows = used[found[0].name]
+    first = replace(first, columns={**first.columns, **{column_name(name): Value(name) for name in described}})
     taken = {row.column: row for _, others in used.values() for row in others if row.role != "left out"}
+    taken |= {name: Understood(name, f"column {column_name(name)}") for name in described}
     # a column may be empty in the first file, and state something in others
     report.understood = [asdict(taken.get(row.column, row) if row.role == "left out" else row) for row in rows]
     report.content_sha256 = _digest(source, items)
@@ -156,11 +162,12 @@ def _exported(source: Path, item: Item) -> Imported:
 
 def _read(
     source: Path, items: list[Item], base: Mapping, report: ImportReport, progress: Progress
-) -> tuple[list[tuple[Record, Item]], dict[str, tuple[Mapping, list[Understood]]], list[Table]]:
-    """The recordings of all files and where each is from, the mapping of each, and tables of intervals."""
+) -> tuple[list[tuple[Record, Item]], dict[str, tuple[Mapping, list[Understood]]], list[Table], Constants]:
+    """The recordings of all files and where each is from, the mapping of each, tables of intervals, and constants."""
     found: list[tuple[Record, Item]] = []
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
     beside: list[Table] = []
+    constants: Constants = {}
     listing: Table | None = None
     if not base.table and source.is_dir():
         base, listing = marks.with_table(source, base, items, report.remarks)
@@ -181,11 +188,14 @@ def _read(
                     for record, meaning in _understood(table, base, rows, report):
                         found.append((record, item))
                         used[record.name] = meaning
+                        if not base.channels and not meaning[0].group:
+                            unused = (row.column for row in meaning[1] if row.role == "left out")
+                            constants[record.name] = constants_of(table, unused)
                 except InputError as error:  # the other tables of the file may be usable
                     report.skipped.append((table.name, _reason(error, source)))
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
-    return found, used, beside
+    return found, used, beside, constants
 
 
 def _understood(

@@ -146,3 +146,17 @@ def test_what_to_do_with_files_of_another_kind(name: str, said: str, tmp_path: P
     (tmp_path / name).write_text("x")
     with pytest.raises(InputError, match=said):
         read_source(tmp_path)
+
+
+def test_numbers_that_are_constant_in_each_file_describe_the_recordings(tmp_path: Path) -> None:
+    """If they differ, and are constant in every file: a joint that rests in one file is a signal."""
+    for number in range(3):
+        table = np.column_stack([TIME, WRENCH + number, np.full(N, 8.0 + number % 2), np.full(N, 0.7), TIME * number])
+        (tmp_path / f"run{number}.csv").write_text(f"t,{','.join(AXES)},peg_diameter,mass,q_0\n{rows(table)}\n")
+    imported = read_source(tmp_path)
+    assert imported.recordings.columns.keys() == {"peg_diameter"}
+    assert imported.recordings.columns["peg_diameter"].tolist() == ["8", "9", "8"]
+    roles = {row["column"]: row["role"] for row in imported.report.understood}
+    assert (roles["peg_diameter"], roles["mass"], roles["q_0"]) == ("column peg_diameter", "left out", "left out")
+    again = read_source(tmp_path, mapping=imported.mapping).recordings
+    assert again.columns["peg_diameter"].tolist() == ["8", "9", "8"]
