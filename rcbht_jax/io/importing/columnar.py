@@ -31,7 +31,8 @@ _BOOKKEEPING = ("dataset_from_index", "dataset_to_index", "length")  # of an epi
 
 
 def read_parquet(path: Path, name: str) -> Iterator[Table]:
-    """The table of a Parquet file; lists of a fixed number of elements are columns ``name_0``, ``name_1``, ...
+    """The table of a Parquet file; lists of a fixed number of elements are columns ``name_0``, ``name_1``, ...,
+    fields of structures ``name.field``.
 
     >>> [table.columns["Fz"].shape for table in read_parquet(Path("run.parquet"), "run.parquet")]
     [(400,)]
@@ -85,8 +86,10 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
         usable = [field.name for field in schema if _kind(pa, field.type)]
         table = file.read(columns=usable)
         rows = (schema.metadata or {}).get(b"dt_seconds")
+    while any(pa.types.is_struct(field.type) for field in table.schema):
+        table = table.flatten()
     columns: dict[str, NDArray[Any]] = {}
-    for field in table.schema:
+    for field in (field for field in table.schema if _kind(pa, field.type)):
         column = table.column(field.name).combine_chunks()
         if _kind(pa, field.type) == "list":
             wide = _wide(column)
@@ -101,7 +104,7 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
 
 
 def _kind(pa: Any, kind: Any) -> str:
-    """ "number", "text", "time" or "list"; "" = nothing that can be imported."""
+    """ "number", "text", "time", "list" or "fields"; "" = nothing that can be imported."""
     if pa.types.is_dictionary(kind):
         kind = kind.value_type
     if pa.types.is_integer(kind) or pa.types.is_floating(kind):
@@ -110,6 +113,8 @@ def _kind(pa: Any, kind: Any) -> str:
         return "text"
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         return "time"
+    if pa.types.is_struct(kind):
+        return "fields" if any(_kind(pa, field.type) for field in kind.fields) else ""
     lists = pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
     return "list" if lists and _kind(pa, kind.value_type) == "number" else ""
 

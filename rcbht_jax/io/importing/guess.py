@@ -196,7 +196,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
     found = names.wrenches(numeric)
     if found:
-        best = max(found, key=len)
+        best = max(found, key=lambda wrench: (not names.is_demanded(wrench["Fx"]), len(wrench)))
         return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in best.items())
     other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]

@@ -10,6 +10,7 @@ that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:CO
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -94,6 +95,7 @@ def read_source(
     if not found:
         reason = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
         raise InputError(f"{source} holds no usable recording.{reason}")
+    _warn_of_sources(found, used, report)
     described = describe(found, constants)
     recordings = assemble(found, source, base.rate, report)
     first, rows = used[found[0].name]
@@ -216,6 +218,19 @@ def _understood(
             report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
         record.intervals[:] = [_from_start(record, interval) for interval in record.intervals]
         yield record, (mapping, understood)
+
+
+def _warn_of_sources(
+    found: list[Record], used: dict[str, tuple[Mapping, list[Understood]]], report: ImportReport
+) -> None:
+    """Warn of recordings whose axes have other columns than those of most: they may be of another sensor."""
+    sources = {record.name: tuple(channel.column for channel in used[record.name][0].channels) for record in found}
+    [(common, _)] = Counter(sources.values()).most_common(1)
+    for name, columns in sources.items():
+        pairs = zip(columns, common, strict=True)
+        if other := next(((one, usual) for one, usual in pairs if one.lower() != usual.lower()), None):
+            text = "its axes are the columns {!r}, ...; those of most recordings are {!r}, .... Is it the same sensor?"
+            report.warnings.append((name, text.format(*other)))
 
 
 def _reason(error: InputError, source: Path) -> str:

@@ -25,6 +25,7 @@ LABELS = (
 )  # fmt: skip
 
 FORCES, MOMENTS = ("N", "mN", "kN", "kgf", "lbf"), ("Nm", "mNm", "Nmm", "Ncm", "kNm", "lbf in", "lbf ft")
+_DEMANDED = {"desired", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "setpoint", "next"}
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX
 _AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?[._/ \-]*([xyz])$")
@@ -53,7 +54,10 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
         base = _TWICE.sub(r"\1", snake(base))
         if match := _AXIS.match(base) or (_WORD.match(base) if unit in (*FORCES, *MOMENTS) else None):
             kind = "F" if unit in FORCES or match[2] in ("force", "f") else "M"
-            found.setdefault(match[1] + match[3], {}).setdefault(kind + match[4], name)
+            axes = found.setdefault(match[1] + match[3], {})
+            if match[2] in ("torque", "moment", "tau", "m"):  # then tx is a translation
+                axes[kind + match[4]] = name
+            axes.setdefault(kind + match[4], name)
         elif match := _ELEMENT.match(base):
             rows.setdefault((match[1], match[2], match[3]), {})[int(match[4])] = name
     for (prefix, kind, bracket), elements in rows.items():
@@ -71,6 +75,15 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
         if {"Fx", "Fy", "Fz"} <= set(axes):
             complete.append({axis: axes[axis] for axis in AXES if axis in axes})
     return complete
+
+
+def is_demanded(name: str) -> bool:
+    """Whether a column is what was wanted by its name, or a copy of the next sample, and not what was measured.
+
+    >>> is_demanded("desired_wrench_0"), is_demanded("wrench_0")
+    (True, False)
+    """
+    return bool(_DEMANDED & set(re.split(r"[\W_]+", snake(name))))
 
 
 def snake(name: str) -> str:

@@ -15,7 +15,7 @@ _RATES = ("sample rate", "sampling rate", "samplerate", "sample frequency", "sam
 
 @dataclass(frozen=True)
 class Stated:
-    """What the lines before the names state; readings that are counts are divided by the counts of a unit."""
+    """What lines before the names or comments state; readings that are counts are divided by the counts of a unit."""
 
     rate: float | None  # samples per second
     counts: Mapping[str, float]  # column -> counts of one unit
@@ -55,25 +55,28 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
     >>> found.rate, found.counts["Fz"], found.units["Fz"]
     (500.0, 1000.0, 'N')
     """
-    pairs: dict[str, str] = {}
-    for line in lines:
-        row = [cell for cell in cells.split(line, cells.delimiter_of(line)) if cell]
-        if len(row) == 2:
-            pairs[row[0].strip(" :=").lower()] = row[1]
+    pairs = dict(filter(None, map(_pair, lines)))
     rates = (number(text) for key, text in pairs.items() if key.endswith(_RATES))
     counts: dict[str, float] = {}
     units: dict[str, str] = {}
     axes = [pair for wrench in wrenches(names) for pair in wrench.items()]
     for quantity, letter in (("force", "F"), ("torque", "M")):
-        per = next(
-            (number(text) for key, text in pairs.items() if re.match(rf"counts per (unit )?{quantity}$", key)), 0
-        )
+        per = number(pairs.get(f"counts per unit {quantity}", pairs.get(f"counts per {quantity}", "")))
         if per > 0:
             those = [column for axis, column in axes if axis.startswith(letter)]
             counts |= dict.fromkeys(those, per)
             unit = UNITS.get(re.sub(r"[ -]", "", pairs.get(f"{quantity} units", "").lower()), "")
             units |= dict.fromkeys(those, unit) if unit else {}
     return Stated(next((rate for rate in rates if rate > 0), None), counts, units)
+
+
+def _pair(line: bytes) -> tuple[str, str] | None:
+    """A word and its value, in two cells or between a colon or an equals sign; None = the line is no such pair."""
+    line = line.lstrip(b"#% ")
+    row = [cell for cell in cells.split(line, cells.delimiter_of(line)) if cell]
+    if len(row) != 2:
+        row = re.split(r"\s*[:=]\s*", line.decode("utf-8", "replace").strip(), maxsplit=1)
+    return (row[0].strip(" :=").lower().replace("_", " "), row[1].strip()) if len(row) == 2 else None
 
 
 def number(text: str) -> float:

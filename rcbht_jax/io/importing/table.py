@@ -89,6 +89,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
     if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
         cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
+    cubes = {key: np.moveaxis(cube, 2, 0) if _ends_in_recordings(cube, arrays) else cube for key, cube in cubes.items()}
     if cubes and not _is_signal(arrays, len(next(iter(cubes.values())))):
         count, rows = next(iter(cubes.values())).shape[:2]
         for number in range(count):
@@ -133,6 +134,12 @@ def _is_signal(arrays: Mapping[str, NDArray[Any]], rows: int) -> bool:
     """Whether arrays of that length hold a wrench or a time, whose rows are samples and no recordings."""
     titles = _titles(arrays, rows)
     return bool(wrenches(titles)) or any(map(unit_of_time, titles))
+
+
+def _ends_in_recordings(cube: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether an array is ``[row, element, recording]``, as facts that are as many as its last dimension show."""
+    counts = {len(array) for key, array in arrays.items() if array.ndim == 1 and not unit_of_time(key)}
+    return cube.shape[2] in counts and cube.shape[0] not in counts
 
 
 def _usable(array: NDArray[Any]) -> bool:

@@ -48,7 +48,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
         with path.open("rb") as file:
             encoding = _encoding(file, path)
             before = _preamble(file)
-            head, comment = _head(file, path)
+            head, comment, comments = _head(file, path)
             delimiter = cells.delimiter_of(head)
             titles = cells.split(head, delimiter, encoding)
             titled = comment or cells.is_title(titles, _below(file, delimiter, encoding))
@@ -62,7 +62,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     notes = ((f"preamble:{len(before)}",) if before else ()) + (("cp1252",) if encoding == "cp1252" else ())
-    columns, about = dict(zip(names, read, strict=True)), stated(before, names)
+    columns, about = dict(zip(names, read, strict=True)), stated([*before, *comments], names)
     for column, counts in about.counts.items():
         if columns[column].dtype.kind == "f":
             columns[column] = columns[column].astype(np.float64) / counts
@@ -98,22 +98,24 @@ def _preamble(file: BinaryIO) -> list[bytes]:
     return lines[:passed]
 
 
-def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
-    """The first line with content, and whether it is a comment; of several comments the last."""
+def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
+    """The first line with content, whether it is a comment (of several the last), and the first comments."""
     comment = b""
+    comments: list[bytes] = []
     while line := file.readline(MAX_TABLE_LINE):
         if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
             raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
         if line.startswith((b"#", b"%")) and not line.startswith(b"%time"):
             comment = line.lstrip(b"#% ")
+            comments = [*comments, line][:PREAMBLE]
         elif line.strip():
             # A comment is the line of names if it has as many of them as the first row has cells.
             row = cells.split(line, cells.delimiter_of(line))
             titles = cells.split(comment, cells.delimiter_of(comment)) if comment else []
             if len(titles) == len(row) and all(map(cells.is_number, row)):
                 file.seek(file.tell() - len(line))
-                return comment, True
-            return line, False
+                return comment, True, comments
+            return line, False, comments
     raise InputError(f"{path} is empty; expected a table.")
 
 

@@ -52,7 +52,10 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         unit = table.units.get(candidate) or (unit if unit in SECONDS else _unit(table, candidate))
         return replace(mapping, time=candidate, time_unit=unit, nanoseconds=whole.get(candidate, ""))
     if table.rate is not None:
-        return mapping
+        first = next(iter(table.columns), "")
+        steps = np.diff(table.columns[first]) if first in free and _is_first(table, first) else np.zeros(1)
+        counted = np.allclose(steps * table.rate, 1, atol=0.05)
+        return replace(mapping, time=first, time_unit="s") if counted else mapping
     # A column in s that grows is a time in any language, such as an index that pandas wrote.
     stated = {name: table.units.get(name) or parsed[name][1] for name in free}
     timed = (name for name in free if stated[name] in SECONDS and _grows(table, name))
@@ -167,6 +170,8 @@ def _in_days(values: NDArray[Any]) -> bool:
 def _is_first(table: Table, name: str) -> bool:
     """Whether a nameless column, or the first of an array, grows like time, and not like a counter of rows."""
     values, others = table.columns[name], len(table.columns) - 1
+    if values.dtype.kind == "U":
+        return False
     step = np.diff(values)
     if len(values) < 3 or not np.isfinite(values).all() or not (step > 0).all() or (step == 1).all():
         return False

@@ -54,6 +54,7 @@ def table(*names: str, **values: object) -> Table:
         ("s.force[1] s.force[2] s.force[3] s.torque[1] s.torque[2] s.torque[3]", "Fx Fy Fz Mx My Mz", ",,,,,"),
         (" ".join(f"wrench.signals.values_{k}" for k in range(6)), "Fx Fy Fz Mx My Mz", ",,,,,"),
         ("F_1 F_2 F_3", "F_1 F_2 F_3", ",,"),
+        ("Fx/N Fy/N Fz/N Mx/Ncm My/Ncm Mz/Ncm", "Fx Fy Fz Mx My Mz", "N,N,N,Ncm,Ncm,Ncm"),
         ("force_x force_y force_z " + " ".join(f"joint_torque_{k}" for k in range(7)), "Fx Fy Fz", ",,"),
     ],
 )  # fmt: skip
@@ -63,6 +64,19 @@ def test_channels(names: str, axes: str, units: str) -> None:
     assert mapping.axes == ((axes,) if "strain" in axes else tuple(axes.split()))
     assert mapping.units == tuple(units.split(","))
     assert mapping.time == "t"
+
+
+@pytest.mark.parametrize("names", ["tx ty tz fx fy fz mx my mz", "fx fy fz mx my mz tx ty tz"])
+def test_beside_moments_a_t_is_a_translation(names: str) -> None:
+    mapping, _ = guess(table("t", *names.split(), t=np.arange(N) * 0.1))
+    assert [channel.column for channel in mapping.channels] == ["fx", "fy", "fz", "mx", "my", "mz"]
+
+
+@pytest.mark.parametrize("demanded", ["desired_wrench", "cmd/wrench", "next_obs/wrench", "targetWrench.wrench"])
+def test_what_was_measured_comes_before_what_was_wanted(demanded: str) -> None:
+    both = [f"{name}_{k}" for name in (demanded, "wrench") for k in range(6)]
+    mapping, _ = guess(table("t", *both, t=np.arange(N) * 0.1))
+    assert mapping.channels[0].column == "wrench_0"
 
 
 @pytest.mark.parametrize(
@@ -85,6 +99,7 @@ def test_channels(names: str, axes: str, units: str) -> None:
         ("duration", np.arange(N) * 2.0, "ms"),
         ("Time", 45321.43 + np.arange(N) * 0.005 / 86400, "d"),
         ("Gemessen", 739311.43 + np.arange(N) * 0.005 / 86400, "d"),
+        ("time, s", np.arange(N) * 0.05, "s"),
         ("X_Value", np.arange(N) * 0.001, "s"),
     ],
 )

@@ -160,3 +160,79 @@ def test_numbers_that_are_constant_in_each_file_describe_the_recordings(tmp_path
     assert (roles["peg_diameter"], roles["mass"], roles["q_0"]) == ("column peg_diameter", "left out", "left out")
     again = read_source(tmp_path, mapping=imported.mapping).recordings
     assert again.columns["peg_diameter"].tolist() == ["8", "9", "8"]
+
+
+def test_groups_with_one_wrench_are_recordings_though_one_has_more(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "all.h5", "w") as file:
+        for number in range(3):
+            file[f"2023-01-0{number + 1}_run/time"], file[f"2023-01-0{number + 1}_run/ft"] = TIME, WRENCH + number
+        file["2023-01-02_run/remark"] = "slipped"
+    recordings = read_source(tmp_path).recordings
+    assert (len(recordings), recordings.axes) == (3, AXES)
+    assert recordings.columns["remark"].tolist() == ["", "slipped", ""]
+
+
+def test_fields_of_structured_arrays_are_columns(tmp_path: Path) -> None:
+    rows = [(time, *row) for time, row in zip(TIME.tolist(), WRENCH.tolist(), strict=True)]
+    np.save(tmp_path / "run.npy", np.array(rows, [("t", "f8"), *((axis, "f4") for axis in AXES)]))
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.axes, recordings.dt) == (AXES, pytest.approx(DT))
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
+
+
+def test_fields_of_parquet_structures_are_columns(tmp_path: Path) -> None:
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    parts = {"force": WRENCH[:, :3], "torque": WRENCH[:, 3:]}
+    fields = {name: pa.StructArray.from_arrays(list(part.T.copy()), list("xyz")) for name, part in parts.items()}
+    wrench = pa.StructArray.from_arrays(list(fields.values()), list(fields))
+    nothing = pa.StructArray.from_arrays([pa.nulls(N)], ["empty"])
+    pq.write_table(pa.table({"t": TIME, "wrench": wrench, "nothing": nothing}), tmp_path / "run.parquet")
+    recordings = read_source(tmp_path).recordings
+    assert recordings.axes == AXES
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
+
+
+def test_a_first_column_that_counts_the_stated_period_is_the_time(tmp_path: Path) -> None:
+    trials = {f"trial_{number}": np.column_stack([TIME, WRENCH + number]) for number in range(2)}
+    np.savez(tmp_path / "a.npz", **trials, fs=500)
+    assert read_source(tmp_path).recordings.axes == tuple(f"values_{k}" for k in range(1, 7))
+
+
+def test_recordings_may_be_the_last_dimension(tmp_path: Path) -> None:
+    cube = np.stack([WRENCH + number for number in range(5)], 2)
+    np.savez(tmp_path / "a.npz", X=cube, Y=np.arange(5) % 2, t=TIME)
+    recordings = read_source(tmp_path).recordings
+    assert len(recordings) == 5
+    assert recordings.columns["Y"].tolist() == [0, 1, 0, 1, 0]
+    np.testing.assert_allclose(recordings.wrench[4], WRENCH + 4, atol=1e-6)
+
+
+def test_comments_state_the_rate(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(f"# sample_rate: 500 Hz\n# operator: Ann\n{','.join(AXES)}\n{rows(WRENCH)}\n")
+    assert read_source(tmp_path).recordings.dt == DT
+
+
+@pytest.mark.parametrize("heads", ["label,start_time,end_time", "Phase,onset_ms,offset_ms", "label,start,end"])
+def test_annotations_of_other_names(heads: str, tmp_path: Path) -> None:
+    scale = 1000 if "ms" in heads else 1
+    (tmp_path / "run.csv").write_text(f"t,{','.join(AXES)}\n{rows(np.column_stack([TIME, WRENCH]))}\n")
+    (tmp_path / "marks.csv").write_text(f"file_name,{heads}\nrun.csv,push,{0.1 * scale},{0.2 * scale}\n")
+    imported = read_source(tmp_path)
+    annotations = imported.recordings.annotations
+    assert (annotations.start.tolist(), annotations.end.tolist()) == ([0.1], [0.2])
+    assert annotations.names().tolist() == ["push"]
+    assert not imported.report.skipped
+
+
+def test_a_wrench_of_other_columns_than_most_is_told(tmp_path: Path) -> None:
+    """Where a file lacks the columns of a sensor, those of another would stand for it."""
+    for number in range(3):
+        names = [f"{side}.{axis}" for side in (["left", "right"] if number else ["right"]) for axis in AXES]
+        table = np.column_stack([TIME, WRENCH + number, *([WRENCH - number] if number else [])])
+        (tmp_path / f"run{number}.csv").write_text(f"t,{','.join(names)}\n{rows(table)}\n")
+    warnings = read_source(tmp_path).report.warnings
+    text = (
+        "its axes are the columns 'right.Fx', ...; those of most recordings are 'left.Fx', .... Is it the same sensor?"
+    )
+    assert warnings == [("run0.csv", text)]
