@@ -93,8 +93,7 @@ def read_source(
     found = [_bounded(record, report) for record in found]
     found = most_common(without_copies(found, report, keep_copies), report)
     if not found:
-        reason = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
-        raise InputError(f"{source} holds no usable recording.{reason}")
+        raise InputError(f"{source} holds no usable recording.{report.first_reason}")
     _warn_of_sources(found, used, report)
     described = describe(found, constants)
     recordings = assemble(found, source, base.rate, report)

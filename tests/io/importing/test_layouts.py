@@ -236,3 +236,9 @@ def test_a_wrench_of_other_columns_than_most_is_told(tmp_path: Path) -> None:
         "its axes are the columns 'right.Fx', ...; those of most recordings are 'left.Fx', .... Is it the same sensor?"
     )
     assert warnings == [("run0.csv", text)]
+
+
+def test_the_file_whose_reason_is_told_is_named(tmp_path: Path) -> None:
+    np.save(tmp_path / "scene.npy", {"035622060973": [{"timestamp": 1, "zeroed": WRENCH[0]}]}, allow_pickle=True)
+    with pytest.raises(InputError, match="scene.npy.*Python objects.*numpy.savez"):
+        read_source(tmp_path)
