@@ -185,11 +185,14 @@ def _constant(values: NDArray[Any], label: bool) -> bool:
 
 
 def _check_axes(table: Table, free: list[str]) -> None:
-    """Raise InputError where an axis of a wrench is text, such as 1.234,50: it must not be left out."""
-    for column in (column for wrench in names.wrenches(free) for column in wrench.values()):
-        values = table.columns[column]
-        if values.dtype.kind == "U" and (words := values[values != ""]).size:
-            raise InputError(f"{table.name}: column {column!r} holds {str(words[0])[:30]!r}, which is not a number.")
+    """Raise InputError where an axis, or a whole wrench, is text, such as 1.234,50: it must not be left out."""
+    axes = {column for wrench in names.wrenches(free) for column in wrench.values()}
+    for column in (name for name in free if table.columns[name].dtype.kind == "U"):
+        words = _distinct(table.columns[column])
+        whole = len(words) > MAX_LABELS and re.split(r"[\W_]+", names.snake(column))[-1] in names.WHOLE
+        if len(words) and (column in axes or whole):
+            first = next(text for text in table.columns[column] if text)
+            raise InputError(f"{table.name}: column {column!r} holds {str(first)[:30]!r}, which is not a number.")
 
 
 def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:

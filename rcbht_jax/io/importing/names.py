@@ -21,10 +21,11 @@ WEAK_GROUPS = ("sample", "cycle", "file", "filename", "file_name", "id")  # if e
 LABELS = (
     "label", "labels", "label_name", "state", "phase", "class", "skill", "primitive", "mode", "subtask", "stage",
     "sub_task", "segment", "annotation", "state_index", "action_label", "contact_state", "action", "anomaly",
-    "category", "fault",
+    "category", "fault", "contact", "in_contact", "event", "activity",
 )  # fmt: skip
 
 FORCES, MOMENTS = ("N", "mN", "kN", "kgf", "lbf"), ("Nm", "mNm", "Nmm", "Ncm", "kNm", "lbf in", "lbf ft")
+WHOLE = ("wrench", "force", "forces", "torque", "torques", "moment", "moments", "ft")  # of several axes in one column
 _DEMANDED = {"desired", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "setpoint", "next"}
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX

@@ -8,6 +8,7 @@ from __future__ import annotations
 import codecs
 import csv
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -62,12 +63,30 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     notes = ((f"preamble:{len(before)}",) if before else ()) + (("cp1252",) if encoding == "cp1252" else ())
-    columns, about = dict(zip(names, read, strict=True)), stated([*before, *comments], names)
+    columns = {key: part for name, one in zip(names, read, strict=True) for key, part in _elements(name, one).items()}
+    if len(columns) > MAX_COLUMNS:
+        raise InputError(f"{path} has {len(columns)} columns; expected at most {MAX_COLUMNS}.")
+    about = stated([*before, *comments], columns)
     for column, counts in about.counts.items():
         if columns[column].dtype.kind == "f":
             columns[column] = columns[column].astype(np.float64) / counts
     notes += ("counts",) if about.counts else ()
     yield Table(name, columns, about.rate, about.units, notes=notes)
+
+
+def _elements(name: str, column: NDArray[np.generic]) -> dict[str, NDArray[np.generic]]:
+    """The columns of lists of numbers, as many in each cell; a column of anything else by itself."""
+    if column.dtype.kind != "U" or not str(column[0]).startswith(("[", "(")):
+        return {name: column}
+    texts = column.tolist()
+    if not all(text.startswith(("[", "(")) and text.endswith(("]", ")")) for text in texts):
+        return {name: column}
+    try:
+        rows = [list(map(float, re.split(r"[\s,;]+", text[1:-1].strip(" ,;\n")))) for text in texts]
+        table = np.array(rows, np.float64)
+    except ValueError:
+        return {name: column}
+    return {f"{name}_{number}": table[:, number] for number in range(table.shape[1])}
 
 
 def _encoding(file: BinaryIO, path: Path) -> str:

@@ -74,15 +74,19 @@ def _likely_time(table: Table, free: list[str]) -> str:
     axes = "".join(column for wrench in names.wrenches(free) for column in wrench.values())
     paths = {name: re.split(r"[./]", names.snake(split_unit(name)[0])) for name in growing}
     called = [
-        name
-        for name, parts in paths.items()
-        if set(parts[:-1]) & set(TIMES) or re.split(r"[\W_]", parts[-1])[-1] in _LAST
+        name for name, parts in paths.items() if set(parts[:-1]) & set(TIMES) or _is_called(table, name, parts[-1])
     ]
     # Where every sensor has times of its own, those of the wrench have its name.
     called.sort(key=lambda name: f"/{paths[name][-1]}_" not in axes)
     days = (name for name in growing if _in_days(table.columns[name]))
     nameless = (name for name in growing[:1] if name == next(iter(table.columns)) and _is_first(table, name))
     return next(iter([*called, *days, *nameless]), "")
+
+
+def _is_called(table: Table, name: str, last: str) -> bool:
+    """Whether a name ends in a word for a time, or begins with one and does not count steps."""
+    words = re.split(r"[\W_]+", last)
+    return words[-1] in _LAST or (words[0] in _LAST and bool((np.diff(table.columns[name]) != 1).any()))
 
 
 def _with_nanoseconds(table: Table, free: list[str]) -> dict[str, str]:

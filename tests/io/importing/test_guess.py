@@ -99,6 +99,8 @@ def test_what_was_measured_comes_before_what_was_wanted(demanded: str) -> None:
         ("duration", np.arange(N) * 2.0, "ms"),
         ("Time", 45321.43 + np.arange(N) * 0.005 / 86400, "d"),
         ("Gemessen", 739311.43 + np.arange(N) * 0.005 / 86400, "d"),
+        ("time values", np.arange(N) * 0.05, "s"),
+        ("Time (min)", np.arange(N) * 0.001, "min"),
         ("time, s", np.arange(N) * 0.05, "s"),
         ("X_Value", np.arange(N) * 0.001, "s"),
     ],
@@ -113,6 +115,17 @@ def test_time(name: str, values: np.ndarray, unit: str) -> None:
 def test_a_wrench_is_not_logged_once_a_second(axes: list[str], unit: str) -> None:
     mapping, _ = guess(Table("a.csv", {"time": np.arange(N) * 1.0} | {axis: np.ones(N) for axis in axes}))
     assert mapping.time_unit == unit
+
+
+def test_a_step_of_time_is_a_counter() -> None:
+    assert guess(Table("a.csv", {"time_step": np.arange(N) * 1.0, "level": np.ones(N)}))[0].time == ""
+
+
+@pytest.mark.parametrize("name", ["contact", "in_contact", "activity"])
+def test_numbers_of_a_contact_are_labels(name: str) -> None:
+    columns = {"t": np.arange(N) * 0.1, "Fx": np.ones(N), "Fy": np.ones(N), "Fz": np.ones(N)}
+    mapping, _ = guess(Table("a.csv", columns | {name: np.repeat([0.0, 1.0], N // 2)}))
+    assert [track.track for track in mapping.annotations] == [name]
 
 
 def test_a_time_stops_no_stated_rate_if_it_repeats() -> None:

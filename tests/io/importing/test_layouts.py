@@ -240,5 +240,22 @@ def test_a_wrench_of_other_columns_than_most_is_told(tmp_path: Path) -> None:
 
 def test_the_file_whose_reason_is_told_is_named(tmp_path: Path) -> None:
     np.save(tmp_path / "scene.npy", {"035622060973": [{"timestamp": 1, "zeroed": WRENCH[0]}]}, allow_pickle=True)
-    with pytest.raises(InputError, match="scene.npy.*Python objects.*numpy.savez"):
+    with pytest.raises(InputError, match=r"scene\.npy.*Python objects.*numpy\.savez"):
+        read_source(tmp_path)
+
+
+@pytest.mark.parametrize("form", ["[{}, {}, {}]", "({},{},{})", "[{} {}  {}]"])
+def test_lists_in_cells_are_columns(form: str, tmp_path: Path) -> None:
+    cells = ['"' + form.format(*row) + '"' for row in WRENCH[:, :3].tolist()]
+    lines = [f"{time!r},{cell},7" for time, cell in zip(TIME.tolist(), cells, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["timestamp,actual_TCP_force,robot_mode", *lines]) + "\n")
+    recordings = read_source(tmp_path).recordings
+    assert recordings.axes == AXES[:3]
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH[:, :3], atol=1e-6)
+
+
+def test_a_wrench_that_is_text_is_not_left_out(tmp_path: Path) -> None:
+    lines = [f"{time!r},x={force};,0" for time, force in zip(TIME.tolist(), WRENCH[:, 0].tolist(), strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["t,force,z", *lines]) + "\n")
+    with pytest.raises(InputError, match="column 'force' holds 'x="):
         read_source(tmp_path)
