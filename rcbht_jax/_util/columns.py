@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s per unit of time
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s per unit of time
 UNITS = {
     "n": "N", "nm": "Nm", "mn": "mN", "mnm": "mNm", "kn": "kN", "nmm": "Nmm", "ncm": "Ncm", "knm": "kNm", "kgf": "kgf",
     "lbf": "lbf", "lbfin": "lbf in", "lbfft": "lbf ft", "newton": "N", "newtons": "N", "newtonmeter": "Nm",
     "newtonmeters": "Nm",
     "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "nsec": "ns",
+    "min": "min", "minutes": "min", "h": "h", "hours": "h",
     "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
 }  # fmt: skip
 TIMES = (
@@ -19,6 +20,7 @@ TIMES = (
 )  # fmt: skip
 
 _PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅-](?=[a-z])")  # N-m, N·mm, lbf in
+_AFTER = re.compile(r"^(.*?[^\s,/])(?:\s*[,/]\s*|\s+in\s+)([a-zA-Zµ]+(?:[ .*·⋅-][a-zA-Z]+)?)$")  # Fx/N, Fx, N; Fx in N
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
 
@@ -27,10 +29,17 @@ def split_unit(name: str) -> tuple[str, str]:
 
     >>> split_unit("Force_X [N]"), split_unit("Tx (N-mm)"), split_unit("t_ms"), split_unit("Fx")
     (('Force_X', 'N'), ('Tx', 'Nmm'), ('t', 'ms'), ('Fx', ''))
+    >>> split_unit("Fx/N"), split_unit("Moment x in Ncm"), split_unit("time, s"), split_unit("imu/a")
+    (('Fx', 'N'), ('Moment x', 'Ncm'), ('time', 's'), ('imu/a', ''))
     """
     match = _BRACKETS.match(name.strip())
     if match and match[1] and (unit := UNITS.get(_PRODUCT.sub("", match[2].lower().strip()))):
         return match[1], unit
+    after = _AFTER.match(name.strip())
+    unit = UNITS.get(_PRODUCT.sub("", after[2].lower())) if after else None
+    # A path may end in a single letter: only forces, moments and the unit of a time are known by their place.
+    if after and unit and ("N" in after[2] or unit[:3] in ("kgf", "lbf") or after[1].lower() in TIMES):
+        return after[1], unit
     head, _, tail = name.strip().rpartition("_")
     if head and (tail in ("N", "Nm", "mN", "mNm") or tail.lower() in ("ms", "us", "ns", "sec", "s")):
         return head, UNITS[tail.lower()]

@@ -261,7 +261,7 @@ def declared_bytes(file: Any) -> int:
     version = np.lib.format.read_magic(file)
     shape, _, dtype = _HEADERS[(1, 0) if version == (1, 0) else (2, 0)](file)
     if dtype.hasobject:
-        raise InputError("it holds Python objects, which are never loaded; save plain arrays")
+        raise InputError("it holds Python objects, which are never loaded; save its arrays with numpy.savez")
     return math.prod(map(int, shape)) * max(dtype.itemsize, 1) if min(shape, default=0) >= 0 else -1
 
 

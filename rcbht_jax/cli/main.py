@@ -17,11 +17,12 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import rcbht_jax
 from rcbht_jax._util.atomic import DISK_FULL, targets
@@ -264,6 +265,18 @@ def _fail(sentence: str, status: int) -> int:
     return status
 
 
+def _show(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """A warning as a sentence, without the place in the code that gives it."""
+    print(f"rcbht: {printable(str(message))}", file=sys.stderr)
+
+
 def _allow_any_name() -> None:
     """Characters that the terminal does not know are spelled out, too."""
     for stream in (sys.stdout, sys.stderr):
@@ -273,6 +286,7 @@ def _allow_any_name() -> None:
 
 def script() -> NoReturn:
     """Run one command and end the process with its status."""
+    warnings.showwarning = _show
     status = main()
     if status > 128:  # XLA's threads may be at what was interrupted, and crash when the interpreter ends beneath them
         with suppress(OSError):

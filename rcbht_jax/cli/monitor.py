@@ -85,7 +85,7 @@ class MonitorFit(Command):
     def text(self, result: dict[str, Any]) -> str:
         return (
             f"{result['monitor']}: {result['recordings']} nominal recordings of {plural(result['groups'], 'group')}; "
-            f"values are compared of {', '.join(result['levels']) or 'no axis'}, changes of all axes; "
+            f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
             f"the smallest share of false alarms that it can promise is {result['fewest_false_alarms']:.3g}"
         )
 

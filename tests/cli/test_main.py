@@ -49,6 +49,16 @@ def test_help_of_an_option_flows(
             assert "  " not in before.strip(), line
 
 
+def test_a_warning_is_a_sentence() -> None:
+    """Python's own form names a file and quotes a line of code."""
+    code = (
+        "import warnings; from rcbht_jax.cli import main; "
+        "main.main = lambda: warnings.warn('No font.') or 0; main.script()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    assert done.stderr == "rcbht: No font.\n"
+
+
 def test_overview_imports_no_command() -> None:
     code = (
         "import sys; from rcbht_jax.cli import main; assert main.main(['--help']) == 0; "

@@ -74,7 +74,10 @@ def test_values_are_compared_of_axes_without_a_bias(store: Path, capsys: pytest.
         (found,) = lines(capsys, *words, "--json")
         assert found["levels"] == names
         assert main([*map(str, words)]) == 0
-        assert f"values are compared of {', '.join(names) or 'no axis'}" in capsys.readouterr().out
+        assert (
+            f"it compares the changes of all axes and the values of {', '.join(names) or 'none'};"
+            in capsys.readouterr().out
+        )
 
 
 def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> None:

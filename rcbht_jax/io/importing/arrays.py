@@ -26,7 +26,7 @@ from rcbht_jax._util.untrusted import (
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.isolated import isolated
-from rcbht_jax.io.importing.names import GROUPS
+from rcbht_jax.io.importing.names import GROUPS, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
 
 
@@ -53,7 +53,9 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def read_npz(path: Path, name: str) -> Iterator[Table]:
-    """Tables of an NPZ file (or of one array in an NPY file); see :func:`~rcbht_jax.io.importing.table.tables_of`.
+    """Tables of an NPZ file, or of one array in an NPY file; see :func:`~rcbht_jax.io.importing.table.tables_of`.
+
+    Fields of structured arrays are arrays of their own.
 
     >>> np.savez("/tmp/a.npz", t=np.arange(9) * 0.01, wrench=np.zeros((9, 6)))
     >>> [list(table.columns)[:2] for table in read_npz(Path("/tmp/a.npz"), "a.npz")]
@@ -70,7 +72,14 @@ def read_npz(path: Path, name: str) -> Iterator[Table]:
             arrays = {"values": np.load(path, allow_pickle=False)}
         else:
             arrays = read_arrays(path)
-    yield from tables_of(path, name, arrays)
+    alone = len(arrays) == 1
+    fields = {key: array for key, array in arrays.items() if array.dtype.names}
+    named = {
+        field if alone else f"{key}.{field}": array[field]
+        for key, array in fields.items()
+        for field in array.dtype.names or ()
+    }
+    yield from tables_of(path, name, {key: array for key, array in arrays.items() if key not in fields} | named)
 
 
 def read_hdf5(path: Path, name: str) -> Iterator[Table]:
@@ -177,17 +186,31 @@ def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
 
 
 def _like(group: Any, h5py: Any) -> Any:
-    """The outermost group whose sub-groups (two or more) hold the same names, or are trial_0, trial_1, ...; or None."""
+    """The outermost group whose sub-groups (two or more) hold the same names, or the same wrench, or are trial_0, ...
+
+    None: there is no such group.
+    """
     groups = dict(_groups(group, h5py))
     children = list(groups.values())
     alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0])
-    if len(children) > 1 and (alike or _named(groups)):
+    if len(children) > 1 and (alike or _named(groups) or _one_wrench(children, h5py)):
         return group
     if len(children) == 1:
         return _like(children[0], h5py)
     # Beside a group of recordings there may be one of splits.
     found = (_like(child, h5py) for child in children)
     return next((one for one in found if one is not None and _named(one)), None)
+
+
+def _one_wrench(groups: Iterable[Any], h5py: Any) -> bool:
+    """Whether all groups have a wrench of the same name."""
+    widths = [
+        {key: item.shape[1:] for key, item in group.items() if isinstance(item, h5py.Dataset)} for group in groups
+    ]
+    shared = {key: width for key, width in widths[0].items() if all(one.get(key) == width for one in widths)}
+    rows = [(key, min(width[0], 6)) for key, width in shared.items() if len(width) == 1]
+    wide = [f"{key}_{number}" for key, count in rows for number in range(count)]
+    return bool(wrenches([*(key for key, width in shared.items() if not width), *wide]))
 
 
 def _named(keys: Iterable[str]) -> bool:

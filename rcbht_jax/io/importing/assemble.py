@@ -60,7 +60,7 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
         kept.append(record)
         values.append(wrench)
     if not kept:
-        raise InputError(f"{source} holds no usable recording. The first reason: {report.skipped[0][1]}")
+        raise InputError(f"{source} holds no usable recording.{report.first_reason}")
     if uneven:
         were = plural(uneven, "recording was", "recordings were")
         text = f"{were} not sampled evenly and interpolated at {1 / period:.6g} Hz."

@@ -1,4 +1,4 @@
-"""Times written as text: ISO 8601, or a time of day with or without a date before it."""
+"""Times written as text: ISO 8601, a time of day with or without a date before it, or minutes and seconds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from jaxtyping import Float
 DAY, NOON = 86400.0, 12
 _ISO = re.compile(r"\d{4}-\d{2}(-\d{2}([T ].*)?)?$")
 _ZONE = re.compile(r"\s*(?:Z|([+-])(\d{2})(?::?(\d{2}))?)$")
-_CLOCK = re.compile(r"(?:^|[ T])(\d{1,2}):([0-5]?\d):([0-5]?\d(?:[.,]\d+)?)(?:\s*([AP])\.?M\.?)?$", re.IGNORECASE)
+_CLOCK = re.compile(
+    r"(?:^|[ T])(\d{1,2}):([0-5]?\d):([0-5]?\d(?:[.,]\d+|:\d{3}|:\d{6})?)(?:\s*([AP])\.?M\.?)?$", re.IGNORECASE
+)
+_MINUTES = re.compile(r"(\d+):([0-5]\d[.,]\d+)$")
 
 
 def seconds_of(texts: Sequence[str]) -> Float[np.ndarray, " row"]:
@@ -54,6 +57,8 @@ def _local(text: str) -> tuple[str, int]:
 
 
 def _of_day(text: str) -> float:
+    if minutes := _MINUTES.match(text):
+        return int(minutes[1]) * 60 + float(minutes[2].replace(",", "."))
     found = _CLOCK.search(text)
     if not found:
         raise ValueError(f"{text!r} is not a time")
@@ -62,4 +67,4 @@ def _of_day(text: str) -> float:
         raise ValueError(f"{text!r} is not a time")
     if half:
         hour = hour % NOON + NOON * (half == "P")
-    return hour * 3600 + int(found[2]) * 60 + float(found[3].replace(",", "."))
+    return hour * 3600 + int(found[2]) * 60 + float(re.sub("[,:]", ".", found[3]))

@@ -1,4 +1,4 @@
-"""Parquet tables and LeRobot data sets of version 3."""
+"""Parquet tables and LeRobot data sets of versions 2 and 3."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import require
-from rcbht_jax._util.untrusted import MAX_COLUMNS, check_declared, check_file, read_object
+from rcbht_jax._util.untrusted import (
+    MAX_COLUMNS,
+    MAX_JSON_BYTES,
+    check_declared,
+    check_file,
+    parse_json,
+    read_bytes,
+    read_object,
+)
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import isolated
@@ -23,7 +31,8 @@ _BOOKKEEPING = ("dataset_from_index", "dataset_to_index", "length")  # of an epi
 
 
 def read_parquet(path: Path, name: str) -> Iterator[Table]:
-    """The table of a Parquet file; lists of a fixed number of elements are columns ``name_0``, ``name_1``, ...
+    """The table of a Parquet file; lists of a fixed number of elements are columns ``name_0``, ``name_1``, ...,
+    fields of structures ``name.field``.
 
     >>> [table.columns["Fz"].shape for table in read_parquet(Path("run.parquet"), "run.parquet")]
     [(400,)]
@@ -77,8 +86,10 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
         usable = [field.name for field in schema if _kind(pa, field.type)]
         table = file.read(columns=usable)
         rows = (schema.metadata or {}).get(b"dt_seconds")
+    while any(pa.types.is_struct(field.type) for field in table.schema):
+        table = table.flatten()
     columns: dict[str, NDArray[Any]] = {}
-    for field in table.schema:
+    for field in (field for field in table.schema if _kind(pa, field.type)):
         column = table.column(field.name).combine_chunks()
         if _kind(pa, field.type) == "list":
             wide = _wide(column)
@@ -93,7 +104,7 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
 
 
 def _kind(pa: Any, kind: Any) -> str:
-    """ "number", "text", "time" or "list"; "" = nothing that can be imported."""
+    """ "number", "text", "time", "list" or "fields"; "" = nothing that can be imported."""
     if pa.types.is_dictionary(kind):
         kind = kind.value_type
     if pa.types.is_integer(kind) or pa.types.is_floating(kind):
@@ -102,6 +113,8 @@ def _kind(pa: Any, kind: Any) -> str:
         return "text"
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         return "time"
+    if pa.types.is_struct(kind):
+        return "fields" if any(_kind(pa, field.type) for field in kind.fields) else ""
     lists = pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
     return "list" if lists and _kind(pa, kind.value_type) == "number" else ""
 
@@ -129,7 +142,7 @@ def _wide(column: Any) -> NDArray[np.float64] | None:
 
 
 def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
-    """A table per episode of a LeRobot data set of version 3: its frames; names and tasks as facts.
+    """A table per episode of a LeRobot data set of version 2 or 3: its frames; names and tasks as facts.
 
     Elements of a feature carry their names where ``meta/info.json`` lists them.
 
@@ -140,9 +153,9 @@ def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
     """
     info = read_object(folder / "meta" / "info.json")
     version, fps = str(info.get("codebase_version")), info.get("fps")
-    if not version.startswith("v3"):
+    if not version.startswith(("v2", "v3")):
         raise InputError(
-            f"{folder} is a LeRobot data set of version {version}; expected v3.0. Convert it with LeRobot."
+            f"{folder} is a LeRobot data set of version {version}; expected v2.0 to v3.0. Convert it with LeRobot."
         )
     if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < 1e6:
         raise InputError(f"{folder}/meta/info.json: fps is {fps!r}; expected frames per second.")
@@ -178,10 +191,25 @@ def _element_names(info: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _episodes(folder: Path) -> dict[int, dict[str, str | float]]:
-    """Facts of each episode."""
+    """Facts of each episode; version 2 keeps them as JSON lines."""
+    lines = folder / "meta" / "episodes.jsonl"
+    if lines.is_file():
+        return dict(map(_episode, _rows(lines)))
     files = sorted((folder / "meta" / "episodes").glob("*/*.parquet"))
     tables = (table for path in files for table in isolated(episode_tables, path, "", *LIBRARIES))
     return {int(table.name): dict(table.facts) for table in tables}
+
+
+def _rows(path: Path) -> Iterator[dict[str, Any]]:
+    """The objects of JSON lines, each of an episode."""
+    for number, line in enumerate(read_bytes(path, MAX_JSON_BYTES).splitlines(), 1):
+        try:
+            row = parse_json(line, finite=False) if line.strip() else {EPISODE: -1}
+        except ValueError as error:
+            raise InputError(f"{path}, line {number} is not JSON: {error}.") from None
+        if not isinstance(row, dict) or not isinstance(row.get(EPISODE), int):
+            raise InputError(f"{path}, line {number} is not an object with a number {EPISODE!r}.")
+        yield row
 
 
 def episode_tables(path: Path, _: str) -> Iterator[Table]:
@@ -198,9 +226,15 @@ def episode_tables(path: Path, _: str) -> Iterator[Table]:
         check_declared(path, file.metadata.num_rows * 8, size)
         wanted = [key for key in file.schema_arrow.names if key not in _BOOKKEEPING and "/" not in key]
         for row in file.read(columns=wanted).to_pylist():
-            plain = {key: value for key, value in row.items() if isinstance(value, str | int | float)}
-            number = str(int(plain.pop(EPISODE)))
-            if isinstance(row.get("tasks"), list):
-                plain["task"] = "; ".join(map(str, row["tasks"]))
-            facts = {key: value if isinstance(value, str) else float(value) for key, value in plain.items()}
-            yield Table(number, {}, facts=facts)
+            number, facts = _episode(row)
+            yield Table(str(number), {}, facts=facts)
+
+
+def _episode(row: Mapping[str, Any]) -> tuple[int, dict[str, str | float]]:
+    """The number of an episode, and the numbers and texts that describe it, with its tasks."""
+    plain = {key: value for key, value in row.items() if isinstance(value, str | int | float)}
+    number = int(plain.pop(EPISODE))
+    if isinstance(row.get("tasks"), list):
+        plain["task"] = "; ".join(map(str, row["tasks"]))
+    kept = {key: value for key, value in plain.items() if key not in _BOOKKEEPING}
+    return number, {key: value if isinstance(value, str) else float(value) for key, value in kept.items()}

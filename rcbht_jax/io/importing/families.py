@@ -19,8 +19,9 @@ Arrays = Mapping[str, NDArray[Any]]
 def families(arrays: Arrays) -> dict[str, dict[str, NDArray[Any]]]:
     """The arrays of each recording, by its number; none if the numbers separate columns, not recordings.
 
-    Numbers of recordings are those of ``trial_0``, ``trial_1``, of ``log.0.time``, ``log.1.time``, or any where arrays
-    of one name differ in length. What has no number is shared, but for arrays ``[recording]``.
+    Numbers of recordings are those of ``trial_0``, ``trial_1``, of ``log.0.time``, ``log.1.time``, any where arrays of
+    one name differ in length, or that of ``cut.0.force``, ``cut.0.depth``, ... if each has single values, too, and the
+    file holds no other signals. What has no number is shared, but for arrays ``[recording]``.
 
     >>> arrays = {"trial_0": np.zeros((9, 2)), "trial_1": np.zeros((7, 2)), "class": np.array(["a", "b"])}
     >>> {part: {name: array.shape for name, array in own.items()} for part, own in families(arrays).items()}
@@ -30,7 +31,8 @@ def families(arrays: Arrays) -> dict[str, dict[str, NDArray[Any]]]:
     for key, array in arrays.items():
         if match := _NUMBERED.match(key):
             heads.setdefault(match[1], {}).setdefault(match[2], {})[match[3] or ""] = array
-    chosen = {head: parts for head, parts in heads.items() if len(parts) > 1 and _recordings(head, parts)}
+    several = {head: parts for head, parts in heads.items() if len(parts) > 1}
+    chosen = {head: parts for head, parts in several.items() if _recordings(head, parts)} or _described(several, arrays)
     if not chosen:
         return {}
     count = max(map(len, chosen.values()))
@@ -56,6 +58,17 @@ def _recordings(head: str, parts: Mapping[str, Arrays]) -> bool:
     signals = any(length and max(length) > 1 for length in lengths)
     timed = any(base_and_unit(name)[0] in TIMES for name in names)
     return signals and (numbered(head) in GROUPS or timed or any(len(length) > 1 for length in lengths))
+
+
+def _described(heads: Mapping[str, Mapping[str, Arrays]], arrays: Arrays) -> dict[str, Mapping[str, Arrays]]:
+    """The one head whose numbers all have signals and single values, if there are no signals elsewhere."""
+    if len(heads) != 1:
+        return {}
+    [parts] = heads.values()
+    sizes = [{array.size > 1 for array in own.values()} for own in parts.values()]
+    count = sum(array.size > 1 for own in parts.values() for array in own.values())
+    alone = count == sum(array.size > 1 for array in arrays.values())
+    return dict(heads) if alone and all(size == {True, False} for size in sizes) else {}
 
 
 def numbered(head: str) -> str:

@@ -14,7 +14,7 @@ SUFFIXES = {
     ".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".pq": "parquet", ".npz": "npz", ".npy": "npz", ".h5": "hdf5",
     ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab", ".mcap": "mcap", ".bag": "bag", ".db3": "bag",
 }  # fmt: skip
-TEXTS = (".txt", ".dat", ".log", ".asc")  # tables where "csv" is asked for
+TEXTS = (".txt", ".dat", ".data", ".log", ".lvm", ".asc")  # tables where "csv" is asked for
 KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot")
 
 
@@ -75,7 +75,11 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
             raise InputError(f"{source} holds more than {MAX_FILES} files; import its folders one by one.")
     if not items:
         what = "of a known kind" if kind == "auto" else f"of the kind {kind}"
-        raise InputError(f"{source} holds no file {what}; it holds {', '.join(others[:5]) or 'none'}.")
+        known = f" Files with these endings are read: {', '.join(SUFFIXES)}; save yours as one of them."
+        text = f" Read text such as {', '.join(TEXTS)} with: rcbht import csv {source}."
+        held = ", ".join(others[:5]) or "none"
+        texts = any(Path(name).suffix.lower() in TEXTS for name in others) and kind == "auto"
+        raise InputError(f"{source} holds no file {what}; it holds {held}.{text if texts else known}")
     return sorted(items, key=lambda item: _natural(item.name)), others
 
 

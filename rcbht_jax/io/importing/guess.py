@@ -10,20 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit, split_unit
+from rcbht_jax._util.columns import TIMES, base_and_unit, split_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
-from rcbht_jax.io.importing.clock import seconds_of
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.timing import are_dates, is_clock, with_time
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
 MAX_CHANNELS = 64  # where every numeric column is one
 _BAD = re.compile(r"anomal|fault|fail|error|defect|collision|nok", re.IGNORECASE)
-_SECONDS = re.compile(r"^(|.*[./_ ])(?:secs?|seconds)$")
-SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 
 
 def outcome_words(column: str) -> dict[str, str]:
@@ -66,7 +64,7 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     free = [name for name in table.columns if name not in _used(base)]
     mapping = base
     if not base.time and base.source_rate is None:
-        mapping = _time(table, mapping, free)
+        mapping = with_time(table, mapping, free)
         free = [name for name in free if name not in (mapping.time, mapping.nanoseconds)]
     if base.channels:
         return mapping, _table(table, mapping)
@@ -85,93 +83,6 @@ def _used(mapping: Mapping) -> set[str]:
     used = {channel.column for channel in mapping.channels} | {track.column for track in mapping.annotations}
     used |= {value.column for value in mapping.columns.values()}
     return used | {mapping.time, mapping.nanoseconds, mapping.group} - {""}
-
-
-def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
-    parsed = {name: base_and_unit(name) for name in free}
-    bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
-    bases |= {base: name for name, (base, _) in reversed(parsed.items())}
-    whole = _with_nanoseconds(table, free)
-    # The stamps of a header are better than times of receipt; else the order of the list decides.
-    stamps = [name for name in whole if "stamp" in name.lower()]
-    for candidate in (*stamps, *(bases[base] for base in TIMES if base in bases)):
-        unit = "s" if candidate in whole else parsed[candidate][1]
-        values = table.columns[candidate]
-        if values.dtype.kind == "U" and not _dates(values):
-            continue
-        unit = table.units.get(candidate) or (unit if unit in SECONDS else _unit(values))
-        return replace(mapping, time=candidate, time_unit=unit, nanoseconds=whole.get(candidate, ""))
-    if table.rate is not None:
-        return mapping
-    # A column in s that grows is a time in any language, such as an index that pandas wrote.
-    stated = {name: table.units.get(name) or parsed[name][1] for name in free}
-    timed = (name for name in free if stated[name] in SECONDS and _grows(table, name))
-    if index := next(timed, ""):
-        return replace(mapping, time=index, time_unit=stated[index])
-    if dated := next((name for name in free if _clock(table.columns[name])), ""):
-        return replace(mapping, time=dated, time_unit="s")
-    first = next(iter(table.columns), "")
-    if first in free and parsed[first][0] in ("c0", "unnamed: 0", "values_0") and _clocklike(table.columns[first]):
-        return replace(mapping, time=first, time_unit=_unit(table.columns[first]))
-    return mapping
-
-
-def _with_nanoseconds(table: Table, free: list[str]) -> dict[str, str]:
-    """Columns of whole seconds, not all zero, and that of the nanoseconds beside each."""
-    lower = {name.lower(): name for name in free if table.columns[name].dtype.kind != "U"}
-    found: dict[str, str] = {}
-    for key, name in lower.items():
-        if (match := _SECONDS.match(key)) and table.columns[name].any():
-            rest = next((lower[match[1] + ending] for ending in names.NANOSECONDS if match[1] + ending in lower), "")
-            if rest:
-                found[name] = rest
-    return found
-
-
-def _grows(table: Table, name: str) -> bool:
-    """Whether numbers grow, but where a recording ends and another begins."""
-    values = table.columns[name]
-    steps = np.diff(values) if values.dtype.kind != "U" else np.zeros(1)
-    return bool((steps > 0).any() and (steps >= 0).mean() > 0.9)
-
-
-def _dates(values: NDArray[Any]) -> bool:
-    try:
-        seconds_of(values[:1].tolist())
-    except ValueError:
-        return False
-    return True
-
-
-def _clock(values: NDArray[Any]) -> bool:
-    """Whether a column of text holds times of day that change with most rows."""
-    known = values[values != ""] if values.dtype.kind == "U" else values[:0]
-    return len(np.unique(known)) > len(values) / 2 and _dates(known)
-
-
-def _unit(values: NDArray[Any]) -> str:
-    """Unit of time stamps without one: from 1973 on a count since 1970 shows by its size, others by their steps."""
-    if values.dtype.kind == "U":
-        return "s"
-    known = values[np.isfinite(values)]
-    largest = np.abs(known).max(initial=0.0)
-    unit = next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
-    with np.errstate(over="ignore"):
-        steps = np.diff(known)
-    if not (steps > 0).any() or (step := float(np.median(steps[steps > 0]))) * SECONDS[unit] <= 1:
-        return unit
-    likely = [finer for finer, scale in SECONDS.items() if SENSIBLE[0] <= step * scale < SENSIBLE[1]]
-    return likely[0] if len(likely) == 1 else unit
-
-
-def _clocklike(values: NDArray[Any]) -> bool:
-    """Whether a nameless column grows like time, and not like a counter of rows."""
-    if values.dtype.kind == "U" or len(values) < 3 or not np.isfinite(values).all():
-        return False
-    step = np.diff(values)
-    return bool(
-        (step > 0).all() and not (step == 1).all() and np.median(np.abs(step - np.median(step))) < np.median(step)
-    )
 
 
 def _group(table: Table, time: str, free: list[str]) -> str:
@@ -205,7 +116,7 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         values, base = table.columns[name], base_and_unit(name)[0]
         short = re.split(r"[./]", base)[-1]
         text = values.dtype.kind == "U"
-        stamps = text and ((base in TIMES and _dates(values)) or _clock(values))  # that --source-rate replaces
+        stamps = text and ((base in TIMES and are_dates(values)) or is_clock(values))  # that --source-rate replaces
         if (
             (base in names.COUNTERS and not text)
             or stamps
@@ -274,18 +185,21 @@ def _constant(values: NDArray[Any], label: bool) -> bool:
 
 
 def _check_axes(table: Table, free: list[str]) -> None:
-    """Raise InputError where an axis of a wrench is text, such as 1.234,50: it must not be left out."""
-    for column in (column for wrench in names.wrenches(free) for column in wrench.values()):
-        values = table.columns[column]
-        if values.dtype.kind == "U" and (words := values[values != ""]).size:
-            raise InputError(f"{table.name}: column {column!r} holds {str(words[0])[:30]!r}, which is not a number.")
+    """Raise InputError where an axis, or a whole wrench, is text, such as 1.234,50: it must not be left out."""
+    axes = {column for wrench in names.wrenches(free) for column in wrench.values()}
+    for column in (name for name in free if table.columns[name].dtype.kind == "U"):
+        words = _distinct(table.columns[column])
+        whole = len(words) > MAX_LABELS and re.split(r"[\W_]+", names.snake(column))[-1] in names.WHOLE
+        if len(words) and (column in axes or whole):
+            first = next(text for text in table.columns[column] if text)
+            raise InputError(f"{table.name}: column {column!r} holds {str(first)[:30]!r}, which is not a number.")
 
 
 def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
     found = names.wrenches(numeric)
     if found:
-        best = max(found, key=len)
+        best = max(found, key=lambda wrench: (not names.is_demanded(wrench["Fx"]), len(wrench)))
         return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in best.items())
     other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]
@@ -293,7 +207,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:
-        raise InputError(f"{table.name} has no column of numbers to import; it has {_some(table.columns)}.")
+        raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.")
     if len(rest) > MAX_CHANNELS:
         raise InputError(
             f"{table.name} has {len(rest)} columns of numbers and none is a wrench; choose some with --map."
@@ -312,13 +226,17 @@ def more_wrenches(table: Table, mapping: Mapping) -> str:
     if not own or not others:
         return ""
     return (
-        f"{len(found)} wrenches were found, and that of {own} was taken; to import that of {_some(others)}, name its "
+        f"{len(found)} wrenches were found, and that of {own} was taken; to import that of {some(others)}, name its "
         "channels with --map."
     )
 
 
-def _some(texts: Iterable[str]) -> str:
-    """The first names of many."""
+def some(texts: Iterable[str]) -> str:
+    """The first names of many.
+
+    >>> some(["a", "b"])
+    "'a', 'b'"
+    """
     listed = list(texts)
     more = f" and {len(listed) - 12} more" if len(listed) > 12 else ""
     return (", ".join(map(repr, listed[:12])) or "none") + more

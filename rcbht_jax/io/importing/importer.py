@@ -2,15 +2,17 @@
 
 Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at its own rate), ``resampled:RATE`` (from
 that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
-``stuck:AXIS``, ``missing:COUNT``, ``repeated:COUNT``, ``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``,
-``held:COUNT``, ``zeros:COUNT`` (samples), ``cp1252``, ``changes:COLUMN`` (one that should be constant),
-``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
+``stuck:AXIS``, ``counts`` (were divided), ``other-lengths:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
+``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples), ``cp1252``,
+``changes:COLUMN`` (one that should be constant), ``beginning-of:OTHER``, ``copy-of:OTHER``,
+``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from rcbht_jax._util.digest import files_hash
@@ -20,16 +22,19 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.assemble import assemble
+from rcbht_jax.io.importing.constants import constants_of, describe
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
-from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches
-from rcbht_jax.io.importing.mapping import Mapping, Track, check
+from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
+from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
+from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import Recordings
 
+Constants = dict[str, dict[str, float]]  # recording -> column -> value
 Progress = Callable[[list[Item]], Iterable[Item]]
 _ENDINGS = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
 
@@ -80,7 +85,7 @@ def read_source(
         listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
         were = plural(len(others), "other file was", "other files were")
         report.remarks.append(f"{were} not read: {listed}.")
-    read, used, tables = _read(source, items, base, report, progress)
+    read, used, tables, constants = _read(source, items, base, report, progress)
     found = [record for record, _ in read]
     names = marks.Names((record.file, record.part) for record in found)
     _beside(source, read, [track for track in base.annotations if not track.column], names, report)
@@ -88,11 +93,14 @@ def read_source(
     found = [_bounded(record, report) for record in found]
     found = most_common(without_copies(found, report, keep_copies), report)
     if not found:
-        reason = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
-        raise InputError(f"{source} holds no usable recording.{reason}")
+        raise InputError(f"{source} holds no usable recording.{report.first_reason}")
+    _warn_of_sources(found, used, report)
+    described = describe(found, constants)
     recordings = assemble(found, source, base.rate, report)
     first, rows = used[found[0].name]
+    first = replace(first, columns={**first.columns, **{column_name(name): Value(name) for name in described}})
     taken = {row.column: row for _, others in used.values() for row in others if row.role != "left out"}
+    taken |= {name: Understood(name, f"column {column_name(name)}") for name in described}
     # a column may be empty in the first file, and state something in others
     report.understood = [asdict(taken.get(row.column, row) if row.role == "left out" else row) for row in rows]
     report.content_sha256 = _digest(source, items)
@@ -155,11 +163,12 @@ def _exported(source: Path, item: Item) -> Imported:
 
 def _read(
     source: Path, items: list[Item], base: Mapping, report: ImportReport, progress: Progress
-) -> tuple[list[tuple[Record, Item]], dict[str, tuple[Mapping, list[Understood]]], list[Table]]:
-    """The recordings of all files and where each is from, the mapping of each, and tables of intervals."""
+) -> tuple[list[tuple[Record, Item]], dict[str, tuple[Mapping, list[Understood]]], list[Table], Constants]:
+    """The recordings of all files and where each is from, the mapping of each, tables of intervals, and constants."""
     found: list[tuple[Record, Item]] = []
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
     beside: list[Table] = []
+    constants: Constants = {}
     listing: Table | None = None
     if not base.table and source.is_dir():
         base, listing = marks.with_table(source, base, items, report.remarks)
@@ -180,11 +189,14 @@ def _read(
                     for record, meaning in _understood(table, base, rows, report):
                         found.append((record, item))
                         used[record.name] = meaning
+                        if not base.channels and not meaning[0].group:
+                            unused = (row.column for row in meaning[1] if row.role == "left out")
+                            constants[record.name] = constants_of(table, unused)
                 except InputError as error:  # the other tables of the file may be usable
                     report.skipped.append((table.name, _reason(error, source)))
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
-    return found, used, beside
+    return found, used, beside, constants
 
 
 def _understood(
@@ -193,8 +205,8 @@ def _understood(
     """The recordings of a table, and the meaning of its columns."""
     mapping, understood = guess(table, base)
     more = "" if base.channels else more_wrenches(table, mapping)
-    if more and more not in report.remarks:
-        report.remarks.append(more)
+    left = f"Arrays of another length were left out: {some(table.others)}." if table.others else ""
+    report.remarks += [text for text in (more, left) if text and text not in report.remarks]
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)
@@ -203,7 +215,21 @@ def _understood(
             report.warnings.append((record.name, f"{base.table} has no row for it."))
         if "changes:outcome" in record.notes:
             report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
+        record.intervals[:] = [_from_start(record, interval) for interval in record.intervals]
         yield record, (mapping, understood)
+
+
+def _warn_of_sources(
+    found: list[Record], used: dict[str, tuple[Mapping, list[Understood]]], report: ImportReport
+) -> None:
+    """Warn of recordings whose axes have other columns than those of most: they may be of another sensor."""
+    sources = {record.name: tuple(channel.column for channel in used[record.name][0].channels) for record in found}
+    [(common, _)] = Counter(sources.values()).most_common(1)
+    for name, columns in sources.items():
+        pairs = zip(columns, common, strict=True)
+        if other := next(((one, usual) for one, usual in pairs if one.lower() != usual.lower()), None):
+            text = "its axes are the columns {!r}, ...; those of most recordings are {!r}, .... Is it the same sensor?"
+            report.warnings.append((name, text.format(*other)))
 
 
 def _reason(error: InputError, source: Path) -> str:
@@ -253,7 +279,7 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
 def _from_start(record: Record, interval: Interval) -> Interval:
     """An interval in s from the first sample, converted if its times can only be on the recording's clock."""
     track, label, start, end = interval
-    late = record.end <= start and record.origin - 1e-6 <= start < record.origin + record.end
+    late = record.end <= start < record.origin + record.end and (start >= record.origin - 1e-6 or end > record.origin)
     return (track, label, max(start - record.origin, 0.0), end - record.origin) if late else interval
 
 

@@ -68,7 +68,7 @@ class Mapping:
 
     channels: tuple[Channel, ...] = ()  # none = those that are guessed
     time: str = ""  # column; "" = none
-    time_unit: str = "s"  # s, ms, us, ns
+    time_unit: str = "s"  # s, ms, us, ns, min, h, d
     nanoseconds: str = ""  # column to add to the seconds of time
     source_rate: float | None = None  # samples per second where there is no time
     topic: str = ""  # of a bag; "" = every topic of wrenches

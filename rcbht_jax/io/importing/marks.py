@@ -9,48 +9,65 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from rcbht_jax._util.columns import SECONDS, base_and_unit
 from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_TEXT_BYTES, check_file, check_inside, read_bytes, read_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
-from rcbht_jax.io.importing.names import column_name
+from rcbht_jax.io.importing.names import LABELS, column_name, wrenches
 from rcbht_jax.io.importing.record import OUTCOMES, Row, is_outcome, text
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import STANDARD_COLUMNS
 
 HEAD = 4096  # bytes of a table in which a recording is named, if it lists them
-_NAMES = ("recording", "file", "trial", "name")
+_NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
+_LABELS = ("label", "text", "description", *LABELS)
+_STARTS = ("start", "start_time", "begin", "onset", "t_start")
+_ENDS = ("end", "end_time", "stop", "stop_time", "offset", "t_end")
 
 
 def is_intervals(columns: Iterable[str]) -> bool:
-    """Whether a table with these columns is one of annotations: label and start.
+    """Whether a table with these columns is one of annotations: label and start, or like names and an end.
 
-    >>> is_intervals(["label", "start", "end"])
-    True
+    >>> is_intervals(["label", "start"]), is_intervals(["Action", "start_time [s]", "end_time [s]"])
+    (True, True)
     """
-    return {"label", "start"} <= {name.lower() for name in columns}
+    fields = _fields(columns)
+    plain = {name.lower() for name in columns}
+    return {"label", "start"} <= plain or ({"label", "start", "end"} <= set(fields) and not wrenches(columns))
+
+
+def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
+    """Label, start, end, track and recording of a table of annotations -> its column, and s per unit of a time."""
+    parsed = {base: (name, SECONDS.get(unit, 1.0)) for name in columns for base, unit in (base_and_unit(name),)}
+    kinds = {"label": _LABELS, "start": _STARTS, "end": _ENDS, "track": ("track",), "recording": _NAMES}
+    found = {kind: next((parsed[word] for word in words if word in parsed), None) for kind, words in kinds.items()}
+    return {kind: place for kind, place in found.items() if place is not None}
 
 
 def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     """The intervals of a table label, start and perhaps end, track, each with the name of its recording; "" = none.
 
-    >>> table = Table("a.csv", {"label": np.array(["push"]), "start": np.array([1.0])})
+    >>> table = Table("a.csv", {"label": np.array(["push"]), "start_ms": np.array([1000.0])})
     >>> intervals_of(table, Track("phase", file="a.csv"))
     [('', ('phase', 'push', 1.0, nan))]
 
     Raises:
         InputError: a time is text.
     """
-    columns = {key.lower(): values for key, values in table.columns.items()}
+    fields = _fields(table.columns)
+    columns = {kind: table.columns[name] for kind, (name, _) in fields.items()}
     count = len(columns["label"])
-    for key in ("start", "end"):
-        if key in columns and columns[key].dtype.kind == "U":
-            raise InputError(f"{table.name}: column {key} is text; expected seconds.")
+    for key in {"start", "end"} & set(columns):
+        name, seconds = fields[key]
+        if columns[key].dtype.kind == "U":
+            raise InputError(f"{table.name}: column {name} is text; expected seconds.")
+        columns[key] = columns[key] * seconds
     ends = columns.get("end", np.full(count, np.nan))
     tracks = columns.get("track", np.full(count, track.track))
-    names = next((columns[key] for key in _NAMES if key in columns), np.full(count, ""))
+    names = columns.get("recording", np.full(count, ""))
     found = []
     for row in range(count):
         label = text(columns["label"][row])
@@ -67,7 +84,7 @@ def is_naming(columns: Iterable[str]) -> bool:
     >>> is_naming(["Recording", "label", "start"])
     True
     """
-    return bool(set(_NAMES) & {name.lower() for name in columns})
+    return "recording" in _fields(columns)
 
 
 def ambiguous(word: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as AnyMapping
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.labels import AXES
+from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_GROUPS = 100_000
 OUTCOMES = dict.fromkeys(("success", "1", "true", "ok", "pass", "passed", "io", "i.o."), "success") | dict.fromkeys(
@@ -173,9 +175,11 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
     known = measured[np.isfinite(measured)]
     first = known.min() if len(known) else 0.0
     time, values, notes = conform.tidy(measured - first, values[new])
-    columns = {column_name(key): value for key, value in table.facts.items()}
+    columns: dict[str, str | float] = {}
     for key, fact in table.facts.items():
-        if key.lower() == "success" and is_outcome("success", [fact]):  # a word of "outcome" stays that of its file
+        short = re.split("[./]", key.lower())[-1]
+        columns[short if short in (*STANDARD_COLUMNS, "trial") else column_name(key)] = fact
+        if short == "success" and is_outcome("success", [fact]):  # a word of "outcome" stays that of its file
             columns.setdefault("outcome", OUTCOMES[text(fact).lower()])
     for target, source in mapping.columns.items():
         value = _value(table, source, rows, row)

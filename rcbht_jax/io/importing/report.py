@@ -24,6 +24,12 @@ class ImportReport:
     understood: list[dict[str, str]] = field(default_factory=list)  # column, role, unit: of the first file
     content_sha256: str = ""  # of every file read
 
+    @property
+    def first_reason(self) -> str:
+        """The reason why the first file was left out, with its name; "" = none was."""
+        name, reason = next(iter(self.skipped), ("", ""))
+        return f" The first reason: {reason if name in reason else f'{name}: {reason}'}" if self.skipped else ""
+
     def to_dict(self) -> dict[str, Any]:
         """The report as plain lists and strings."""
         return asdict(self)

@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.columns import unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import families
+from rcbht_jax.io.importing.names import wrenches
+from rcbht_jax.io.importing.segments import segments
 
 RATE_NAMES = (
     "rate",
@@ -41,8 +44,9 @@ class Table:
     rate: float | None = None  # samples per second, where the file states it
     units: Mapping[str, str] = field(default_factory=dict)  # of columns, where the format states them
     facts: Mapping[str, str | float] = field(default_factory=dict)  # what holds for the whole table
-    intervals: tuple[Interval, ...] = ()
+    intervals: tuple[Interval, ...] = ()  # on the clock of the columns, where their times can be nothing else
     notes: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()  # arrays of another length, which are left out
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
 
     @property
@@ -54,11 +58,13 @@ class Table:
 def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: str = "") -> Iterator[Table]:
     """Tables of named arrays, as array files hold them.
 
-    Arrays ``[row]`` and ``[row, element]`` of the most frequent length are columns (elements are ``name_0``,
-    ``name_1``, ...); an array ``[recording, row, element]`` makes a table of each recording, and arrays
-    ``[recording]`` beside it are facts; one called lengths states where the padding begins.
+    Arrays ``[row]`` and ``[row, element]`` of one length are columns (elements are ``name_0``, ``name_1``, ...): that
+    of a wrench if there is one, else the most frequent. An array ``[recording, row, element]`` makes a table of each
+    recording, and arrays ``[recording]`` beside it are facts; one called lengths states where the padding begins.
+    Beside a wrench or a time ``[row, element]`` of its length, it is a matrix for every row, and left out.
     Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own.
-    Scalars called dt or rate state the sampling, other scalars are facts.
+    Scalars called dt or rate state the sampling, other scalars are facts, but for those of numbered groups of
+    annotations (:func:`~rcbht_jax.io.importing.segments.segments`).
 
     >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.array(0.01)})
     >>> list(table.columns), table.rate
@@ -77,12 +83,14 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
         for which, those in several.items():
             yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which)
         return
+    intervals, arrays = segments(arrays)
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
     rate, facts = _scalars({key: array for key, array in arrays.items() if array.ndim == 0})
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
     if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
         cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
-    if cubes:
+    cubes = {key: np.moveaxis(cube, 2, 0) if _ends_in_recordings(cube, arrays) else cube for key, cube in cubes.items()}
+    if cubes and not _is_signal(arrays, len(next(iter(cubes.values())))):
         count, rows = next(iter(cubes.values())).shape[:2]
         for number in range(count):
             cut = {key: array[number] for key, array in cubes.items() if array.shape[:2] == (count, rows)}
@@ -106,12 +114,32 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
         return
     if not lengths:
         raise InputError(f"{path} holds no array of at least two rows [time] or [time, axis].")
-    rows = max(set(lengths), key=lambda length: (lengths.count(length), length))
+    sampled = [length for length in set(lengths) if wrenches(_titles(flat, length))] or set(lengths)
+    rows = max(sampled, key=lambda length: (lengths.count(length), length))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
-    others = tuple(
-        f"{key} has {len(array)} rows where most have {rows}" for key, array in flat.items() if key not in chosen
-    )
-    yield Table(name, _columns(path, chosen), rate, facts=facts, notes=others, part=part)
+    others = tuple(key for key in flat if key not in chosen)
+    notes = (f"other-lengths:{len(others)}",) if others else ()
+    columns = _columns(path, chosen)
+    yield Table(name, columns, rate, facts=facts, intervals=tuple(intervals), notes=notes, others=others, part=part)
+
+
+def _titles(arrays: Mapping[str, NDArray[Any]], rows: int) -> list[str]:
+    """The names of the columns of numbers of that length."""
+    those = {key: array for key, array in arrays.items() if array.dtype.kind in "fiu" and array.shape[:1] == (rows,)}
+    wide = [f"{key}_{number}" for key, array in those.items() if array.ndim == 2 for number in range(array.shape[1])]
+    return [key for key, array in those.items() if array.ndim == 1] + wide
+
+
+def _is_signal(arrays: Mapping[str, NDArray[Any]], rows: int) -> bool:
+    """Whether arrays of that length hold a wrench or a time, whose rows are samples and no recordings."""
+    titles = _titles(arrays, rows)
+    return bool(wrenches(titles)) or any(map(unit_of_time, titles))
+
+
+def _ends_in_recordings(cube: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether an array is ``[row, element, recording]``, as facts that are as many as its last dimension show."""
+    counts = {len(array) for key, array in arrays.items() if array.ndim == 1 and not unit_of_time(key)}
+    return cube.shape[2] in counts and cube.shape[0] not in counts
 
 
 def _usable(array: NDArray[Any]) -> bool:

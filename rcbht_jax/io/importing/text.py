@@ -16,15 +16,14 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import split_unit
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTES, check_file
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing import cells
+from rcbht_jax.io.importing.preamble import line_of_names, stated
 from rcbht_jax.io.importing.table import Table
 
 PREAMBLE, PREAMBLE_LINE = 64, 2**14  # lines at most before the names of the columns, and bytes of one
 CHUNK = 20_000  # rows that are Python objects at a time
-NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
-_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 _PLAIN = b"0123456789+-.eE,;\t \r\n"
 
 
@@ -50,21 +49,44 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
         with path.open("rb") as file:
             encoding = _encoding(file, path)
             before = _preamble(file)
-            head, comment = _head(file, path)
-            delimiter = _delimiter(head)
-            cells = _cells(head, delimiter, encoding)
-            titled = comment or not all(_is_number(cell) for cell in cells if cell)
+            head, comment, comments = _head(file, path)
+            delimiter = cells.delimiter_of(head)
+            titles = cells.split(head, delimiter, encoding)
+            titled = comment or cells.is_title(titles, _below(file, delimiter, encoding))
             body = file.tell() if titled else file.tell() - len(head)
             units, below = _units_below(file, delimiter, encoding) if titled else ([], body)
-            if cells and len(units) == len(cells):
+            if titles and len(units) == len(titles):
                 body = below
-                cells = [f"{cell} [{unit}]" if unit else cell for cell, unit in zip(cells, units, strict=True)]
-            names = _names(cells, path) if titled else [f"c{number}" for number in range(len(cells))]
-            columns = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names, encoding)
+                titles = [f"{title} [{unit}]" if unit else title for title, unit in zip(titles, units, strict=True)]
+            names = _names(titles, path) if titled else [f"c{number}" for number in range(len(titles))]
+            read = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names, encoding)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-    notes = ((f"preamble:{before}",) if before else ()) + (("cp1252",) if encoding == "cp1252" else ())
-    yield Table(name, dict(zip(names, columns, strict=True)), notes=notes)
+    notes = ((f"preamble:{len(before)}",) if before else ()) + (("cp1252",) if encoding == "cp1252" else ())
+    columns = {key: part for name, one in zip(names, read, strict=True) for key, part in _elements(name, one).items()}
+    if len(columns) > MAX_COLUMNS:
+        raise InputError(f"{path} has {len(columns)} columns; expected at most {MAX_COLUMNS}.")
+    about = stated([*before, *comments], columns)
+    for column, counts in about.counts.items():
+        if columns[column].dtype.kind == "f":
+            columns[column] = columns[column].astype(np.float64) / counts
+    notes += ("counts",) if about.counts else ()
+    yield Table(name, columns, about.rate, about.units, notes=notes)
+
+
+def _elements(name: str, column: NDArray[np.generic]) -> dict[str, NDArray[np.generic]]:
+    """The columns of lists of numbers, as many in each cell; a column of anything else by itself."""
+    if column.dtype.kind != "U" or not str(column[0]).startswith(("[", "(")):
+        return {name: column}
+    texts = column.tolist()
+    if not all(text.startswith(("[", "(")) and text.endswith(("]", ")")) for text in texts):
+        return {name: column}
+    try:
+        rows = [list(map(float, re.split(r"[\s,;]+", text[1:-1].strip(" ,;\n")))) for text in texts]
+        table = np.array(rows, np.float64)
+    except ValueError:
+        return {name: column}
+    return {f"{name}_{number}": table[:, number] for number in range(table.shape[1])}
 
 
 def _encoding(file: BinaryIO, path: Path) -> str:
@@ -83,109 +105,65 @@ def _encoding(file: BinaryIO, path: Path) -> str:
     return encoding
 
 
-def _preamble(file: BinaryIO) -> int:
-    """Move to the line of names, if lines with fewer cells stand before it; returns the number of skipped lines.
-
-    Only a line of text with as many cells as all lines after it is one of names: rows that are cut off, or too few
-    names, remain mistakes.
-    """
+def _preamble(file: BinaryIO) -> list[bytes]:
+    """Move to the line of names, if lines with fewer cells stand before it; returns those lines."""
     lines: list[bytes] = []
     while len(lines) < PREAMBLE + 2 and (line := file.readline(PREAMBLE_LINE)):
         lines.append(line)
         if not line.endswith(b"\n"):
             break  # the last one, or longer than those of loggers are
-    passed = _line_of_names(lines)
+    passed = line_of_names(lines)
     file.seek(sum(map(len, lines[:passed])))
-    return passed
+    return lines[:passed]
 
 
-def _line_of_names(lines: list[bytes]) -> int:
-    filled = [number for number, line in enumerate(lines) if line.strip()]
-    if len(filled) < 3:
-        return 0
-    delimiter = _delimiter(lines[filled[-1]])
-    cells = [_cells(lines[number], delimiter) for number in filled]
-    width = len(cells[-1])
-    first = max((at + 1 for at, row in enumerate(cells) if len(row) != width), default=0)
-    if not 0 < first < len(cells) - 1 or any(len(row) > width for row in cells[:first]):
-        return 0
-    below = cells[min(first + 1 + bool(_units(cells[first + 1])), len(cells) - 1)]
-    named = not any(map(_is_number, cells[first])) and 2 * sum(map(_is_number, below)) >= width
-    comments = any(lines[number].startswith((b"#", b"%")) for number in filled[:first])
-    return filled[first] if named and not comments else 0
-
-
-def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
-    """The first line with content, and whether it is a comment; of several comments the last."""
+def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
+    """The first line with content, whether it is a comment (of several the last), and the first comments."""
     comment = b""
+    comments: list[bytes] = []
     while line := file.readline(MAX_TABLE_LINE):
         if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
             raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
         if line.startswith((b"#", b"%")) and not line.startswith(b"%time"):
             comment = line.lstrip(b"#% ")
+            comments = [*comments, line][:PREAMBLE]
         elif line.strip():
             # A comment is the line of names if it has as many of them as the first row has cells.
-            cells = _cells(line, _delimiter(line))
-            if comment and len(_cells(comment, _delimiter(comment))) == len(cells) and all(map(_is_number, cells)):
+            row = cells.split(line, cells.delimiter_of(line))
+            titles = cells.split(comment, cells.delimiter_of(comment)) if comment else []
+            if len(titles) == len(row) and all(map(cells.is_number, row)):
                 file.seek(file.tell() - len(line))
-                return comment, True
-            return line, False
+                return comment, True, comments
+            return line, False, comments
     raise InputError(f"{path} is empty; expected a table.")
+
+
+def _below(file: BinaryIO, delimiter: str, encoding: str) -> list[str]:
+    """The cells of the next line, whose position is kept."""
+    place = file.tell()
+    row = cells.split(file.readline(MAX_TABLE_LINE), delimiter, encoding)
+    file.seek(place)
+    return row
 
 
 def _units_below(file: BinaryIO, delimiter: str, encoding: str) -> tuple[list[str], int]:
     """The units in the next line, if those columns hold numbers in the line after it, and where that line begins."""
-    units, place = _units(_cells(file.readline(MAX_TABLE_LINE), delimiter, encoding)), file.tell()
-    first = _cells(file.readline(MAX_TABLE_LINE), delimiter, encoding)
+    units, place = cells.units(cells.split(file.readline(MAX_TABLE_LINE), delimiter, encoding)), file.tell()
+    first = cells.split(file.readline(MAX_TABLE_LINE), delimiter, encoding)
     of_numbers = len(first) == len(units) and all(
-        _is_number(cell) or not cell for cell, unit in zip(first, units, strict=True) if unit
+        cells.is_number(cell) or not cell for cell, unit in zip(first, units, strict=True) if unit
     )
-    return (units if of_numbers and any(map(_is_number, first)) else []), place
+    return (units if of_numbers and any(map(cells.is_number, first)) else []), place
 
 
-def _units(cells: list[str]) -> list[str]:
-    """The units in a line below that of names, none where a cell has none; [] = it is no such line."""
-    bare = [cell.strip("[]() ") for cell in cells]
-    known = [split_unit(f"x [{unit}]")[1] for unit in bare]
-    numbers = any(map(_is_number, filter(None, bare)))
-    return bare if any(known) and not numbers and 2 * sum(map(bool, known)) >= sum(map(bool, bare)) else []
-
-
-def _delimiter(line: bytes) -> str:
-    for mark in ";\t":
-        if mark.encode() in line and all(map(_is_number, _cells(line, mark))):
-            return mark  # its commas are those of numbers
-    counts = {mark: line.count(mark.encode()) for mark in ",;\t"}
-    best = max(counts, key=lambda mark: counts[mark])
-    return best if counts[best] else " "
-
-
-def _cells(line: bytes, delimiter: str, encoding: str = "utf-8-sig") -> list[str]:
-    text = line.decode(encoding, "replace").strip("\r\n")
-    if delimiter == " ":
-        return text.split()
-    try:
-        return [_plain(cell.strip(), delimiter) for cell in next(csv.reader([text], delimiter=delimiter), [])]
-    except csv.Error:
-        return [text]
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return cell.lower() in NAN
-    return "_" not in cell
-
-
-def _names(cells: list[str], path: Path) -> list[str]:
-    if len(cells) > MAX_COLUMNS:
-        raise InputError(f"{path} has {len(cells)} columns; expected at most {MAX_COLUMNS}.")
-    if any(not cell.isprintable() for cell in cells):
+def _names(titles: list[str], path: Path) -> list[str]:
+    if len(titles) > MAX_COLUMNS:
+        raise InputError(f"{path} has {len(titles)} columns; expected at most {MAX_COLUMNS}.")
+    if any(not cell.isprintable() for cell in titles):
         raise InputError(f"{path} is not a table: its first line is not text. Unpack it if it is compressed.")
     seen: dict[str, int] = {}
     names = []
-    for number, title in enumerate(cells):
+    for number, title in enumerate(titles):
         cell = title or f"c{number}"
         count = seen[cell] = seen.get(cell, 0) + 1
         names.append(cell if count == 1 else f"{cell}.{count}")
@@ -229,13 +207,13 @@ def _slow(
     columns = [_Column(path, name) for name in names]
     rows: list[list[str]] = []
     numbers: list[int] = []
-    for number, cells in _rows(path, file, delimiter, before, encoding):
+    for number, row in _rows(path, file, delimiter, before, encoding):
         # A delimiter at the end of every line makes an empty cell more.
-        if len(cells) == len(names) + 1 and not cells[-1]:
-            cells = cells[:-1]
-        if len(cells) != len(names):
-            raise InputError(f"{path}, line {number}: {len(cells)} cells; expected {len(names)}. Is the line cut off?")
-        rows.append(cells)
+        if len(row) == len(names) + 1 and not row[-1]:
+            row = row[:-1]
+        if len(row) != len(names):
+            raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(names)}. Is the line cut off?")
+        rows.append(row)
         numbers.append(number)
         if len(rows) == CHUNK:
             _flush(columns, rows, numbers)
@@ -257,7 +235,7 @@ def _rows(path: Path, file: BinaryIO, delimiter: str, before: int, encoding: str
     number = before
     while True:
         try:
-            cells = next(reader)
+            row = next(reader)
         except StopIteration:
             return
         except (csv.Error, UnicodeDecodeError) as error:
@@ -265,18 +243,13 @@ def _rows(path: Path, file: BinaryIO, delimiter: str, before: int, encoding: str
             reason = "it is neither UTF-8 nor Windows-1252; save it as UTF-8" if wrong else str(error)
             raise InputError(f"{path}, line {number + 1} cannot be read: {reason}.") from None
         number += 1
-        if any(cell.strip() for cell in cells):
-            yield number, [_plain(cell.strip(), delimiter) for cell in cells]
-
-
-def _plain(cell: str, delimiter: str) -> str:
-    """A cell with a point where a table with semicolons or tabs has a decimal comma."""
-    return _COMMA.sub(r"\1.\2", cell) if delimiter in (";", "\t") and "," in cell else cell
+        if any(cell.strip() for cell in row):
+            yield number, [cells.plain(cell.strip(), delimiter) for cell in row]
 
 
 def _flush(columns: list[_Column], rows: list[list[str]], numbers: list[int]) -> None:
-    for column, cells in zip(columns, zip(*rows, strict=True), strict=False):
-        column.add(cells, numbers)
+    for column, some in zip(columns, zip(*rows, strict=True), strict=False):
+        column.add(some, numbers)
     rows.clear()
     numbers.clear()
 
@@ -290,30 +263,30 @@ class _Column:
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
         self.count = 0
 
-    def add(self, cells: tuple[str, ...], lines: list[int]) -> None:
-        self.count += len(cells)
+    def add(self, row: tuple[str, ...], lines: list[int]) -> None:
+        self.count += len(row)
         if not self._kind:
-            filled = [cell for cell in cells if cell.lower() not in NAN]
+            filled = [cell for cell in row if cell.lower() not in cells.NAN]
             # One stray word in a column of numbers is a mistake, not a label.
-            texts = sum(not _is_number(cell) for cell in filled)
+            texts = sum(not cells.is_number(cell) for cell in filled)
             self._kind = "" if not filled else "U" if 2 * texts > len(filled) else "f"
         if self._kind == "U":
-            self._parts.append(np.array(cells, np.str_))
+            self._parts.append(np.array(row, np.str_))
         else:
-            self._parts.append(self._numbers(cells, lines))
+            self._parts.append(self._numbers(row, lines))
 
-    def _numbers(self, cells: tuple[str, ...], lines: list[int]) -> NDArray[np.float64]:
+    def _numbers(self, row: tuple[str, ...], lines: list[int]) -> NDArray[np.float64]:
         try:
-            if not any("_" in cell for cell in cells):
-                return np.array(cells, np.float64)
+            if not any("_" in cell for cell in row):
+                return np.array(row, np.float64)
         except ValueError:
             pass
-        values = np.empty(len(cells))
-        for row, cell in enumerate(cells):
-            if not _is_number(cell):
-                where = f"{self._path}, line {lines[row]}, column {self._name}"
+        values = np.empty(len(row))
+        for place, cell in enumerate(row):
+            if not cells.is_number(cell):
+                where = f"{self._path}, line {lines[place]}, column {self._name}"
                 raise InputError(f"{where}: {cell[:30]!r} is not a number.")
-            values[row] = np.nan if cell.lower() in NAN else float(cell)
+            values[place] = np.nan if cell.lower() in cells.NAN else float(cell)
         return values
 
     def array(self) -> NDArray[np.generic]:

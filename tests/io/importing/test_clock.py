@@ -25,6 +25,8 @@ from rcbht_jax.io.importing.importer import read_source
         (["1/5/2024 11:59:59 am", "1/5/2024 12:00:00 pm", "1/5/2024 12:00:01 PM"], [0, 1, 2]),
         (["31.12.2024 23:59:59.900", "01.01.2025 00:00:00.100"], [0, 0.2]),
         (["23:59:59", "00:00:01", "23:59:58"], [0, 2, -1]),  # the last one is only out of order
+        (["09:30:00:050", "09:30:01:000"], [0, 0.95]),
+        (["00:59.950", "01:00.000"], [0, 0.05]),
         (["", ""], [np.nan, np.nan]),
         ([], []),
     ],
@@ -33,7 +35,9 @@ def test_times(texts: list[str], seconds: list[float]) -> None:
     np.testing.assert_allclose(seconds_of(texts), seconds, atol=1e-9)
 
 
-@pytest.mark.parametrize("text", ["noon", "25:00:00", "13:00:00 PM", "00:61:00", "12", "2024-13-01T00:00:00"])
+@pytest.mark.parametrize(
+    "text", ["noon", "25:00:00", "13:00:00 PM", "00:61:00", "12", "12:30", "00:00:00:5", "2024-13-01T00:00:00"]
+)
 def test_no_times(text: str) -> None:
     with pytest.raises(ValueError):
         seconds_of([text])

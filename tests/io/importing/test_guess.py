@@ -48,6 +48,14 @@ def table(*names: str, **values: object) -> Table:
         ("Kraft_x_N Kraft_y_N Kraft_z_N Drehmoment_x_Nm Drehmoment_y_Nm Drehmoment_z_Nm", "Fx Fy Fz Mx My Mz",
          "N,N,N,Nm,Nm,Nm"),
         ("Weg_x Weg_y Weg_z", "Weg_x Weg_y Weg_z", ",,"),
+        ("cartForce1_X cartForce1_Y cartForce1_Z cartTorque1_TauX cartTorque1_TauY cartTorque1_TauZ cartPosCmd1_X",
+         "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("tcpForceX tcpForceY tcpForceZ tcpSpeedX", "Fx Fy Fz", ",,"),
+        ("s.force[1] s.force[2] s.force[3] s.torque[1] s.torque[2] s.torque[3]", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        (" ".join(f"wrench.signals.values_{k}" for k in range(6)), "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("F_1 F_2 F_3", "F_1 F_2 F_3", ",,"),
+        ("Fx/N Fy/N Fz/N Mx/Ncm My/Ncm Mz/Ncm", "Fx Fy Fz Mx My Mz", "N,N,N,Ncm,Ncm,Ncm"),
+        ("force_x force_y force_z " + " ".join(f"joint_torque_{k}" for k in range(7)), "Fx Fy Fz", ",,"),
     ],
 )  # fmt: skip
 def test_channels(names: str, axes: str, units: str) -> None:
@@ -56,6 +64,19 @@ def test_channels(names: str, axes: str, units: str) -> None:
     assert mapping.axes == ((axes,) if "strain" in axes else tuple(axes.split()))
     assert mapping.units == tuple(units.split(","))
     assert mapping.time == "t"
+
+
+@pytest.mark.parametrize("names", ["tx ty tz fx fy fz mx my mz", "fx fy fz mx my mz tx ty tz"])
+def test_beside_moments_a_t_is_a_translation(names: str) -> None:
+    mapping, _ = guess(table("t", *names.split(), t=np.arange(N) * 0.1))
+    assert [channel.column for channel in mapping.channels] == ["fx", "fy", "fz", "mx", "my", "mz"]
+
+
+@pytest.mark.parametrize("demanded", ["desired_wrench", "cmd/wrench", "next_obs/wrench", "targetWrench.wrench"])
+def test_what_was_measured_comes_before_what_was_wanted(demanded: str) -> None:
+    both = [f"{name}_{k}" for name in (demanded, "wrench") for k in range(6)]
+    mapping, _ = guess(table("t", *both, t=np.arange(N) * 0.1))
+    assert mapping.channels[0].column == "wrench_0"
 
 
 @pytest.mark.parametrize(
@@ -74,12 +95,50 @@ def test_channels(names: str, axes: str, units: str) -> None:
         ("time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
         ("Date/Time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
         ("Aufgenommen", np.arange(N).astype("datetime64[s]").astype(str), "s"),
+        ("simTime", np.arange(N) * 0.05, "s"),
+        ("duration", np.arange(N) * 2.0, "ms"),
+        ("Time", 45321.43 + np.arange(N) * 0.005 / 86400, "d"),
+        ("Gemessen", 739311.43 + np.arange(N) * 0.005 / 86400, "d"),
+        ("time values", np.arange(N) * 0.05, "s"),
+        ("Time (min)", np.arange(N) * 0.001, "min"),
+        ("time, s", np.arange(N) * 0.05, "s"),
+        ("X_Value", np.arange(N) * 0.001, "s"),
     ],
 )
 def test_time(name: str, values: np.ndarray, unit: str) -> None:
     mapping, _ = guess(Table("a.csv", {name: values, "Fz": np.ones(N)}))
     assert (mapping.time, mapping.time_unit) == (name, unit)
     assert mapping.axes == ("Fz",)
+
+
+@pytest.mark.parametrize(("axes", "unit"), [(["Fx", "Fy", "Fz"], "ms"), (["level"], "s")])
+def test_a_wrench_is_not_logged_once_a_second(axes: list[str], unit: str) -> None:
+    mapping, _ = guess(Table("a.csv", {"time": np.arange(N) * 1.0} | {axis: np.ones(N) for axis in axes}))
+    assert mapping.time_unit == unit
+
+
+def test_a_step_of_time_is_a_counter() -> None:
+    assert guess(Table("a.csv", {"time_step": np.arange(N) * 1.0, "level": np.ones(N)}))[0].time == ""
+
+
+@pytest.mark.parametrize("name", ["contact", "in_contact", "activity"])
+def test_numbers_of_a_contact_are_labels(name: str) -> None:
+    columns = {"t": np.arange(N) * 0.1, "Fx": np.ones(N), "Fy": np.ones(N), "Fz": np.ones(N)}
+    mapping, _ = guess(Table("a.csv", columns | {name: np.repeat([0.0, 1.0], N // 2)}))
+    assert [track.track for track in mapping.annotations] == [name]
+
+
+def test_a_time_stops_no_stated_rate_if_it_repeats() -> None:
+    columns = {"Time": np.repeat(np.arange(N / 2) * 0.016, 2), "Fz": np.ones(N)}
+    assert guess(Table("a.csv", columns, rate=125.0))[0].time == ""
+
+
+@pytest.mark.parametrize("names", [("ZeitInSec", "ZeitInNanoSec"), ("c0", "c1")])
+def test_seconds_and_nanoseconds_of_other_names(names: tuple[str, str]) -> None:
+    stamps = np.arange(N) * 100_000_000
+    columns = {names[0]: 1.7e9 + stamps // 10**9, names[1]: stamps % 10**9 * 1.0, "Fz": np.ones(N)}
+    mapping, _ = guess(Table("a.csv", columns))
+    assert (mapping.time, mapping.nanoseconds) == names
 
 
 def test_seconds_and_nanoseconds() -> None:

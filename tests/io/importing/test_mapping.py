@@ -55,7 +55,7 @@ def test_a_mapping_comes_back_equal(
         ("\xff", "not a mapping in TOML"),
         ("tyme = 't'", "has no key 'tyme'; there are channels, time"),
         ("time = 3", "wrong value among time"),
-        ("time_unit = 'h'", "unit of time is 'h'"),
+        ("time_unit = 'weeks'", "unit of time is 'weeks'"),
         ("rate = -1", "rate is -1"),
         ("rate = true", "wrong value among rate"),
         ("rate = inf", "wrong value among rate"),

@@ -318,11 +318,12 @@ def test_a_bag_may_define_messages_otherwise(tmp_path: Path, renamed, column, un
     assert recordings.annotations.names().tolist() == said
 
 
-def test_lerobot(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_lerobot(version: str, tmp_path: Path) -> None:
     folder = tmp_path / "set"
     (folder / "meta/episodes/chunk-000").mkdir(parents=True)
     (folder / "data/chunk-000").mkdir(parents=True)
-    info = {"codebase_version": "v3.0", "fps": 100, "features": {"observation.wrench": {"names": list(AXES)}}}
+    info = {"codebase_version": version, "fps": 100, "features": {"observation.wrench": {"names": list(AXES)}}}
     (folder / "meta/info.json").write_text(json.dumps(info))
     episodes = {
         "episode_index": [0, 1],
@@ -330,7 +331,11 @@ def test_lerobot(tmp_path: Path) -> None:
         "length": [N, N],
         "stats/x/min": [[0.0], [0.0]],
     }
-    pq.write_table(pa.table(episodes), folder / "meta/episodes/chunk-000/file-000.parquet")
+    if version == "v3.0":
+        pq.write_table(pa.table(episodes), folder / "meta/episodes/chunk-000/file-000.parquet")
+    else:
+        lines = [{"episode_index": number, "tasks": episodes["tasks"][number], "length": N} for number in range(2)]
+        (folder / "meta/episodes.jsonl").write_text("\n".join(map(json.dumps, lines)) + "\n")
     flat = np.concatenate([WRENCH, WRENCH + 1])
     frames = {
         "observation.wrench": pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), 6),
@@ -343,9 +348,19 @@ def test_lerobot(tmp_path: Path) -> None:
         assert imported.recordings.columns["task"].tolist() == ["plug", "unplug"]
         np.testing.assert_array_equal(imported.recordings.wrench, flat.reshape(2, N, 6))
         assert imported.recordings.axes == AXES
-    (folder / "meta/info.json").write_text(json.dumps(info | {"codebase_version": "v2.1"}))
-    with pytest.raises(InputError, match=r"version v2\.1; expected v3"):
+        assert set(imported.recordings.columns) == {"task"}
+    (folder / "meta/info.json").write_text(json.dumps(info | {"codebase_version": "v1.6"}))
+    with pytest.raises(InputError, match=r"version v1\.6; expected v2\.0 to v3\.0"):
         read_source(folder)
+
+
+def test_a_broken_line_of_lerobot_episodes_is_named(tmp_path: Path) -> None:
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta/info.json").write_text(json.dumps({"codebase_version": "v2.1", "fps": 100}))
+    for line in ("{", "[]", '{"tasks": []}'):
+        (tmp_path / "meta/episodes.jsonl").write_text('{"episode_index": 0}\n' + line)
+        with pytest.raises(InputError, match="line 2 is not"):
+            read_source(tmp_path)
 
 
 def test_every_kind_has_a_command() -> None:

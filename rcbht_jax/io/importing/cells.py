@@ -1,0 +1,91 @@
+"""Lines of a table as text: its delimiter, its cells, and whether they are names, units or numbers."""
+
+from __future__ import annotations
+
+import csv
+import re
+
+from rcbht_jax._util.columns import split_unit
+
+NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
+_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
+
+
+def delimiter_of(line: bytes) -> str:
+    """The mark between the cells of a line; " " = blanks.
+
+    >>> delimiter_of(b"1,5;2,5"), delimiter_of(b"t,Fz"), delimiter_of(b"t Fz")
+    (';', ',', ' ')
+    """
+    for mark in ";\t":
+        if mark.encode() in line and all(map(is_number, split(line, mark))):
+            return mark  # its commas are those of numbers
+    counts = {mark: line.count(mark.encode()) for mark in ",;\t"}
+    best = max(counts, key=lambda mark: counts[mark])
+    return best if counts[best] else " "
+
+
+def split(line: bytes, delimiter: str, encoding: str = "utf-8-sig") -> list[str]:
+    """The cells of a line, with points for decimal commas.
+
+    >>> split(b"1,5; push", ";")
+    ['1.5', 'push']
+    """
+    text = line.decode(encoding, "replace").strip("\r\n")
+    if delimiter == " ":
+        return text.split()
+    try:
+        return [plain(cell.strip(), delimiter) for cell in next(csv.reader([text], delimiter=delimiter), [])]
+    except csv.Error:
+        return [text]
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number or missing.
+
+    >>> is_number("1e3"), is_number(""), is_number("push")
+    (True, True, False)
+    """
+    try:
+        float(cell)
+    except ValueError:
+        return cell.lower() in NAN
+    return "_" not in cell
+
+
+def plain(cell: str, delimiter: str) -> str:
+    """A cell with a point where a table with semicolons or tabs has a decimal comma.
+
+    >>> plain("1,5", ";"), plain("1,5", ",")
+    ('1.5', '1,5')
+    """
+    return _COMMA.sub(r"\1.\2", cell) if delimiter in (";", "\t") and "," in cell else cell
+
+
+def is_title(cells: list[str], below: list[str]) -> bool:
+    """Whether a line holds the names of the columns, and is no row like the next one.
+
+    Words that stand in the same cells of both, among more numbers, are no names; 0, 1, 2, ... above other numbers are.
+
+    >>> is_title(["t", "Fz", "phase"], ["0", "1.5", "free"]), is_title(["0", "tool0", "1.5"], ["1", "tool0", "1.7"])
+    (True, False)
+    >>> is_title(["", "0", "1", "2", "3"], ["0", "1.5", "1.7", "1.1", "0.2"])
+    True
+    """
+    numbers = [is_number(cell) for cell in cells]
+    counted, first = ([cell for cell in row if cell and is_number(cell)] for row in (cells, below))
+    if len(counted) > 3 and any(counted == [str(k + low) for k in range(len(counted))] for low in (0, 1)):
+        return any(not cell.lstrip("+-").isdecimal() for cell in first)
+    return not all(numbers) and (numbers != [is_number(cell) for cell in below] or 2 * sum(numbers) <= len(cells))
+
+
+def units(cells: list[str]) -> list[str]:
+    """The units in a line below that of names, none where a cell has none; [] = it is no such line.
+
+    >>> units(["[s]", "[N]"]), units(["0", "1"])
+    (['s', 'N'], [])
+    """
+    bare = [cell.strip("[]() ") for cell in cells]
+    known = [split_unit(f"x [{unit}]")[1] for unit in bare]
+    numbers = any(map(is_number, filter(None, bare)))
+    return bare if any(known) and not numbers and 2 * sum(map(bool, known)) >= sum(map(bool, bare)) else []

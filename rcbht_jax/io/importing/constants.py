@@ -1,0 +1,52 @@
+"""Numbers that are constant in each recording of a source and differ between them: they describe the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from rcbht_jax._util.columns import base_and_unit
+from rcbht_jax.io.importing.names import COUNTERS, column_name
+from rcbht_jax.io.importing.record import Record, text
+from rcbht_jax.io.importing.table import Table
+
+
+def constants_of(table: Table, unused: Iterable[str]) -> dict[str, float]:
+    """The values of columns that are one number throughout, missing cells aside.
+
+    >>> constants_of(Table("a.csv", {"peg": np.full(3, 8.0), "q": np.arange(3.0)}), ["peg", "q"])
+    {'peg': 8.0}
+
+    Args:
+        table: of one recording.
+        unused: columns that have no meaning yet.
+    """
+    found = {}
+    for name in unused:
+        values = table.columns[name]
+        known = values[np.isfinite(values)] if values.dtype.kind == "f" else values[:0]
+        if len(known) and (known == known[0]).all() and base_and_unit(name)[0] not in COUNTERS:
+            found[name] = float(known[0])
+    return found
+
+
+def describe(records: Sequence[Record], constants: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Make constants that all recordings have, and that differ, their columns, as text; returns the names.
+
+    >>> records = [Record(name, np.arange(2.0), np.zeros((2, 1)), ("Fz",), ("N",)) for name in "ab"]
+    >>> describe(records, {"a": {"peg": 8.0, "mode": 7.0}, "b": {"peg": 10.0, "mode": 7.0}})
+    ['peg']
+    >>> records[1].columns
+    {'peg': '10'}
+
+    Args:
+        records: of the same axes.
+        constants: of each recording, by its name.
+    """
+    given = [constants.get(record.name, {}) for record in records]
+    names = [name for name in given[0] if all(name in one for one in given) and len({one[name] for one in given}) > 1]
+    for record, own in zip(records, given, strict=True):
+        for name in names:
+            record.columns.setdefault(column_name(name), text(own[name]))
+    return names

@@ -1,0 +1,89 @@
+"""Lines that data loggers write before the names of the columns, and what they state about these."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from rcbht_jax._util.columns import UNITS
+from rcbht_jax.io.importing import cells
+from rcbht_jax.io.importing.names import wrenches
+
+_RATES = ("sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency")
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What lines before the names or comments state; readings that are counts are divided by the counts of a unit."""
+
+    rate: float | None  # samples per second
+    counts: Mapping[str, float]  # column -> counts of one unit
+    units: Mapping[str, str]  # column -> unit
+
+
+def line_of_names(lines: list[bytes]) -> int:
+    """Number of the line that holds the names of the columns, if lines with fewer cells stand before it; 0 = none do.
+
+    Only a line of text with as many cells as all rows after it is one of names: rows that are cut off, or too few
+    names, remain mistakes.
+
+    >>> line_of_names([b"Date,today", b"", b"t,Fx,Fz", b"0,1,2", b"1,1,2"])
+    2
+    """
+    filled = [number for number, line in enumerate(lines) if line.strip()]
+    if len(filled) < 3:
+        return 0
+    delimiter = cells.delimiter_of(lines[filled[-1]])
+    rows = [cells.split(lines[number], delimiter) for number in filled]
+    width = len(rows[-1])
+    first = max((at + 1 for at, row in enumerate(rows) if len(row) != width), default=0)
+    if not 0 < first < len(rows) - 1 or any(len(row) > width for row in rows[:first]):
+        return 0
+    while first < len(rows) - 2 and any(map(cells.is_number, rows[first])):
+        first += 1  # a line about every column, such as its date or its number of samples
+    below = rows[min(first + 1 + bool(cells.units(rows[first + 1])), len(rows) - 1)]
+    named = not any(map(cells.is_number, rows[first])) and 2 * sum(map(cells.is_number, below)) >= width
+    comments = any(lines[number].startswith((b"#", b"%")) for number in filled[:first])
+    return filled[first] if named and not comments else 0
+
+
+def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
+    """What pairs of a word and a value say about the columns: the rate, and counts per unit of force and of torque.
+
+    >>> found = stated([b"Sample Rate:,500", b"Force Units:,N", b"Counts per Unit Force:,1000"], ["Fx", "Fy", "Fz"])
+    >>> found.rate, found.counts["Fz"], found.units["Fz"]
+    (500.0, 1000.0, 'N')
+    """
+    pairs = dict(filter(None, map(_pair, lines)))
+    rates = (number(text) for key, text in pairs.items() if key.endswith(_RATES))
+    counts: dict[str, float] = {}
+    units: dict[str, str] = {}
+    axes = [pair for wrench in wrenches(names) for pair in wrench.items()]
+    for quantity, letter in (("force", "F"), ("torque", "M")):
+        per = number(pairs.get(f"counts per unit {quantity}", pairs.get(f"counts per {quantity}", "")))
+        if per > 0:
+            those = [column for axis, column in axes if axis.startswith(letter)]
+            counts |= dict.fromkeys(those, per)
+            unit = UNITS.get(re.sub(r"[ -]", "", pairs.get(f"{quantity} units", "").lower()), "")
+            units |= dict.fromkeys(those, unit) if unit else {}
+    return Stated(next((rate for rate in rates if rate > 0), None), counts, units)
+
+
+def _pair(line: bytes) -> tuple[str, str] | None:
+    """A word and its value, in two cells or between a colon or an equals sign; None = the line is no such pair."""
+    line = line.lstrip(b"#% ")
+    row = [cell for cell in cells.split(line, cells.delimiter_of(line)) if cell]
+    if len(row) != 2:
+        row = re.split(r"\s*[:=]\s*", line.decode("utf-8", "replace").strip(), maxsplit=1)
+    return (row[0].strip(" :=").lower().replace("_", " "), row[1].strip()) if len(row) == 2 else None
+
+
+def number(text: str) -> float:
+    """The number that a text begins with; 0 = none.
+
+    >>> number("500 Hz"), number("fast")
+    (500.0, 0.0)
+    """
+    match = re.match(r"\s*(\d+(?:\.\d+)?(?:[eE]\+?\d+)?)\s*(?:hz)?\s*$", text, re.IGNORECASE)
+    return float(match[1]) if match else 0.0

@@ -1,0 +1,187 @@
+"""The column of time of a table, and its unit, from names and values."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit, split_unit
+from rcbht_jax.io.importing import names
+from rcbht_jax.io.importing.clock import seconds_of
+from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.importing.table import Table
+
+SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
+_SECONDS = re.compile(r"^(|.*[./_ ])(?:secs?|seconds)$")
+_DAYS = (2e4, 8e4), (6e5, 8e5)  # days since 1900 (spreadsheets) and since the year 0 (MATLAB), of our time
+_LAST = ("time", "times", "timestamp", "timestamps", "stamp", "duration", "zeit", "zeitstempel", "datenum")
+
+
+def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
+    """The mapping with the column of time and its unit, if a column can be one.
+
+    >>> table = Table("a.csv", {"simTime": np.arange(9) * 0.01, "Fz": np.ones(9)})
+    >>> mapping = with_time(table, Mapping(), ["simTime", "Fz"])
+    >>> mapping.time, mapping.time_unit
+    ('simTime', 's')
+
+    Args:
+        table: as read.
+        mapping: names no time.
+        free: columns without another meaning.
+    """
+    parsed = {name: base_and_unit(name) for name in free}
+    bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
+    bases |= {base: name for name, (base, _) in reversed(parsed.items())}
+    whole = _with_nanoseconds(table, free)
+    # The stamps of a header are better than times of receipt; else the order of the list decides.
+    stamps = [name for name in whole if "stamp" in name.lower()]
+    for candidate in (*stamps, *(bases[base] for base in TIMES if base in bases), *whole):
+        unit = "s" if candidate in whole else parsed[candidate][1]
+        values = table.columns[candidate]
+        if values.dtype.kind == "U" and not are_dates(values):
+            continue
+        if (
+            table.rate is not None and candidate not in whole and (values[1:] == values[:-1]).mean() > 0.01
+        ):  # too coarse for the rate
+            continue
+        unit = table.units.get(candidate) or (unit if unit in SECONDS else _unit(table, candidate))
+        return replace(mapping, time=candidate, time_unit=unit, nanoseconds=whole.get(candidate, ""))
+    if table.rate is not None:
+        first = next(iter(table.columns), "")
+        steps = np.diff(table.columns[first]) if first in free and _is_first(table, first) else np.zeros(1)
+        counted = np.allclose(steps * table.rate, 1, atol=0.05)
+        return replace(mapping, time=first, time_unit="s") if counted else mapping
+    # A column in s that grows is a time in any language, such as an index that pandas wrote.
+    stated = {name: table.units.get(name) or parsed[name][1] for name in free}
+    timed = (name for name in free if stated[name] in SECONDS and _grows(table, name))
+    if index := next(timed, ""):
+        return replace(mapping, time=index, time_unit=stated[index])
+    if dated := next((name for name in free if is_clock(table.columns[name])), ""):
+        return replace(mapping, time=dated, time_unit="s")
+    if likely := _likely_time(table, free):
+        return replace(mapping, time=likely, time_unit=_unit(table, likely))
+    return mapping
+
+
+def _likely_time(table: Table, free: list[str]) -> str:
+    """A column that grows and is called like a time, lies in a group of times, or has no name; "" = there is none."""
+    growing = [name for name in free if _grows(table, name)]
+    axes = "".join(column for wrench in names.wrenches(free) for column in wrench.values())
+    paths = {name: re.split(r"[./]", names.snake(split_unit(name)[0])) for name in growing}
+    called = [
+        name for name, parts in paths.items() if set(parts[:-1]) & set(TIMES) or _is_called(table, name, parts[-1])
+    ]
+    # Where every sensor has times of its own, those of the wrench have its name.
+    called.sort(key=lambda name: f"/{paths[name][-1]}_" not in axes)
+    days = (name for name in growing if _in_days(table.columns[name]))
+    nameless = (name for name in growing[:1] if name == next(iter(table.columns)) and _is_first(table, name))
+    return next(iter([*called, *days, *nameless]), "")
+
+
+def _is_called(table: Table, name: str, last: str) -> bool:
+    """Whether a name ends in a word for a time, or begins with one and does not count steps."""
+    words = re.split(r"[\W_]+", last)
+    return words[-1] in _LAST or (words[0] in _LAST and bool((np.diff(table.columns[name]) != 1).any()))
+
+
+def _with_nanoseconds(table: Table, free: list[str]) -> dict[str, str]:
+    """Columns of whole seconds, not all zero, and that of the nanoseconds beside each."""
+    numeric = (name for name in free if table.columns[name].dtype.kind != "U")
+    lower = {names.snake(name).replace("nano_sec", "nanosec"): name for name in numeric}
+    found: dict[str, str] = {}
+    for key, name in lower.items():
+        if (match := _SECONDS.match(key)) and table.columns[name].any():
+            rest = next((lower[match[1] + ending] for ending in names.NANOSECONDS if match[1] + ending in lower), "")
+            if rest:
+                found[name] = rest
+    if "c0" in lower and "c1" in lower and _stamped(table.columns["c0"], table.columns["c1"]):
+        found["c0"] = "c1"
+    return found
+
+
+def _stamped(seconds: NDArray[Any], rest: NDArray[Any]) -> bool:
+    """Whether two nameless columns are the stamps of a ROS message, as ``ros2 topic echo --csv`` writes them."""
+    whole = all((values == np.round(values)).all() for values in (seconds, rest))
+    return bool(whole and seconds.min() > 1e9 and seconds.max() < 1e10 and rest.min() >= 0 and 1e8 < rest.max() < 1e9)
+
+
+def _grows(table: Table, name: str) -> bool:
+    """Whether numbers grow, but where a recording ends and another begins."""
+    values = table.columns[name]
+    steps = np.diff(values) if values.dtype.kind != "U" else np.zeros(1)
+    return bool((steps > 0).any() and (steps >= 0).mean() > 0.9)
+
+
+def are_dates(values: NDArray[Any]) -> bool:
+    """Whether texts are times.
+
+    >>> are_dates(np.array(["2024-05-01T12:00:00"])), are_dates(np.array(["push"]))
+    (True, False)
+    """
+    try:
+        seconds_of(values[:1].tolist())
+    except ValueError:
+        return False
+    return True
+
+
+def is_clock(values: NDArray[Any]) -> bool:
+    """Whether a column of text holds times of day that change with most rows.
+
+    >>> is_clock(np.array(["10:00:00.1", "10:00:00.2"])), is_clock(np.array(["10:00:00.1"] * 9))
+    (True, False)
+    """
+    known = values[values != ""] if values.dtype.kind == "U" else values[:0]
+    return len(np.unique(known)) > len(values) / 2 and are_dates(known)
+
+
+def _unit(table: Table, name: str) -> str:
+    """Unit of time stamps without one: counts from a date show by their size, others by their steps."""
+    values = table.columns[name]
+    if values.dtype.kind == "U":
+        return "s"
+    if _in_days(values):
+        return "d"
+    known = values[np.isfinite(values)]
+    largest = np.abs(known).max(initial=0.0)
+    unit = next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
+    with np.errstate(over="ignore"):
+        steps = np.diff(known)
+    # No robot's wrench is logged at 1 Hz: those who count 0, 1, 2 count milliseconds.
+    slowest = SENSIBLE[1] if names.wrenches(table.columns) else 1
+    if not (steps > 0).any() or (step := float(np.median(steps[steps > 0]))) * SECONDS[unit] <= slowest:
+        return unit
+    likely = [finer for finer, scale in SECONDS.items() if SENSIBLE[0] <= step * scale < SENSIBLE[1]]
+    return likely[0] if len(likely) == 1 else unit
+
+
+def _in_days(values: NDArray[Any]) -> bool:
+    """Whether numbers count days, as spreadsheets and MATLAB do, in steps of samples."""
+    if values.dtype.kind == "U":
+        return False
+    known = values[np.isfinite(values)]
+    steps = np.diff(known)
+    first, last = known.min(initial=np.inf), known.max(initial=-np.inf)
+    ours = any(low < first and last < high for low, high in _DAYS)
+    return ours and bool((steps > 0).any()) and float(np.median(steps[steps > 0])) * SECONDS["d"] < SENSIBLE[1]
+
+
+def _is_first(table: Table, name: str) -> bool:
+    """Whether a nameless column, or the first of an array, grows like time, and not like a counter of rows."""
+    values, others = table.columns[name], len(table.columns) - 1
+    if values.dtype.kind == "U":
+        return False
+    step = np.diff(values)
+    if len(values) < 3 or not np.isfinite(values).all() or not (step > 0).all() or (step == 1).all():
+        return False
+    head = name.removesuffix("_0")
+    alone = values[0] == 0 and sum(key.startswith(f"{head}_") for key in table.columns) - 1 == others
+    named = base_and_unit(name)[0] in ("c0", "unnamed: 0", "values_0", "x_value") or (
+        name != head and (alone or values[0] > 1e9)
+    )
+    return bool(named and np.median(np.abs(step - np.median(step))) < np.median(step))
