@@ -22,6 +22,7 @@ from rcbht_jax.cli.command import (
     belief_rate,
     checked_tolerance,
     option,
+    unset,
 )
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
@@ -55,7 +56,7 @@ class Source(RuleCommand):
             "the model (train-online --detect)."
         ),
     ] = "harmonised"
-    topic: str = ""
+    topic: Annotated[str, unset()] = ""
     """Topic of a bag, if several have wrenches."""
     axes: Annotated[
         tuple[str, ...],
