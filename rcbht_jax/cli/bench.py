@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Command, Flag, announce, check_place, option
+from rcbht_jax.cli.command import Command, Flag, announce, check_place, option, unset
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,13 +52,14 @@ class Bench(Command):
     """Measure on the accelerator that JAX finds, instead of the CPU."""
     check: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="HISTORY.json"),
         option(
             "Compare the ratios with the newest record of this device and these sizes; exit status 2 if one has "
-            "fallen by more than 20 %."
+            "fallen by more than 20 %.",
+            "",
+            metavar="HISTORY.json",
         ),
     ] = None
-    history: Annotated[Path | None, tyro.conf.arg(metavar="HISTORY.json")] = None
+    history: Annotated[Path | None, unset(metavar="HISTORY.json")] = None
     """File to append this run to; created if it does not exist."""
 
     def run(self) -> dict[str, Any]:

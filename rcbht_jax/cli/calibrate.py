@@ -24,6 +24,7 @@ from rcbht_jax.cli.command import (
     checked_tolerance,
     option,
     progress_bar,
+    unset,
 )
 from rcbht_jax.errors import InputError
 
@@ -113,7 +114,7 @@ class Calibrate(RuleCommand):
     """Fractions of the trials for successive halving, for example 0.25 1 (search)."""
     objective: tuple[Literal["accuracy", "fit", "fisher", "information", "agreement"], ...] = ("accuracy", "fit")
     """Scores to maximise, with equal weights (search)."""
-    checkpoint: Path | None = None
+    checkpoint: Annotated[Path | None, unset(metavar="FILE")] = None
     """File that stores the scores, from which an interrupted search resumes (search)."""
     steps: int = 150
     """Training steps (gradient)."""
@@ -129,7 +130,7 @@ class Calibrate(RuleCommand):
             "Unless it is 0, the context method takes the slopes at rest as the least constant limit."
         ),
     ] = 1.0
-    plot: Path | None = None
+    plot: Annotated[Path | None, unset(metavar="OUT.png")] = None
     """Figure to write: the thresholds, drawn over the gradients of each axis and state."""
     seed: int = 0
     """Seed of the random numbers."""

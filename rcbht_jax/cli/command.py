@@ -49,6 +49,11 @@ def option(text: str, default: str | None = None, **more: Any) -> Any:
     return tyro.conf.arg(help=text, help_behavior_hint=hint, **more)
 
 
+def unset(**more: Any) -> Any:
+    """An option described by the docstring of its field, which shows no default: it has no value."""
+    return tyro.conf.arg(help_behavior_hint="", **more)
+
+
 # Options that several commands have; one without a text is described by the docstring of its field.
 STORE = MadeBy('"rcbht simulate {path}", or from files of yours with "rcbht import auto FOLDER {path}"')
 ONLINE_MODEL = MadeBy('"rcbht train-online STORE.zarr -o {path}"')
@@ -113,14 +118,12 @@ WordRule = Annotated[
     Literal["paper", "fit"],
     option("Rule of the words: paper; or fit, where a word is a run of windows that one straight line explains."),
 ]
-Tolerance = Annotated[
-    tuple[float, ...],
-    option(
-        "Largest root-mean-square difference of line and signal that --rule fit allows: one number in the unit of the "
-        "axes, or one for each axis.",
-        "those of --thresholds; else 1.5 % of an axis's usual range, or more if its noise requires it",
-    ),
-]
+_TOLERANCE = (
+    "Largest root-mean-square difference of line and signal that --rule fit allows: one number in the unit of the "
+    "axes, or one for each axis."
+)
+_AUTO_TOLERANCE = "1.5 % of an axis's usual range, or more if its noise requires it"
+Tolerance = Annotated[tuple[float, ...], option(_TOLERANCE, _AUTO_TOLERANCE)]
 Weighing = Annotated[
     tuple[Literal["count", "time", "change"], ...],
     option(
@@ -128,7 +131,7 @@ Weighing = Annotated[
         "time and count in histogram, count in ngram",
     ),
 ]
-Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
+Flag = Annotated[bool, unset()]
 
 
 @dataclass(frozen=True)
@@ -294,7 +297,7 @@ class RuleCommand(EncodingCommand):
     """Options of the commands that encode by either rule."""
 
     rule: WordRule = "paper"
-    tolerance: Tolerance = ()
+    tolerance: Annotated[tuple[float, ...], option(_TOLERANCE, f"those of --thresholds; else {_AUTO_TOLERANCE}")] = ()
 
     def config(self, dt: float) -> AnyConfig:
         """The configuration of the rule for samples ``dt`` seconds apart."""

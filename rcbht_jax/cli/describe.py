@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Trial, option
+from rcbht_jax.cli.command import Command, SourcePrefix, Store, Trial, option, unset
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 
 
@@ -14,15 +14,16 @@ class Describe(Command):
     """Describe a trial in sentences: which axes rise, fall or ring, when, by how much and how fast, and what snaps.
 
     The store needs no labels: the lines of the fit rule are computed here. Without --snap, a snap is a force that falls
-    within 40 ms by at least the smallest reported change of the force that changes most. Import with --tare: a constant
-    offset counts as a load, and a brief contact can look like its release.
+    within 40 ms by at least the smallest reported change of the force that changes most. Use "rcbht import
+    --tare": a constant offset counts as a load, and a brief contact can look like its release.
 
     Example: rcbht describe hiro.zarr 20121127-HIROSA-S-05
     """
 
     store: Store
+    """Store of recordings; label tracks are not needed."""
     trial: Trial
-    arm: Arm | None = None
+    arm: Annotated[str | None, unset(metavar="STR")] = None
     """Arm to describe, if the trial has both."""
     source: SourcePrefix = ""
     task: Annotated[str, option("Track of annotations to name.", "the first, or its corrected variant")] = ""

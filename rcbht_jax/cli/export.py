@@ -19,6 +19,7 @@ from rcbht_jax.cli.command import (
     WordRule,
     option,
     progress_bar,
+    unset,
 )
 from rcbht_jax.cli.drawn import DrawnRule, stored_by, thresholds_now
 from rcbht_jax.errors import InputError
@@ -85,9 +86,9 @@ class Report(Command):
     """Store to report on."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="REPORT.html")]
     """File to write; an existing report is replaced when the new one is complete."""
-    model: Annotated[Path | None, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), ONLINE_MODEL] = None
+    model: Annotated[Path | None, unset(aliases=["-m"], metavar="MODEL"), ONLINE_MODEL] = None
     """Model file of "rcbht train-online" whose beliefs are shown over time."""
-    results: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    results: Annotated[Path | None, unset(metavar="FOLDER")] = None
     """Folder with JSON files of result rows, shown as a table; docs/howto/share.md describes their format."""
     tracks: Tracks = ""
     window: NewWindow = None

@@ -31,6 +31,7 @@ from rcbht_jax.cli.command import (
     left_out,
     option,
     progress_bar,
+    unset,
 )
 from rcbht_jax.errors import InputError
 
@@ -54,7 +55,7 @@ Family = Literal[
 class _Learning(Command):
     store: LabelledStore
     task: Task = "states"
-    tracks: tuple[str, ...] = ()
+    tracks: Annotated[tuple[str, ...], unset()] = ()
     """Label tracks to use; A+B concatenates the features of two. Cross-validation selects one of several choices."""
     boundaries: Boundaries = "harmonised"
     arm: str = "R"
@@ -122,9 +123,9 @@ class Evaluate(_Learning):
     Example: rcbht evaluate hiro.zarr --task states --session A B --train-on A --test-on B
     """
 
-    train_on: tuple[str, ...] = ()
+    train_on: Annotated[tuple[str, ...], unset()] = ()
     """Sessions to train on, in place of cross-validation; needs --test-on."""
-    test_on: tuple[str, ...] = ()
+    test_on: Annotated[tuple[str, ...], unset()] = ()
     """Sessions to test on."""
     folds: int = 5
     """Folds of the cross-validation."""
@@ -232,7 +233,7 @@ class Classify(Command):
     store: LabelledStore
     model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), CLASSIFIER]
     """Model file of "rcbht train"."""
-    tracks: str = ""
+    tracks: Annotated[str, unset()] = ""
     """Label tracks to use instead of those used in training; A+B if the model uses two."""
     source: Sources = ()
     session: Sessions = ()

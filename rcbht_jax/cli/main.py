@@ -211,11 +211,11 @@ def parse(name: str, words: list[str]) -> Command | None:
     with needs_extra("all"):
         import tyro
 
-        from rcbht_jax.cli.completion import options_of
+        from rcbht_jax.cli.completion import COMMON, options_of
 
         described: Any = command_class(name)
     words = _current_spelling(words, described.FORMER)
-    known = [*options_of(described), "--help"]
+    known = [*options_of(described), *COMMON]
     for word in words:
         option = word.partition("=")[0].replace("_", "-")
         if option.startswith("--") and option not in ("--", *known):
@@ -233,7 +233,9 @@ def parse(name: str, words: list[str]) -> Command | None:
         )
     except SystemExit as stop:
         if stop.code:
-            raise InputError(f'The options are wrong; "rcbht {name} --help" lists them.') from None
+            below = [other.removeprefix(f"{name} ") for other in all_commands() if other.startswith(f"{name} ")]
+            close = [f"{name} {word}" for word in _similar(words[0], below)] if words else []
+            raise InputError(f"The options are wrong; {_suggestion(close, f'rcbht {name} --help', 'them')}") from None
         return None
     return command
 

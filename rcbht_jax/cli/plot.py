@@ -23,6 +23,7 @@ from rcbht_jax.cli.command import (
     Trial,
     belief_rate,
     option,
+    unset,
 )
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, rule_of
 from rcbht_jax.errors import InputError
@@ -44,7 +45,7 @@ class PlotTrial(Command):
     """Store of recordings, with labels or without."""
     trial: Trial
     out: OutFigure
-    arm: Arm | None = None
+    arm: Annotated[str | None, unset(metavar="STR")] = None
     """Arm to plot, if the trial has both."""
     source: SourcePrefix = ""
     tracks: Tracks = ""

@@ -41,6 +41,7 @@ class Segment(Command):
     """
 
     store: Store
+    """Store of recordings; label tracks are not needed."""
     task: Annotated[str, option("Track of annotations whose labels to learn.", "the first")] = ""
     source: Sources = ()
     group: Annotated[str, option("Column whose groups are never split between training and test.")] = "trial"

@@ -23,6 +23,7 @@ from rcbht_jax.cli.command import (
     belief_rate,
     checked_tolerance,
     option,
+    unset,
 )
 from rcbht_jax.cli.monitor import MONITOR, FalseAlarms
 from rcbht_jax.cli.snaps import SnapSize, detector_of
@@ -65,7 +66,7 @@ class Source(RuleCommand):
             "the model (train-online --detect)."
         ),
     ] = "harmonised"
-    topic: str = ""
+    topic: Annotated[str, unset()] = ""
     """Topic of a bag, if several have wrenches."""
     axes: Annotated[
         tuple[str, ...],

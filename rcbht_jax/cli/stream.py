@@ -31,6 +31,7 @@ from rcbht_jax.cli.command import (
     left_out,
     option,
     progress_bar,
+    unset,
 )
 from rcbht_jax.cli.source import Source
 from rcbht_jax.errors import InputError
@@ -60,8 +61,13 @@ class TrainOnline(RuleCommand):
     """Tasks, each with a classifier of its own."""
     detect: Flag = False
     """Also learn to detect when a sub-task of the first track in --task begins, for streams that do not say so."""
-    false_alarms: float = 0.0
-    """Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above --certainty."""
+    false_alarms: Annotated[
+        float,
+        option(
+            "Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above the "
+            'certainty of "rcbht stream --certainty".'
+        ),
+    ] = 0.0
     first_seconds: float = 0.0
     """Learn from only the first so many seconds of each recording, so that its length reveals nothing; 0 = from all."""
     source: Sources = ()
@@ -172,7 +178,7 @@ class Stream(Source):
             "",
         ),
     ] = None
-    mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
+    mcap: Annotated[Path | None, unset(metavar="OUT.mcap")] = None
     """MCAP file for wrench, labels, words, beliefs and events, to open in Foxglove or PlotJuggler."""
     words: Flag = False
     """Report words as well as beliefs; without a model, words are always reported."""

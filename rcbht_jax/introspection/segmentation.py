@@ -301,7 +301,7 @@ class Segmentation:
         y = np.concatenate(self.truth)
         count, groups = self.protocol.folds_of(self.recordings.column(self.protocol.group)[self.annotated])
         folds = f"{count} folds" if count < groups else "one group held out at a time"
-        how = "one recording teaches, all others are tests" if self.protocol.one_shot else folds
+        how = "trained on one recording at a time, tested on all others" if self.protocol.one_shot else folds
         return {
             "track": self.protocol.track,
             "classes": list(self.classes),

@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax.cli.command import Command, Folder, announce
+from rcbht_jax.cli.command import Command, Folder, announce, option, unset
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words
 from rcbht_jax.cli.encode import Encode
 from rcbht_jax.cli.learning import Evaluate, Train
@@ -49,13 +49,15 @@ class Demo(Command):
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT"), Folder(grows=True)] = Path("demo-out")
     """Folder for stores, models, pictures and the summary; those of an earlier demo are replaced."""
-    data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    data: Annotated[Path | None, unset(metavar="DIR")] = None
     """Folder of the authors' data sets, to use in place of a simulation."""
     trials: int = 100
     """Trials to simulate."""
     seed: int = 0
     """Seed of the random numbers."""
-    rule: DrawnRule = "fit"
+    rule: Annotated[
+        DrawnRule, option("Rule of the words in the pictures: fit, whose words follow the signal, or paper.")
+    ] = "fit"
 
     def run(self) -> dict[str, Any]:
         if self.data is not None:

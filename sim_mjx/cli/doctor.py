@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from rcbht_jax.cli.command import STORE, Command, Flag, option
+from rcbht_jax.cli.command import STORE, Command, Flag, option, unset
 from rcbht_jax.errors import InputError
 
 
@@ -25,7 +25,7 @@ class Doctor(Command):
     Example: rcbht doctor trials.zarr --repair
     """
 
-    store: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE] = None
+    store: Annotated[Path | None, tyro.conf.Positional, unset(metavar="[STORE.zarr]"), STORE] = None
     """Store to check, instead of the machine."""
     repair: Annotated[
         Flag,

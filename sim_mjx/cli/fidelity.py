@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 import rcbht_jax
-from rcbht_jax.cli.command import Command, Flag, Folder, MadeBy, announce, option, progress_bar
+from rcbht_jax.cli.command import Command, Flag, Folder, MadeBy, announce, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,13 +57,13 @@ class Fidelity(Command):
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT"), Folder(grows=True)] = Path("fidelity-out")
     """Folder to write to; created if it does not exist."""
-    recorded: Annotated[Path | None, tyro.conf.arg(metavar="HIRO.zarr"), HIRO] = None
+    recorded: Annotated[Path | None, unset(metavar="HIRO.zarr"), HIRO] = None
     """Store of "rcbht import hiro" with the recorded trials, to compare wrenches with."""
-    data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    data: Annotated[Path | None, unset(metavar="DIR")] = None
     """Folder of the recorded trials, to compare positions of the arm with."""
     session: tuple[Session, ...] = ("hooked-A", "hooked-B", "hooked-C", "rigid-openhrp")
     """Sessions to measure; a prefix such as hooked names the parts."""
-    engines: tuple[Literal["mjx", "warp"], ...] = ()
+    engines: Annotated[tuple[Literal["mjx", "warp"], ...], unset()] = ()
     """Engines to compare with the native one; slow without a GPU."""
     trials: int = 64
     """Randomised trials to compare solver and engines on, shared among the sessions."""
@@ -285,7 +285,7 @@ class FidelityFit(Command):
     bound: Annotated[
         tuple[str, ...], option("Ranges in place of the default ones, as NAME=LOW:HIGH, in SI units.", "")
     ] = ()
-    fixed: tuple[str, ...] = ()
+    fixed: Annotated[tuple[str, ...], unset()] = ()
     """Parameters with a fixed value, as NAME=VALUE."""
     trials: Annotated[
         int | None, option("Simulated trials per candidate; default 4 for session A, 9 for the others.", "")

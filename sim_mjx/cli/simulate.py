@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore, option, progress_bar
+from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -80,9 +80,9 @@ class Simulate(Command):
             "",
         ),
     ] = None
-    window: int | None = None
+    window: Annotated[int | None, unset(metavar="INT")] = None
     """Also encode the trials, with this many samples per linear fit, as "rcbht encode" does."""
-    physical: Annotated[Path | None, tyro.conf.arg(metavar="FIT.json"), FIT] = None
+    physical: Annotated[Path | None, unset(metavar="FIT.json"), FIT] = None
     """File of "rcbht fidelity fit" with physical parameters, in place of the preset's."""
     compile_cache: CompileCache = None
     overwrite: Flag = False

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Tracks, Trial, option, progress_bar
+from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Tracks, Trial, option, progress_bar, unset
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, rule_of, stored_by
 from rcbht_jax.errors import InputError
 
@@ -43,7 +43,7 @@ class View(Command):
         tyro.conf.arg(aliases=["-o"], metavar="OUT"),
         option("File to write; default the viewer, without a display TRIAL.png.", ""),
     ] = None
-    data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    data: Annotated[Path | None, unset(metavar="DIR")] = None
     """Folder that a recorded trial was imported from, which has the joint angles."""
     arm: Arm = "R"
     source: SourcePrefix = ""

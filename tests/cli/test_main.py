@@ -18,6 +18,7 @@ from hypothesis import given
 
 from rcbht_jax.cli import main
 from rcbht_jax.cli.command import Command
+from rcbht_jax.cli.completion import COMMON, options_of
 from rcbht_jax.errors import InputError
 
 
@@ -33,6 +34,16 @@ def test_every_command_has_help_with_an_example(name: str, capsys: pytest.Captur
     out = capsys.readouterr().out
     assert f"Example: rcbht {name}" in out
     assert "--json" in out
+
+
+@pytest.mark.parametrize("name", list(main.all_commands()))
+def test_help_names_only_options_that_are_there(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main([*name.split(), "--help"]) == 0
+    text = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
+    assert not re.search(r"\(default: (None|''|)\)|STORE.zarr store \(", text), "a default or a help text is missing"
+    own = {*options_of(main.command_class(name)), *COMMON, "--out"}
+    of_others = re.sub(r'"rcbht [^"]*"|\(train-online --detect\)|Example: rcbht [^-]*', " ", text)
+    assert set(re.findall(r"--[a-z][a-z-]*", of_others)) <= own
 
 
 @pytest.mark.parametrize("name", list(main.all_commands()))

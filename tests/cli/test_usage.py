@@ -65,6 +65,7 @@ def test_help_is_as_quick_as_importing_jax() -> None:
         ("encode x.zarr --windw 5", "rcbht encode has no option --windw; did you mean --window?"),
         ("encode x.zarr --gate", "did you mean --no-gate"),
         ("train x.zarr --feature ngram", "did you mean --features?"),
+        ("info x.zarr --jsn", "did you mean --json?"),
         ("train x.zarr --qqqq=1", '"rcbht train --help" lists the options'),
     ],
 )
@@ -73,6 +74,13 @@ def test_mistyped_words_get_suggestions(words: str, sentence: str, capsys: pytes
     captured = capsys.readouterr()
     assert sentence in captured.out + captured.err
     assert len(captured.err.splitlines()) <= 1
+
+
+def test_a_mistyped_second_word_of_a_command_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["fidelity", "fitt", "x.zarr"]) == 2
+    assert "did you mean fidelity fit?" in capsys.readouterr().err
+    assert main.main(["fidelity", "--trials", "x"]) == 2
+    assert '"rcbht fidelity --help" lists them' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
