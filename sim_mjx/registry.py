@@ -118,20 +118,26 @@ def pair(assembly: Assembly, robot: Robot) -> Scenario:
     """The scenario of an assembly on a robot.
 
     Raises:
-        InputError: the assembly names tabs for some of its marks only, or has no phase or two of one name.
+        InputError: the assembly has no marks, names tabs for some of them only, has no phase or two of one name, or
+            impossible distributions.
     """
     states = tuple(phase.name for phase in assembly.phases)
     if len(set(states)) < max(len(states), 1):
         raise InputError(
             f"{assembly.name} has the phases {', '.join(states) or 'none'}; expected one or more of different names."
         )
+    if not assembly.marks:
+        raise InputError(
+            f"{assembly.name} has no marks, by whose places success is decided; expected at least one pair."
+        )
     if assembly.tabs and len(assembly.tabs) != len(assembly.marks):
         raise InputError(
             f"{assembly.name} names {len(assembly.tabs)} tabs and {len(assembly.marks)} marks; expected a tab for each "
             "mark, or none."
         )
-    pairing = draw.Pairing(assembly, robot)
-    task, own = assembly.draw(assembly.variation(), trials.stream(0, 0))
+    pairing, variation = draw.Pairing(assembly, robot), assembly.variation()
+    draw.check(variation, assembly)
+    task, own = assembly.draw(variation, trials.stream(0, 0))
     names = [("task", field.name) for field in fields(task)] + [("parts.own", field.name) for field in fields(own)]
     names += [("parts.mount", "position"), ("parts.mount", "stiffness"), ("parts.mount", "friction")]
     names += [("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]

@@ -67,7 +67,9 @@ class Revisions:
     """
 
     def __init__(self) -> None:
-        self._known: dict[tuple[str, str, int], tuple[int, int, int]] = {}  # code, windows, revision of running words
+        self._known: dict[
+            tuple[str, str, int], tuple[int, int, int]
+        ] = {}  # code, windows, revision of unpublished words
 
     def after_window(self, held: Sequence[Word]) -> list[ProvisionalWord]:
         """Events of the words that are provisional after one more window.
@@ -75,17 +77,20 @@ class Revisions:
         Args:
             held: of :meth:`WordIntrospector.provisional` or :meth:`Introspector.provisional`.
         """
-        events, running = [], {}
+        events = []
+        first: dict[tuple[str, str], int] = {}  # sample of what is held of each layer and axis
         for word in held:
             key = word.layer, word.axis, word.begin
+            first[key[:2]] = min(first.get(key[:2], word.begin), word.begin)
             code, windows, revision = self._known.get(key, (word.code, 0, 0))
             changed = windows > 1 and code != word.code
             revision += changed
             if changed or windows == 1:
                 what = (word.layer, word.axis, word.label, word.code, word.begin, word.start)
                 events.append(ProvisionalWord(word.sample, word.time, *what, revision))
-            running[key] = word.code, windows + 1, revision
-        self._known = running  # what is not held any more is published
+            self._known[key] = word.code, windows + 1, revision
+        # what begins earlier is published; a later word may only be part of the one before it, and come apart again
+        self._known = {key: known for key, known in self._known.items() if key[2] >= first.get(key[:2], 0)}
         return events
 
 

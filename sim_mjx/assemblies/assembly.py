@@ -40,7 +40,7 @@ class Parts:
     """The parameters of a trial that the physics needs."""
 
     mount: Mount
-    own: Any  # parameters of the assembly's own parts, a pytree
+    own: Any  # parameters of the assembly's own parts, a dataclass that is a pytree
 
 
 @jax.tree_util.register_dataclass
@@ -48,7 +48,7 @@ class Parts:
 class AssemblyTrial:
     """All parameters of one trial; leaves of a batch have a leading trial axis."""
 
-    task: Any  # parameters of the assembly's controller, a pytree
+    task: Any  # parameters of the assembly's controller, a dataclass that is a pytree
     sensor: SensorParams
     parts: Parts
     hand: Float[Array, "*batch 6"]  # m, error of the mouth's assumed place; rad, the part's turn in the hand

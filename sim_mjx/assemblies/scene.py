@@ -129,12 +129,21 @@ def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
         matrix = np.concatenate([linear, angular])[:, dofs]
         step = matrix.T @ np.linalg.solve(matrix @ matrix.T + 1e-4 * np.eye(6), left)
         data.qpos[rows] += step * min(1.0, STEP / np.abs(step).max())
-    angles, limits = data.qpos[rows], model.jnt_range[[model.joint(name).id for name in robot.joints]]
-    limited = model.jnt_limited[[model.joint(name).id for name in robot.joints]].astype(bool)
-    outside = limited & ((angles < limits[:, 0]) | (angles > limits[:, 1]))
-    if np.abs(left).max() >= CLOSE or outside.any():
+    away, turned = np.linalg.norm(left[:3]), np.linalg.norm(left[3:])
+    angles = tuple(float(angle) for angle in data.qpos[rows])
+    where = f"it stays {away * 1e3:.3g} mm and {turned:.3g} rad away" if np.abs(left).max() >= CLOSE else ""
+    if where := where or _beyond_limits(model, robot, angles):
         raise InputError(
-            f"The robot {robot.name} does not reach the start of {assembly.name}, upright and "
-            f"{assembly.start * 1e3:g} mm above {robot.place}, from its home; choose another home or place."
+            f"The robot {robot.name} does not reach the start of {assembly.name}, {assembly.start * 1e3:g} mm above "
+            f"{robot.place}, with the wrist's z axis down and its x axis along the world's: {where}; choose another "
+            "home, place or site."
         )
-    return tuple(float(angle) for angle in angles)
+    return angles
+
+
+def _beyond_limits(model: mujoco.MjModel, robot: Robot, angles: tuple[float, ...]) -> str:
+    for name, angle in zip(robot.joints, angles, strict=True):
+        low, high = model.joint(name).range
+        if model.joint(name).limited and not low <= angle <= high:
+            return f"{name} would be at {angle:.3g} rad, beyond its limits of {low:.3g} to {high:.3g}"
+    return ""

@@ -37,7 +37,7 @@ class Robot:
 
     name: str
     build: Callable[[], mujoco.MjSpec]  # links and joints alone; angles in radians
-    wrist: str  # site, whose z axis points out of the hand
+    wrist: str  # site, whose z axis points out of the hand; parts are put together with its x axis along the world's
     home: tuple[float, ...]  # rad, a pose with the hand about above ``place`` and pointing down
     place: Vector  # m, world, where parts are put together
     tool_mass: float = 0.4  # kg, of what hangs behind the wrist's sensor
@@ -55,7 +55,8 @@ def from_mjcf(
 
     Args:
         path: the file.
-        site: name of the site at the wrist; its z axis points out of the hand.
+        site: name of the site at the wrist; its z axis points out of the hand, and its x axis along the world's when
+            parts are put together.
         home: joint angles from the base on, rad, with the hand about above ``place`` and pointing down.
         place: where parts are put together, m, in world axes.
         name: default the file's.
@@ -150,11 +151,18 @@ def _inertias(robot: Robot) -> Float64[np.ndarray, " joint"]:
     return full[rows, rows]
 
 
+@cache
+def _wrist(robot: Robot) -> tuple[Vector, Quaternion]:
+    """The wrist's frame in its body's, as compiled: an element holds neither Euler angles nor a frame around it."""
+    site = robot.build().compile().site(robot.wrist)
+    return tuple(site.pos), tuple(site.quat)
+
+
 def _add_hand(spec: mujoco.MjSpec, robot: Robot) -> None:
-    site = spec.site(robot.wrist)
+    place, turn = _wrist(robot)
     inertia = 0.4 * robot.tool_mass * TOOL_RADIUS**2
     # of the model's own defaults, not of the class that an arm gives its links
-    hand = site.parent.add_body(spec.default, name=HAND, pos=site.pos, quat=site.quat)
+    hand = spec.site(robot.wrist).parent.add_body(spec.default, name=HAND, pos=place, quat=turn)
     hand.mass, hand.inertia, hand.explicitinertial = robot.tool_mass, (inertia, inertia, inertia), True
     hand.ipos = (0.0, 0.0, 0.03)
     hand.add_site(name=HAND)

@@ -208,6 +208,19 @@ def test_mjx_gives_the_wrench_of_native() -> None:
     np.testing.assert_allclose(np.abs(mjx.wrench[..., 2]).max(1), peaks, rtol=0.1)
 
 
+@dataclass(frozen=True)
+class Unbounded(Variation):
+    extra: tuple[float, float] = (np.nan, np.nan)
+
+
+def half_turned() -> mujoco.MjSpec:
+    """A Panda whose wrist's x axis shows backward at home."""
+    spec = ROBOTS["panda"].build()
+    site = spec.site("WRIST")
+    mujoco.mju_mulQuat(site.quat, site.quat.copy(), np.array([0.0, 0.0, 0.0, 1.0]))
+    return spec
+
+
 def test_what_cannot_be_drawn_is_refused() -> None:
     scenario = scenario_of("clip")
     for values, sentence in (
@@ -225,8 +238,17 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         get_scenario("camera-snap@panda")
     assert get_scenario("camera-snap@hiro").preset.name == "hooked-B"
     far = Robot("far", ROBOTS["panda"].build, "WRIST", ROBOTS["panda"].home, (2.0, 0.0, 0.1))
-    with pytest.raises(InputError, match="far does not reach the start of clip"):
+    with pytest.raises(InputError, match=r"far does not reach the start of clip, .*: it stays [\d.e+]+ mm and"):
         home(ASSEMBLIES["clip"], far)
+    backward = Robot("backward", half_turned, "WRIST", ROBOTS["panda"].home, ROBOTS["panda"].place)
+    with pytest.raises(InputError, match=r"JOINT\d would be at [-\d.]+ rad, beyond its limits of"):
+        home(ASSEMBLIES["clip"], backward)
+    unmarked = Assembly(**{**vars(ASSEMBLIES["clip"]), "marks": ()})
+    with pytest.raises(InputError, match="clip has no marks, by whose places success is decided"):
+        pair(unmarked, ROBOTS["panda"])
+    undrawable = Assembly(**{**vars(ASSEMBLIES["clip"]), "variation": Unbounded})
+    with pytest.raises(InputError, match="range of extra is nan to nan"):
+        pair(undrawable, ROBOTS["panda"])
     nowhere = Assembly(**{**vars(ASSEMBLIES["clip"]), "marks": (("TIP", "HOLE"),)})
     with pytest.raises(InputError, match="no geom 'TIP'"):
         scene_of(nowhere, ROBOTS["panda"])

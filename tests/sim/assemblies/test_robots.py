@@ -76,6 +76,14 @@ def test_a_rotation_is_its_vector() -> None:
     assert not np.isnan(rotation_vector(np.eye(3, dtype=np.float32))).any()
 
 
+def check_hand(model: mujoco.MjModel) -> None:
+    """The hand has the wrist's frame, in whatever way a file gives it."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    np.testing.assert_allclose(data.body(HAND).xpos, data.site("arm/wrist").xpos, atol=1e-12)
+    np.testing.assert_allclose(data.body(HAND).xmat, data.site("arm/wrist").xmat, atol=1e-12)
+
+
 def test_anybodys_arm(tmp_path: Path) -> None:
     path = tmp_path / "mine.xml"
     path.write_text(ARM)
@@ -83,7 +91,13 @@ def test_anybodys_arm(tmp_path: Path) -> None:
     assert (robot.name, robot.joints) == ("mine", ("arm/a", "arm/b", "arm/c", "arm/d"))
     model = equipped(robot).compile()
     check_chain(model, HAND, robot.joints)
+    check_hand(model)
     assert (model.nu, model.nsensor) == (4, 2)
+    framed = ARM.replace("<site", '<frame pos="0.02 0 0.01" axisangle="0 1 0 40"><site').replace(
+        '7 8 9"/>', '7 8 9"/></frame>'
+    )
+    path.write_text(framed)
+    check_hand(equipped(from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))).compile())
     with pytest.raises(InputError, match="home has 2 angles; expected one per joint of the arm, 4"):
         from_mjcf(path, site="wrist", home=(0.0, 0.1), place=(0.5, 0.0, 0.1))
     with pytest.raises(InputError, match="no site 'hand'"):
