@@ -25,11 +25,12 @@ from rcbht_jax.encoding.limit_files import has_tolerances, read_limits
 from rcbht_jax.encoding.rules import AnyLimits, config_of, limits_for
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.events import AnomalyScore, Belief, Event, Word
+from rcbht_jax.introspection import nominal_file, segmenter_file
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
-from rcbht_jax.introspection.nominal_file import load as load_monitor
 from rcbht_jax.introspection.nominal_watch import NominalWatch
 from rcbht_jax.introspection.opening import READINGS, duration, read_opening
+from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
@@ -48,6 +49,7 @@ PARAMETERS: dict[str, Any] = {
     "lead": 10.0,  # s at the beginning from which robot:=auto takes the thresholds, and rule:=fit the tolerances
     "monitor": "",  # file of "rcbht monitor fit", for scores and alarms beside words and beliefs
     "false_alarms": 0.05,  # of the monitor: share of nominal recordings that may raise an alarm
+    "segmenter": "",  # file of "rcbht segment --write-model", for the phase of the newest sample among the beliefs
     "timeout": 1.0,  # s without a message that are reported as silence
 }
 TOPICS: dict[type[Event], str] = {Word: "words", Belief: "beliefs", AnomalyScore: "scores"}  # all others: events
@@ -68,8 +70,11 @@ class Bridge:
         self._readings: list[Sample] = []  # among them
         self._latest = 0.0  # s, when the latest message was received
         self.session: Session | None = None
-        monitor, share = self._parameters["monitor"], self._parameters["false_alarms"]
-        self._watch = NominalWatch(load_monitor(monitor), share) if monitor else None
+        self._readers: list[NominalWatch | SegmenterStream] = []
+        if path := self._parameters["monitor"]:
+            self._readers.append(NominalWatch(nominal_file.load(path), self._parameters["false_alarms"]))
+        if path := self._parameters["segmenter"]:
+            self._readers.append(SegmenterStream(segmenter_file.load(path)))
         if self._parameters["model"]:
             model = load(Path(self._parameters["model"]))
             model.check_wrench("A wrench of ROS")
@@ -124,7 +129,7 @@ class Bridge:
 
     def _words(self, early: list[Message]) -> WordIntrospector:
         opening = read_opening(iter(early), self._lead)
-        own = 0.0 if self._watch is None else 1 / self._watch.dt
+        own = 1 / self._readers[0].dt if self._readers else 0.0
         rate, window = self._parameters["rate"] or own or opening.rate(), self._parameters["window"]
         recordings = opening.recordings(rate, AXES)
         thresholds: AnyLimits
@@ -139,7 +144,7 @@ class Bridge:
         return WordIntrospector(config, limits, AXES)
 
     def _open(self, introspector: Introspector | WordIntrospector) -> None:
-        both = Together(introspector, readers=[self._watch] if self._watch else [])
+        both = Together(introspector, readers=self._readers)
         both.warm_up()
         self.session = Session(both)
 

@@ -1,4 +1,4 @@
-"""Readers of what other programs and earlier runs leave: exports, bags, monitors, work folders of a synthesis."""
+"""Readers of what other programs and earlier runs leave: exports, bags, monitors, segmenters, unfinished syntheses."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ import numpy as np
 import zarr
 
 from rcbht_jax._util.digest import content_hash
-from rcbht_jax.introspection import nominal_file
+from rcbht_jax.introspection import nominal_file, segmenter_file
 from rcbht_jax.introspection.nominal import NominalMonitor
+from rcbht_jax.introspection.segmentation import WrenchSegmenter
+from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 from rcbht_jax.io.export import DataSet, export
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.store_schema import open_store
@@ -56,6 +58,19 @@ def _make_monitor(path: Path) -> None:
     monitor = NominalMonitor(rate=20, score_rate=20, memory=0.05)
     monitor.fit([rng.normal(size=(40, 2)) for _ in range(8)])
     nominal_file.save(path, nominal_file.MonitorFile(monitor, ("Fx", "Fy"), ()))
+
+
+def _make_segmenter(path: Path) -> None:
+    data = recordings(("a", "b", "c"))
+    segmenter = WrenchSegmenter(trees=3).fit(data, [np.arange(40) // 20] * 3)
+    segmenter_file.save(path, segmenter_file.SegmenterFile.of(segmenter, "phase", ("free", "contact")))
+
+
+def _beliefs(path: Path) -> list[float]:
+    """Of a few samples of whatever axes the file names."""
+    file = segmenter_file.load(path)
+    beliefs = SegmenterStream(file).push(np.ones((20, len(file.axes))))
+    return [number for belief in beliefs for number in belief.probabilities]
 
 
 def _make_work(path: Path) -> None:
@@ -110,5 +125,6 @@ READERS = (
     Reader("run.bag", write_ros1, _imported("bag"), mutations.damaged, finite),
     Reader("monitor", _make_monitor, lambda path: nominal_file.load(path).monitor.peaks_, mutations.damaged_archive,
            finite),
+    Reader("segmenter", _make_segmenter, _beliefs, mutations.damaged_archive, finite),
     Reader("trials.zarr.work", _make_work, _renewed, None, _believed),
 )  # fmt: skip

@@ -18,8 +18,9 @@ import pytest
 import rcbht_jax as rj
 from rcbht_jax.encoding.thresholds import write_thresholds
 from rcbht_jax.introspection import model as model_files
-from rcbht_jax.introspection import nominal_file
+from rcbht_jax.introspection import nominal_file, segmenter_file
 from rcbht_jax.introspection.nominal import NominalMonitor
+from rcbht_jax.introspection.segmentation import WrenchSegmenter
 from rcbht_jax.io.rosbags import messages, open_bag
 from rcbht_jax.labels import LAYERS
 from tests.support.introspection_models import model, trial
@@ -83,17 +84,23 @@ def test_beliefs_sub_tasks_and_silence(tmp_path: Path) -> None:
     assert heard.events["words"]
 
 
-def test_scores_of_a_monitor(tmp_path: Path) -> None:
+def test_scores_of_a_monitor_and_labels_of_a_segmenter(tmp_path: Path) -> None:
     monitor = NominalMonitor(rate=200).fit([trial(1, seed, 300) for seed in range(6)])
     nominal_file.save(tmp_path / "n", nominal_file.MonitorFile(monitor, rj.labels.AXES, ()))
     wrench = trial(1, 8, 300) + 50.0 * (np.arange(300) > 200)[:, None]
     heard = Heard()
-    bridge = Bridge({"monitor": str(tmp_path / "n"), "false_alarms": 0.2, "robot": "hiro"}, heard)
+    data = rj.Recordings.from_arrays([trial(1, seed, 300) for seed in range(3)], 200.0, axes=rj.labels.AXES)
+    segmenter = WrenchSegmenter(trees=3).fit(data, [np.arange(300) // 150] * 3)
+    segmenter_file.save(tmp_path / "s", segmenter_file.SegmenterFile.of(segmenter, "phase", ("first", "second")))
+    files = {"monitor": str(tmp_path / "n"), "segmenter": str(tmp_path / "s")}
+    bridge = Bridge({**files, "false_alarms": 0.2, "robot": "hiro"}, heard)
     for k, row in enumerate(wrench.tolist()):
         bridge.wrench(stamped(row, 10 + 0.005 * k), 10 + 0.005 * k)
     scores = monitor.scores(wrench.astype(np.float32))[9::10]
     np.testing.assert_allclose([event["score"] for event in heard.events["scores"]], scores, rtol=1e-5)
     assert [event["event"] for event in heard.events["events"]] == ["AnomalyRaised"]
+    assert {(event["head"], event["label"]) for event in heard.events["beliefs"]} >= {("phase", "first")}
+    assert len(heard.events["beliefs"]) == 60
     assert heard.events["words"]
 
 
