@@ -67,6 +67,7 @@ def by_lane(limits: Array, like: Array) -> Array:
     return jnp.moveaxis(wide, -1, 0)
 
 
+@np.errstate(invalid="ignore")  # the encoder refuses what is not finite, in a sentence
 def auto_tolerance(
     wrench: Float[np.ndarray, "recording time axis"], length: Int[np.ndarray, " recording"], needed: int
 ) -> Float[np.ndarray, " axis"]:

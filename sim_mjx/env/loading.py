@@ -78,10 +78,19 @@ def load(
         params, _ = scenario.draw_batch(seed, range(trials), spec)
     if len(counts := {np.shape(leaf)[:1] for leaf in jax.tree.leaves(params)}) != 1 or counts <= {(), (0,)}:
         raise InputError("params is no batch of trials; expected that of a scenario's draw_batch, one trial or more.")
+    like = scenario.draw_batch(0, range(1), scenario.spec())[0]
+    if _kinds(params) != _kinds(like):
+        raise InputError(f"params has trials of another scenario than {name!r}; expected those of its draw_batch.")
     physics = new_physics(scene, engines.IMPLEMENTATIONS[engine], max(parallel, batch_size(params)))
     senses = new_senses(config, 6 * len(scene.forces), len(scene.joints), model, thresholds)
     drawn = Trials(as_float32(params), device.fields_of(scene, params), *settled(scene, params))
     return Environment(scene.program, physics, drawn, senses, config)
+
+
+def _kinds(params: Any) -> tuple[Any, list[tuple[int, ...]]]:
+    """The classes of a batch of trials, and the shapes of one trial's numbers."""
+    leaves, tree = jax.tree.flatten(params)
+    return tree, [np.shape(leaf)[1:] for leaf in leaves]
 
 
 def jit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:

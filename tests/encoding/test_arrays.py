@@ -225,6 +225,8 @@ def test_repr_is_short_and_the_picture_shows_every_word() -> None:
         (lambda: rj.encode([]), "no recording"),
         (lambda: rj.encode([["a", "b"]]), "expected numbers"),
         (lambda: rj.encode(np.full((50, 6), np.nan)), "not finite"),
+        (lambda: rj.encode(np.full((50, 6), np.nan), rule="fit"), "not finite"),
+        (lambda: rj.encode(np.full((50, 6), np.inf), rule="fit"), "not finite"),
         (lambda: rj.encode(np.full((50, 6), 3e38)), "beyond 1e"),  # whose sums are infinite
         (lambda: rj.Encoder(rj.EncoderConfig(), rj.preset()).push(np.full((50, 6), 3e38)), "beyond 1e"),
         (lambda: rj.encode(WRENCH[0], rate=0), "rate"),

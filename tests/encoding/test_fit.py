@@ -85,6 +85,21 @@ def test_labels_equal_the_oracle(name: str, signal: tuple[int, str, int]) -> Non
             np.testing.assert_allclose([row[4:] for row in got], values, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("window", [5, 20, 50])
+@pytest.mark.parametrize("cap", [0.2, 0.02])
+def test_no_word_is_published_later_than_the_page_says(window: int, cap: float) -> None:
+    config = FitConfig(window, latency_cap=cap)
+    lookback = config.kept + window
+    after_pairs = max(config.cap or 0, lookback)
+    latest = lookback, after_pairs + 2 * window, after_pairs + 4 * window
+    waited = np.zeros(3, int)
+    for seed in range(6):
+        tracks = batch(config, wrench_of(seed, ("noise", "steps", "ramps")[seed % 3]), SAMPLES)
+        waited = np.maximum(waited, [int((track.emit - track.t1).max()) for track in layers(tracks)])
+    assert (waited <= latest).all()
+    assert (waited > np.array(latest) // 2).all()  # words do wait
+
+
 def test_the_oracle_is_rarely_undecided_and_sees_every_primitive() -> None:
     seen, undecided = set(), 0
     for seed in range(30):

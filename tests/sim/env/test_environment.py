@@ -333,6 +333,8 @@ def test_what_does_not_fit_the_scenario_is_refused() -> None:
     for params in (jax.tree.map(lambda leaf: leaf[0], trials()), jax.tree.map(lambda leaf: leaf[:0], trials())):
         with pytest.raises(InputError, match="no batch of trials"):
             environments.load("B", params=params)
+    with pytest.raises(InputError, match="trials of another scenario than 'hooked-B'"):
+        environments.load("hooked-B", params=trials())
     with pytest.raises(InputError, match=r"no environment 'tea-making'; expected one of camera-snap, .*, A, .*@"):
         environments.load("tea-making")
 
