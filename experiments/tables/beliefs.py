@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import markdown, table
+from experiments.tables.cells import markdown, streamed_score, table
 
 
 @table("detected", "detected_starts")
@@ -13,14 +13,14 @@ def detected(result: dict[str, Any]) -> str:
     rows = result["rows"]
     ways = {
         "onsets given (harmonised)": "given",
-        'onsets detected by the head "phase"': "detected",
+        'onsets detected by the classifier "phase"': "detected",
         "the detected state itself": "filter alone",
-        'the belief of the head "phase" itself': "phase alone",
+        'the belief of the classifier "phase" itself': "phase alone",
     }
     lines = [
         (
             title,
-            *(f"{rows[name][f'macro step accuracy, {key}']['mean']:.3f}" for name in ("REAL | paper", "SIM1 | paper")),
+            *(streamed_score(rows[name][f"macro step accuracy, {key}"]) for name in ("REAL | paper", "SIM1 | paper")),
         )
         for title, key in ways.items()
     ]
@@ -35,19 +35,14 @@ def abnormal(result: dict[str, Any]) -> str:
         "held out": "successes of a session not trained on",
         "sessions": "control: success in A or success in B",
     }
-    moments = {
-        "every tenth of a second": ".3f",
-        "after 1 s": ".3f",
-        "at 100%": ".3f",
-        "successes alarmed": ".0%",
-    }
     lines = []
     for name, title in names.items():
-        scores = result["rows"][name]["all features"]
-        # Two sessions of successes contain no failure to raise an alarm about.
-        blank = {"successes alarmed"} if name == "sessions" else set()
-        cells = ("" if key in blank else format(scores[key]["mean"], form) for key, form in moments.items())
-        lines.append((title, *cells))
+        for kind, addition in (("all features", ""), ("time alone", ": elapsed time alone")):
+            scores = result["rows"][name][kind]
+            moments = (streamed_score(scores[key]) for key in ("every tenth of a second", "after 1 s", "at 100%"))
+            # Two sessions of successes contain no failure to raise an alarm about.
+            alarms = "" if name == "sessions" else f"{scores['successes alarmed']['mean']:.0%}"
+            lines.append((title + addition, *moments, alarms))
     head = ("every tenth of a second", "after 1 s, before any contact", "at the end", "false alarms, % of successes")
     return markdown(("mean recall", *head), lines)
 
@@ -58,8 +53,8 @@ def failure_types(result: dict[str, Any]) -> str:
     lines = [
         (
             name,
-            *(f"{row[key]['mean']:.3f}" for key in ("at 50%", "at 75%", "at 100%", "at 100%, votes of pairs")),
-            f"{row['calibration error of steps']['mean']:.3f}",
+            *(streamed_score(row[key]) for key in ("at 50%", "at 75%", "at 100%", "at 100%, votes of pairs")),
+            streamed_score(row["calibration error of steps"]),
         )
         for name, row in result["rows"].items()
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from experiments._lib.results_io import committed
 
@@ -56,3 +57,8 @@ def score(values: dict[str, float] | None, interval: bool = True) -> str:
         return NONE
     limits = ends(values["low"], values["high"]) if interval and "low" in values else ""
     return f"{values['mean']:.3f}{limits}"
+
+
+def streamed_score(values: dict[str, Any]) -> str:
+    """A mean of streamed beliefs with its interval, which these results hold as a pair."""
+    return f"{values['mean']:.3f}{ends(*values['interval'])}"

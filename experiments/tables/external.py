@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from experiments._lib.intervals import by_trial
 from experiments.tables.cells import NONE, markdown, score, table
 
 SETS = {"lp1": "LP1", "lp2": "LP2", "lp4": "LP4"}
@@ -63,10 +64,17 @@ def kitting(result: dict[str, Any], more: dict[str, Any]) -> str:
     for title, row in (named | {name: row for name, row in more["rows"].items() if "skills" in row}).items():
         skills = row["skills"].values()
         late = [cell["delay_median"] for cell in skills if cell["delay_median"] is not None]
-        values = [f"{cell['auroc']:.3f}" for cell in skills]
+        values = [score(_auroc(cell)) for cell in skills]
         lines.append((title, *values, f"{row['false_alarms']:.3f}", f"{max(late):.2f}"))
     head = ("AUROC", *(f"skill {number}" for number in (3, 4, 5, 7)), "false alarms", "slowest median delay, s")
     return markdown(head, lines)
+
+
+def _auroc(cell: dict[str, Any]) -> dict[str, float]:
+    """The AUROC with its interval, which is Wilson's where no drawn executions are in the wrong order."""
+    low, high = cell["auroc_interval"]
+    narrow = round(low, 3) == round(high, 3)
+    return by_trial(cell["auroc"], cell["anomalous"]) if narrow else {"mean": cell["auroc"], "low": low, "high": high}
 
 
 @table("external-kitting-types", "kitting_more")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from experiments._lib.intervals import with_width
-from experiments.tables.cells import NONE, markdown, score, table
+from experiments.tables.cells import NONE, markdown, score, streamed_score, table
 
 Result = dict[str, Any]
 
@@ -20,10 +20,11 @@ def online(result: Result) -> str:
     for name, title in names.items():
         for kind, features in kinds.items():
             if scores := rows[f"{name} at 10 Hz"].get(kind):
-                means = [scores[key]["mean"] for key in ("macro step accuracy", "full-sequence accuracy", "OverallPr")]
+                keys = ("macro step accuracy", "full-sequence accuracy", "OverallPr")
                 own = min(scores["certainty"]["k=0.70"]["m_own"])
                 errors = " / ".join(f"{scores[f'ECE {part}']['mean']:.3f}" for part in ("steps", "full sequences"))
-                lines.append((f"{title}, {features}", *(f"{value:.3f}" for value in means), f"{own:.2f}", errors))
+                cells = (streamed_score(scores[key]) for key in keys)
+                lines.append((f"{title}, {features}", *cells, f"{own:.2f}", errors))
     head = (
         "step accuracy (mean of classes)",
         "full-sequence accuracy",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import NONE, ends, markdown, table
+from experiments.tables.cells import NONE, ends, markdown, streamed_score, table
 
 TARGET = "0.01"  # residual at which methods are compared
 APPROACH = ("approach_constant", "approach_constant_inside", "approach_fixed_inside")
@@ -118,7 +118,7 @@ def streamed(result: dict[str, Any]) -> str:
         (
             kind,
             *(
-                _mean(result["rows"][f"{one} | {kind}"][f"macro step accuracy, {key}"])
+                streamed_score(result["rows"][f"{one} | {kind}"][f"macro step accuracy, {key}"])
                 for one in sets
                 for key in ways.values()
             ),
@@ -126,10 +126,6 @@ def streamed(result: dict[str, Any]) -> str:
         for kind in kinds
     ]
     return markdown(("words", *(f"{one}, {way}" for one in sets for way in ways)), rows)
-
-
-def _mean(score: dict[str, Any]) -> str:
-    return f"{score['mean']:.3f}{ends(*score['interval'])}"
 
 
 @table("fit-transfer", "fit_sim_to_real")

@@ -92,6 +92,18 @@ def test_the_tutorial_works_as_it_stands(
     assert (tmp_path / "trial.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_page_about_snaps_shows_what_its_commands_print(
+    hiro_store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = "".join(blocks(ROOT / "docs" / "measurements" / "snaps.md", "sh")).splitlines()
+    for line in lines:
+        call, _, shown = line.partition(" # ")
+        assert main([str(hiro_store) if word == "hiro.zarr" else word for word in shlex.split(call)[1:]]) == 0
+        output = capsys.readouterr().out
+        pattern = ".*".join(re.escape(part.strip()) for part in shown.split("..."))
+        assert re.search(pattern, output), f"{call} does not print {shown}"
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The documentation, built."""

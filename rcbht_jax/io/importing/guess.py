@@ -43,6 +43,7 @@ class Understood:
     unit: str = ""
 
 
+@np.errstate(invalid="ignore", over="ignore")  # of infinite values, which are refused later
 def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Understood]]:
     """The mapping of a table: what ``base`` states, and guesses for the rest.
 
@@ -100,7 +101,8 @@ def _group(table: Table, time: str, free: list[str]) -> str:
         # What changes where the time starts anew, each time to a new value, names the recordings.
         for name in (name for name in free if not _is_label(name)):
             values = table.columns[name]
-            if np.array_equal(values[1:] != values[:-1], back) and len(_distinct(values)) == back.sum() + 1:
+            new = np.array_equal(values[1:] != values[:-1], back)
+            if new and len(_distinct(values)) == back.sum() + 1 <= len(values) / 2:  # each of several samples
                 return name
     arm = bases.get("arm", "")
     return arm if arm and table.columns[arm].dtype.kind == "U" and len(_distinct(table.columns[arm])) > 1 else ""

@@ -22,6 +22,18 @@ def table(*names: str, **values: object) -> Table:
     return Table("a.csv", {name: np.asarray(values.get(name, column)) for name, column in columns.items()})
 
 
+def test_a_time_that_runs_backwards_does_not_make_each_sample_a_recording() -> None:
+    backwards = table("t", "Fx", t=-0.01 * np.arange(N), Fx=np.arange(N, dtype=float))
+    assert guess(backwards)[0].group == ""
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [np.inf, 1e308])
+def test_infinite_and_huge_values_are_no_warning_of_numpy(value: float) -> None:
+    mapping, _ = guess(table("t", "Fx", t=np.arange(N) * 0.01, Fx=np.resize([0.0, value, -value, value, value], N)))
+    assert [channel.name for channel in mapping.channels] == ["Fx"]
+
+
 @pytest.mark.parametrize(
     ("names", "axes", "units"),
     [
