@@ -83,6 +83,17 @@ def _likely_time(table: Table, free: list[str]) -> str:
     return next(iter([*called, *days, *nameless]), "")
 
 
+def is_stamp(table: Table, name: str) -> bool:
+    """Whether a column holds times of another sensor: it grows, and its path has a name of times.
+
+    >>> columns = {"Fx.Data": np.ones(3), "Fx.Time": np.arange(3.0)}
+    >>> [is_stamp(Table("a.mat", columns), name) for name in columns]
+    [False, True]
+    """
+    parts = re.split(r"[./]", base_and_unit(name)[0])
+    return len(parts) > 1 and bool(set(parts) & set(TIMES)) and _grows(table, name)
+
+
 def _is_called(table: Table, name: str, last: str) -> bool:
     """Whether a name ends in a word for a time, or begins with one and does not count steps."""
     words = re.split(r"[\W_]+", last)
