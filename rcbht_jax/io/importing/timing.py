@@ -163,9 +163,12 @@ def _unit(table: Table, name: str) -> str:
     unit = next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
     with np.errstate(over="ignore"):
         steps = np.diff(known)
+    if not (steps > 0).any():
+        return unit
+    step = float(np.median(steps[steps > 0]))
+    seconds = step * SECONDS[unit]
     # No robot's wrench is logged at 1 Hz: those who count 0, 1, 2 count milliseconds.
-    slowest = SENSIBLE[1] if names.wrenches(table.columns) else 1
-    if not (steps > 0).any() or (step := float(np.median(steps[steps > 0]))) * SECONDS[unit] <= slowest:
+    if seconds < 1 or (seconds == 1 and not names.wrenches(table.columns)):
         return unit
     likely = [finer for finer, scale in SECONDS.items() if SENSIBLE[0] <= step * scale < SENSIBLE[1]]
     return likely[0] if len(likely) == 1 else unit
