@@ -292,3 +292,19 @@ def test_brackets_around_rows_are_no_part_of_their_cells(tmp_path: Path) -> None
     (tmp_path / "run.txt").write_text("".join(f"( {row.replace(',', ' , ')} )\n" for row in rows(WRENCH).split()))
     recordings = read_source(tmp_path, "csv", Mapping(source_rate=500)).recordings
     np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("folders", "sessions"),
+    [
+        (("day1/trial1", "day1/trial2", "day2/trial3"), ["day1", "day1", "day2"]),
+        (("day1/trial1", "day1/trial1", "day2/trial3"), ["day1/trial1", "day1/trial1", "day2/trial3"]),
+        (("day1", "day2", "day3"), ["day1", "day2", "day3"]),
+    ],
+)
+def test_a_folder_of_one_trial_is_no_session(folders: tuple[str, ...], sessions: list[str], tmp_path: Path) -> None:
+    for number, folder in enumerate(folders):
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+        table = np.column_stack([TIME, WRENCH + number])
+        (tmp_path / folder / f"ft{number}.csv").write_text(f"t,{','.join(AXES)}\n{rows(table)}\n")
+    assert read_source(tmp_path).recordings.session.tolist() == sessions
