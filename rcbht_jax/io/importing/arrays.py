@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
@@ -28,6 +29,8 @@ from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.names import GROUPS, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
+
+_SIDE = re.compile(r"(?:^|[\W_])(?:left|right)(?:$|[\W_])", re.IGNORECASE)
 
 
 @contextmanager
@@ -130,6 +133,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         )
         group = _like(file, h5py)
         parts = [("", file)] if group is None else _groups(group, h5py)
+        sides = all(_SIDE.search(part) for part, _ in parts)
         for part, node in parts:
             prefix = node.name.rstrip("/") + "/"
             found = {one.name.removeprefix(prefix): one for one in datasets if one.name.startswith(prefix)}
@@ -141,7 +145,8 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
             stated = {key: texts for key, one in found.items() if (texts := _stated_units(one))}
             for table in tables_of(path, f"{name}#{part}" if part else name, usable, part):
-                yield replace(table, units=_units_of(table.columns, stated))
+                arm = {"arm": part} if sides and part else {}
+                yield replace(table, units=_units_of(table.columns, stated), facts={**arm, **table.facts})
 
 
 def _stated_units(item: Any) -> list[str]:

@@ -117,7 +117,7 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
             columns[target] = np.array(["" if value is None else str(value) for value in values], np.str_)
         else:
             columns[target] = np.array([np.nan if value is None else value for value in values], np.float64)
-    folders = [record.folder for record in records]
+    folders = _folders(records)
     defaults: dict[str, list[str]] = {
         "trial": _trials(records),
         "arm": [record.arm or STANDARD_COLUMNS["arm"] for record in records],
@@ -142,6 +142,14 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
         for given, record in zip(columns["note"].tolist(), records, strict=True)
     ]
     return {**columns, "note": np.array(notes, np.str_)}
+
+
+def _folders(records: list[Record]) -> list[str]:
+    """The folder of each recording; where every file has a folder of its own within others, that around it."""
+    files = {record.file: record.folder for record in records}
+    outer = [str(PurePosixPath(record.folder).parent) for record in records]
+    own = 1 < len(files) == len(set(files.values())) and "." not in outer
+    return outer if own else [record.folder for record in records]
 
 
 def _trials(records: list[Record]) -> list[str]:

@@ -54,11 +54,14 @@ def is_number(cell: str) -> bool:
 
 
 def plain(cell: str, delimiter: str) -> str:
-    """A cell with a point where a table with semicolons or tabs has a decimal comma.
+    """A cell with a point where a table with semicolons or tabs has a decimal comma, and without brackets of a row.
 
-    >>> plain("1,5", ";"), plain("1,5", ",")
-    ('1.5', '1,5')
+    >>> plain("1,5", ";"), plain("1,5", ","), plain("( 1.5", ",")
+    ('1.5', '1,5', '1.5')
     """
+    if cell[:1] in ("(", "[") or cell[-1:] in (")", "]"):
+        inner = cell.strip("()[] ")
+        return inner if inner and is_number(inner) else cell
     return _COMMA.sub(r"\1.\2", cell) if delimiter in (";", "\t") and "," in cell else cell
 
 

@@ -16,7 +16,7 @@ from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.timing import are_dates, is_clock, with_time
+from rcbht_jax.io.importing.timing import are_dates, is_clock, is_stamp, with_time
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
@@ -206,6 +206,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]
     rest = [name for name in rest if np.isfinite(table.columns[name]).any()]  # an empty column is none
+    rest = [name for name in rest if not is_stamp(table, name)]
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:

@@ -2,7 +2,7 @@
 
 Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at its own rate), ``resampled:RATE`` (from
 that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
-``stuck:AXIS``, ``counts`` (were divided), ``other-lengths:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
+``stuck:AXIS``, ``counts`` (were divided), ``other-arrays:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
 ``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples), ``cp1252``,
 ``changes:COLUMN`` (one that should be constant), ``beginning-of:OTHER``, ``copy-of:OTHER``,
 ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
@@ -205,7 +205,7 @@ def _understood(
     """The recordings of a table, and the meaning of its columns."""
     mapping, understood = guess(table, base)
     more = "" if base.channels else more_wrenches(table, mapping)
-    left = f"Arrays of another length were left out: {some(table.others)}." if table.others else ""
+    left = f"Arrays of another shape were left out: {some(table.others)}." if table.others else ""
     report.remarks += [text for text in (more, left) if text and text not in report.remarks]
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):

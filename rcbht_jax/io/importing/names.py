@@ -29,7 +29,9 @@ WHOLE = ("wrench", "force", "forces", "torque", "torques", "moment", "moments", 
 _DEMANDED = {"desired", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "setpoint", "next"}
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX
-_AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?[._/ \-]*([xyz])$")
+_AXIS = re.compile(
+    r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?[._/ \-]*([xyz])(?:[._/](?:data|values?))?$"
+)
 _WORD = re.compile(
     r"^(|.*[._/ \-])([^\W\d_]+)(\d*)[._/ \-]*([xyz])$"
 )  # in any language, where a unit tells the quantity

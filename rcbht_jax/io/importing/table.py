@@ -46,7 +46,7 @@ class Table:
     facts: Mapping[str, str | float] = field(default_factory=dict)  # what holds for the whole table
     intervals: tuple[Interval, ...] = ()  # on the clock of the columns, where their times can be nothing else
     notes: tuple[str, ...] = ()
-    others: tuple[str, ...] = ()  # arrays of another length, which are left out
+    others: tuple[str, ...] = ()  # arrays of other shapes, which are left out
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
 
     @property
@@ -92,6 +92,13 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     cubes = {key: np.moveaxis(cube, 2, 0) if _ends_in_recordings(cube, arrays) else cube for key, cube in cubes.items()}
     if cubes and not _is_signal(arrays, len(next(iter(cubes.values())))):
         count, rows = next(iter(cubes.values())).shape[:2]
+        shapes = ((), (count,), (rows,), (count, rows))
+        others = tuple(
+            key
+            for key, array in arrays.items()
+            if _usable(array) and key not in cubes and not (array.shape in shapes or array.shape[:2] == (count, rows))
+        )
+        notes = (f"other-arrays:{len(others)}",) if others else ()
         for number in range(count):
             cut = {key: array[number] for key, array in cubes.items() if array.shape[:2] == (count, rows)}
             cut |= {key: array for key, array in arrays.items() if array.shape == (rows,) and rows != count}
@@ -104,7 +111,8 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
             place = f"{part}#{number}" if part else str(number)
             ends = [int(own[key]) for key in own if key.lower() in LENGTH_NAMES and 1 < _number(own[key]) <= rows]
             cut = {key: array[: ends[0]] if ends else array for key, array in cut.items()}
-            yield Table(f"{name}#{number}", _columns(path, cut), rate, facts={**facts, **own}, part=place)
+            columns, both = _columns(path, cut), {**facts, **own}
+            yield Table(f"{name}#{number}", columns, rate, facts=both, notes=notes, others=others, part=place)
         return
     vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
     flat = {key: _upright(array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
@@ -118,7 +126,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     rows = max(sampled, key=lambda length: (lengths.count(length), length))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
     others = tuple(key for key in flat if key not in chosen)
-    notes = (f"other-lengths:{len(others)}",) if others else ()
+    notes = (f"other-arrays:{len(others)}",) if others else ()
     columns = _columns(path, chosen)
     yield Table(name, columns, rate, facts=facts, intervals=tuple(intervals), notes=notes, others=others, part=part)
 

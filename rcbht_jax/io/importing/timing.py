@@ -83,6 +83,17 @@ def _likely_time(table: Table, free: list[str]) -> str:
     return next(iter([*called, *days, *nameless]), "")
 
 
+def is_stamp(table: Table, name: str) -> bool:
+    """Whether a column holds times of another sensor: it grows, and its path has a name of times.
+
+    >>> columns = {"Fx.Data": np.ones(3), "Fx.Time": np.arange(3.0)}
+    >>> [is_stamp(Table("a.mat", columns), name) for name in columns]
+    [False, True]
+    """
+    parts = re.split(r"[./]", base_and_unit(name)[0])
+    return len(parts) > 1 and bool(set(parts) & set(TIMES)) and _grows(table, name)
+
+
 def _is_called(table: Table, name: str, last: str) -> bool:
     """Whether a name ends in a word for a time, or begins with one and does not count steps."""
     words = re.split(r"[\W_]+", last)
@@ -152,9 +163,12 @@ def _unit(table: Table, name: str) -> str:
     unit = next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
     with np.errstate(over="ignore"):
         steps = np.diff(known)
+    if not (steps > 0).any():
+        return unit
+    step = float(np.median(steps[steps > 0]))
+    seconds = step * SECONDS[unit]
     # No robot's wrench is logged at 1 Hz: those who count 0, 1, 2 count milliseconds.
-    slowest = SENSIBLE[1] if names.wrenches(table.columns) else 1
-    if not (steps > 0).any() or (step := float(np.median(steps[steps > 0]))) * SECONDS[unit] <= slowest:
+    if seconds < 1 or (seconds == 1 and not names.wrenches(table.columns)):
         return unit
     likely = [finer for finer, scale in SECONDS.items() if SENSIBLE[0] <= step * scale < SENSIBLE[1]]
     return likely[0] if len(likely) == 1 else unit

@@ -123,9 +123,11 @@ def test_time(name: str, values: np.ndarray, unit: str) -> None:
     assert mapping.axes == ("Fz",)
 
 
-@pytest.mark.parametrize(("axes", "unit"), [(["Fx", "Fy", "Fz"], "ms"), (["level"], "s")])
-def test_a_wrench_is_not_logged_once_a_second(axes: list[str], unit: str) -> None:
-    mapping, _ = guess(Table("a.csv", {"time": np.arange(N) * 1.0} | {axis: np.ones(N) for axis in axes}))
+@pytest.mark.parametrize(
+    ("axes", "step", "unit"), [(["Fx", "Fy", "Fz"], 1.0, "ms"), (["Fx", "Fy", "Fz"], 0.8, "s"), (["level"], 1.0, "s")]
+)
+def test_a_wrench_is_not_logged_once_a_second(axes: list[str], step: float, unit: str) -> None:
+    mapping, _ = guess(Table("a.csv", {"time": np.arange(N) * step} | {axis: np.ones(N) for axis in axes}))
     assert mapping.time_unit == unit
 
 

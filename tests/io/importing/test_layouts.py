@@ -49,7 +49,7 @@ def test_sensors_of_other_rates_with_times_and_annotations_of_their_own(tmp_path
     assert recordings.annotations.of("segments_info_success").names().tolist() == ["success", "failure"]
     assert recordings.annotations.of("segments_info_low_level").names().tolist() == ["approach", "approach"]
     assert not recordings.columns
-    assert recordings.note.tolist() == ["other-lengths:6"]
+    assert recordings.note.tolist() == ["other-arrays:6"]
     assert "'robot_state/joint_positions'" in imported.report.remarks[0]
 
 
@@ -259,3 +259,52 @@ def test_a_wrench_that_is_text_is_not_left_out(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("\n".join(["t,force,z", *lines]) + "\n")
     with pytest.raises(InputError, match="column 'force' holds 'x="):
         read_source(tmp_path)
+
+
+def test_arrays_beside_recordings_are_not_left_out_in_silence(tmp_path: Path) -> None:
+    """They may show that the first dimension is time."""
+    np.savez(tmp_path / "run.npz", history=WRENCH.reshape(50, 8, 6), qpos=np.zeros((50, 7)), reward=np.zeros(50), fs=50)
+    imported = read_source(tmp_path)
+    assert imported.report.remarks[0] == "Arrays of another shape were left out: 'qpos'."
+    assert set(imported.recordings.note.tolist()) == {"other-arrays:1"}
+
+
+def test_groups_of_two_sides_are_arms_of_one_trial(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    for number in range(2):
+        with h5py.File(tmp_path / f"run{number}.h5", "w") as file:
+            for side, sign in (("left_arm", 1), ("right_arm", -1)):
+                file[f"{side}/time"], file[f"{side}/wrench"] = TIME, sign * WRENCH + number
+    recordings = read_source(tmp_path).recordings
+    assert recordings.arm.tolist() == ["left_arm", "right_arm"] * 2
+    assert recordings.trial.tolist() == ["run0", "run0", "run1", "run1"]
+
+
+def test_times_of_other_signals_are_no_channels(tmp_path: Path) -> None:
+    np.savez(tmp_path / "run.npz", **{f"out.F_{axis}.{key}": TIME if key == "Time" else WRENCH[:, place]
+                                      for place, axis in enumerate("xyz") for key in ("Time", "Data")})  # fmt: skip
+    assert read_source(tmp_path).recordings.axes == AXES[:3]
+    np.savez(tmp_path / "run.npz", **{"level/time": TIME, "level/value": WRENCH[:, 0], "gap/time": TIME + 1})
+    assert read_source(tmp_path).recordings.axes == ("level/value",)
+
+
+def test_brackets_around_rows_are_no_part_of_their_cells(tmp_path: Path) -> None:
+    (tmp_path / "run.txt").write_text("".join(f"( {row.replace(',', ' , ')} )\n" for row in rows(WRENCH).split()))
+    recordings = read_source(tmp_path, "csv", Mapping(source_rate=500)).recordings
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("folders", "sessions"),
+    [
+        (("day1/trial1", "day1/trial2", "day2/trial3"), ["day1", "day1", "day2"]),
+        (("day1/trial1", "day1/trial1", "day2/trial3"), ["day1/trial1", "day1/trial1", "day2/trial3"]),
+        (("day1", "day2", "day3"), ["day1", "day2", "day3"]),
+    ],
+)
+def test_a_folder_of_one_trial_is_no_session(folders: tuple[str, ...], sessions: list[str], tmp_path: Path) -> None:
+    for number, folder in enumerate(folders):
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+        table = np.column_stack([TIME, WRENCH + number])
+        (tmp_path / folder / f"ft{number}.csv").write_text(f"t,{','.join(AXES)}\n{rows(table)}\n")
+    assert read_source(tmp_path).recordings.session.tolist() == sessions
