@@ -12,6 +12,10 @@ import tyro
 from rcbht_jax.cli.command import STORE, Command, Flag, option, unset
 from rcbht_jax.errors import InputError
 
+TRIALS, SAMPLES, WINDOW = 100, 2000, 5  # of the measurement, as "rcbht bench" makes it
+USUAL = 0.084  # speed of the encoder in plain line fits on a CPU: the newest record of benchmarks/history.json
+SLOW = 0.5  # of the usual ratio
+
 
 @dataclass(frozen=True)
 class Doctor(Command):
@@ -36,6 +40,7 @@ class Doctor(Command):
     ] = False
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.cli.bench import batch_encoder, signal
         from sim_mjx.validation import health
 
         if self.store is not None:
@@ -44,7 +49,13 @@ class Doctor(Command):
             raise InputError("--repair needs a store: rcbht doctor STORE --repair.")
         found = health.machine(Path.cwd())
         print("measuring for a few seconds", file=sys.stderr, flush=True)
-        return {**found, "benchmark": health.benchmark(), "problems": health.problems(found)}
+        encoder, ratio = batch_encoder(signal(TRIALS, SAMPLES), WINDOW)
+        speed = {
+            "encoder_samples_per_second": encoder[f"encode/W={WINDOW}"][0],
+            "encoder_ratio": ratio,
+            "native_steps_per_second": health.native_speed(),
+        }
+        return {**found, "benchmark": speed, "problems": health.problems(found) + _slow(found["devices"], ratio)}
 
     def _store(self, path: Path) -> dict[str, Any]:
         from sim_mjx.validation import health
@@ -67,15 +78,27 @@ class Doctor(Command):
         return _store_text(result) if self.store is not None else _machine_text(result)
 
 
+def _slow(devices: list[str], ratio: float) -> list[str]:
+    """A sentence, if the encoder on a CPU is slower than its usual ratio to plain line fits allows."""
+    if not devices[0].lower().startswith("cpu") or ratio > SLOW * USUAL:
+        return []
+    return [
+        f"The encoder reaches {ratio:.2g} of the speed of plain line fits; {USUAL:.2g} is usual. Compare with other "
+        'versions of jax by "rcbht bench".'
+    ]
+
+
 def _machine_text(result: dict[str, Any]) -> str:
     versions = ", ".join(f"{name} {number or 'not installed'}" for name, number in result["versions"].items())
     cache, speed = result["compile_cache"], result["benchmark"]
+    usual = f", usually {USUAL:.2g}" if result["devices"][0].lower().startswith("cpu") else ""
     lines = [
         f"Python {result['python']}; {versions}",
         f"devices: {', '.join(result['devices'])}; {result['cores']} cores",
         f"compiled programs: {cache['files']} files, {cache['bytes'] / 2**20:.0f} MB in {cache['folder']}",
         f"disk: {result['free_disk_bytes'] / 2**30:.0f} GB free here",
-        f"encoder: {speed['encoder_samples_per_second'] / 1e6:.1f} M samples/s",
+        f"encoder: {speed['encoder_samples_per_second'] / 1e6:.1f} M samples/s, {speed['encoder_ratio']:.2g} of the "
+        f"speed of plain line fits{usual}",
         f"native physics: {speed['native_steps_per_second'] / 1e6:.3f} M steps/s",
         *result["problems"],
     ]

@@ -14,12 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 
 from rcbht_jax._util import compile_cache
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.label_store import list_tracks, verify_tracks
@@ -30,8 +26,8 @@ from sim_mjx.synthesis.plan import SynthesisConfig, job_of, manifest_of, provena
 
 PACKAGES = ("rcbht-jax", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "warp-lang", "zarr")
 LITTLE_DISK = 2 * 2**30  # bytes
-SECONDS = 1.0  # that each measurement takes at least, compilation and a first run besides
-SAMPLES, RECORDINGS, TRIALS = 2000, 64, 64
+SECONDS = 1.0  # that a measurement takes at least, a first run besides
+TRIALS = 64
 
 
 @dataclass(frozen=True)
@@ -81,22 +77,14 @@ def problems(found: dict[str, Any]) -> list[str]:
     return sentences
 
 
-def benchmark() -> dict[str, float]:
-    """Speed of encoder and native physics on this machine, in a few seconds: samples and physics steps per second."""
-    rng = np.random.default_rng(0)
-    wrench = np.cumsum(rng.normal(0, 0.3, (RECORDINGS, SAMPLES, 6)), axis=1).astype(np.float32)
-    length = np.full(RECORDINGS, SAMPLES, np.int32)
-    config = EncoderConfig(window=5, dt=0.005)
-    encoding = _rate(lambda: _encode(config, wrench, length))
+def native_speed() -> float:
+    """Physics steps per second of the native engine on this machine, in about a second."""
     scenario = get_scenario("B")
     scene = scenario.scene()
     params, _ = scenario.draw_batch(0, range(TRIALS), scenario.spec(longest=0.25))
     periods = [0]
     trials = _rate(lambda: periods.__setitem__(0, int(engines.simulate(scene, params).length.sum())))
-    return {
-        "encoder_samples_per_second": encoding * wrench.size,
-        "native_steps_per_second": trials * periods[0] * scene.substeps,
-    }
+    return trials * periods[0] * scene.substeps
 
 
 def check_store(path: Path) -> StoreHealth:
@@ -187,10 +175,6 @@ def _read(part: Callable[[], Any], damage: list[str]) -> Any:
 def _short(value: Any) -> str:
     text = str(value)
     return f"{text[:12]}..." if len(text) > 20 else text
-
-
-def _encode(config: EncoderConfig, wrench: Any, length: Any) -> None:
-    jax.block_until_ready(encode_batch(config, preset("hiro"), wrench, length))
 
 
 def _rate(call: Callable[[], Any]) -> float:

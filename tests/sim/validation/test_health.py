@@ -10,10 +10,12 @@ from typing import Any
 
 import pytest
 
+from rcbht_jax._util.ratios import latest, read_history
 from rcbht_jax.cli.main import main
 from rcbht_jax.io.store import write_recordings
 from sim_mjx import registry
 from sim_mjx.assemblies.latch import LatchVariation
+from sim_mjx.cli import doctor as doctor_command
 from sim_mjx.synthesis import plan, shards
 from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
@@ -53,14 +55,23 @@ def doctor(capsys: pytest.CaptureFixture[str], status: int, *words: str) -> dict
 
 def test_the_machine_in_numbers(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(health, "SECONDS", 0.01)
-    monkeypatch.setattr(health, "SAMPLES", 200)
-    monkeypatch.setattr(health, "RECORDINGS", 2)
     monkeypatch.setattr(health, "TRIALS", 2)
+    monkeypatch.setattr(doctor_command, "SAMPLES", 200)
+    monkeypatch.setattr(doctor_command, "TRIALS", 2)
+    monkeypatch.setattr(doctor_command, "USUAL", 1e9)
     found = doctor(capsys, 0)
+    assert "is usual. Compare with other versions of jax" in found["problems"][-1]
     assert found["versions"]["rcbht-jax"]
     assert found["cores"] >= 1
     assert found["free_disk_bytes"] > 0
     assert all(value > 0 for value in found["benchmark"].values())
+
+
+def test_the_usual_ratio_is_the_committed_one() -> None:
+    size = {"device": "cpu", "trials": doctor_command.TRIALS, "samples": doctor_command.SAMPLES}
+    record = latest(read_history(Path(__file__).resolve().parents[3] / "benchmarks/history.json"), size)
+    assert record is not None
+    assert record["ratios"][f"encode/W={doctor_command.WINDOW}"] == pytest.approx(doctor_command.USUAL, rel=0.01)
 
 
 def test_problems_are_sentences(monkeypatch: pytest.MonkeyPatch) -> None:
