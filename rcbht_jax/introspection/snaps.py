@@ -140,7 +140,7 @@ def _sizes(axes: int, *values: ArrayLike) -> SnapSizes:
         raise InputError(f"least, most and load must be numbers, or have one for each of {axes} axes.") from None
     if not ((least > 0) & (least <= most) & (low >= 0) & (low <= high) & (least < math.inf)).all():
         raise InputError(
-            f"least is {values[0]!r}, most {values[1]!r} and load {values[2]!r} to {values[3]!r}; "
+            f"least is {values[0]}, most {values[1]} and load {values[2]} to {values[3]}; "
             "expected 0 < least <= most, and 0 <= low <= high for the load."
         )
     return SnapSizes(least, most, low, high)
