@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcbht_jax import labels
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.printable import plural
-from rcbht_jax._util.signals import period, read_parts
+from rcbht_jax._util.signals import distinct, period, read_parts
 from rcbht_jax._util.svg import Bar, bands
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -306,7 +306,7 @@ class Recordings:
             )
         wrench, length = padded(parts)
         count, width = len(parts), wrench.shape[2]
-        names = tuple(named or axis_names(width)) if axes is None else tuple(axes)
+        names = tuple(named or axis_names(width)) if axes is None else distinct(axes)
         if units is None:
             units = [labels.UNIT_OF.get(name, "") for name in names]
         if len(names) != width or len(units) != width:

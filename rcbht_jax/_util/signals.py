@@ -72,7 +72,7 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
             _check_time(wrench[name], dt, unit)
         if times:  # pandas' and polars' ways to say the same
             wrench = wrench.drop(columns=list(times)) if hasattr(wrench, "iloc") else wrench.drop(list(times))
-        return numbers_of(wrench), tuple(map(str, wrench.columns))
+        return numbers_of(wrench), distinct(map(str, wrench.columns))
     if hasattr(wrench, "column_names"):
         raise InputError("A table of pyarrow holds columns; make a frame of it: table.to_pandas().")
     if is_xarray(wrench):
@@ -84,6 +84,18 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
         return numbers_of(wrench.to_numpy()), _coordinate_names(wrench)
     values = numbers_of(wrench)
     return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
+
+
+def distinct(axes: Iterable[str]) -> tuple[str, ...]:
+    """Names of axes, all different: a name that two axes share would stand for the first alone.
+
+    Raises:
+        InputError: two axes have the same name.
+    """
+    names = tuple(axes)
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"{names.count(twice)} axes are called {twice}; give each axis a name of its own.")
+    return names
 
 
 def numbers_of(values: Any) -> NDArray[Any]:
@@ -166,7 +178,7 @@ def _coordinate_names(wrench: Any) -> tuple[str, ...] | None:
     axis = wrench.dims[-1] if wrench.dims else ""
     if axis not in wrench.coords or (axis != "axis" and wrench.coords[axis].dtype.kind in "fiub"):
         return None
-    return tuple(map(str, wrench.coords[axis].to_numpy()))
+    return distinct(map(str, wrench.coords[axis].to_numpy()))
 
 
 def _check_time(time: Any, dt: float, unit: float = 1.0) -> None:

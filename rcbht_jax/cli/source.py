@@ -260,6 +260,7 @@ class Source(RuleCommand):
             say: called with what is being waited for.
             reads: what the model or monitor reads beside which the words are shown; without, the stream tells.
         """
+        from rcbht_jax._util.signals import distinct
         from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.limit_files import has_tolerances
         from rcbht_jax.introspection.opening import read_opening
@@ -288,7 +289,7 @@ class Source(RuleCommand):
             if len(self.axes) != len(recordings.axes):
                 raise InputError(f"--axes names {len(self.axes)} axes; the stream has {len(recordings.axes)}.")
             units = tuple(UNIT_OF.get(axis, "") for axis in self.axes)
-            recordings = replace(recordings, axes=self.axes, units=units)
+            recordings = replace(recordings, axes=distinct(self.axes), units=units)
         if _is_store(path):
             thresholds, _ = self.read_limits(recordings, path)
         elif learns:

@@ -139,8 +139,9 @@ def _sizes(axes: int, *values: ArrayLike) -> SnapSizes:
     except (ValueError, TypeError):
         raise InputError(f"least, most and load must be numbers, or have one for each of {axes} axes.") from None
     if not ((least > 0) & (least <= most) & (low >= 0) & (low <= high) & (least < math.inf)).all():
+        said = [np.asarray(value).tolist() for value in values]
         raise InputError(
-            f"least is {values[0]!r}, most {values[1]!r} and load {values[2]!r} to {values[3]!r}; "
+            f"least is {said[0]}, most {said[1]} and load {said[2]} to {said[3]}; "
             "expected 0 < least <= most, and 0 <= low <= high for the load."
         )
     return SnapSizes(least, most, low, high)

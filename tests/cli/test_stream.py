@@ -282,6 +282,11 @@ def test_options_that_contradict_each_other(model_path, capsys, monkeypatch):
         (["--sampling-rate", "1e300"], "--sampling-rate is 1e+300; expected 0.001 to"),
         (["--lead", "-1"], "--lead is -1"),
         (["--robot", "hiro", "--axes", "a"], "names 1 axes; the stream has 6"),
+        (["--robot", "hiro", "--axes", *"abadef"], "2 axes are called a"),
+        (
+            ["--robot", "hiro", "--snap", "Fz=-3"],
+            "least is [-3.], most [inf] and load [0.] to [inf]; expected 0 < least",
+        ),
     ):
         monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(0, 1, 60))))
         assert main(["stream", "-", *words]) == 2

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 import rcbht_jax as rj
 from rcbht_jax.errors import InputError
@@ -64,3 +65,14 @@ def test_a_table_of_pyarrow_is_refused() -> None:
     pyarrow = pytest.importorskip("pyarrow")
     with pytest.raises(InputError, match=r"make a frame of it: table\.to_pandas\(\)"):
         rj.encode(pyarrow.table({"time": SECONDS, "Fx": WRENCH[:, 0]}))
+
+
+def test_two_axes_of_one_name_are_refused() -> None:
+    frame = pd.DataFrame(np.zeros((50, 2)), columns=["grip", "grip"])
+    array = xr.DataArray(np.zeros((50, 2)), dims=("time", "axis"), coords={"axis": ["grip", "grip"]})
+    sentence = "2 axes are called grip; give each axis a name of its own"
+    for wrench in (frame, array):
+        with pytest.raises(InputError, match=sentence):
+            rj.encode(wrench, rate=100)
+    with pytest.raises(InputError, match=sentence):
+        rj.Recordings.from_arrays(np.zeros((1, 50, 2)), rate=100, axes=["grip", "grip"])
