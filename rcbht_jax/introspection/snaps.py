@@ -139,8 +139,9 @@ def _sizes(axes: int, *values: ArrayLike) -> SnapSizes:
     except (ValueError, TypeError):
         raise InputError(f"least, most and load must be numbers, or have one for each of {axes} axes.") from None
     if not ((least > 0) & (least <= most) & (low >= 0) & (low <= high) & (least < math.inf)).all():
+        given = [str(value) for value in values]
         raise InputError(
-            f"least is {values[0]}, most {values[1]} and load {values[2]} to {values[3]}; "
+            f"least is {given[0]}, most {given[1]} and load {given[2]} to {given[3]}; "
             "expected 0 < least <= most, and 0 <= low <= high for the load."
         )
     return SnapSizes(least, most, low, high)
