@@ -129,6 +129,30 @@ def in_precision(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
         return np.asarray(values, dtype)
 
 
+def columns_for(what: str, needed: Sequence[str], period: float, axes: Sequence[str], dt: float) -> list[int]:
+    """Columns of a stream with these axes and ``dt`` s between samples that a reader of it needs.
+
+    Args:
+        what: the reader, for the error.
+        needed: axes that it reads.
+        period: s between samples that it expects.
+        axes: of the stream.
+        dt: of the stream.
+
+    Raises:
+        InputError: the stream lacks an axis or has another rate.
+
+    Example:
+        >>> columns_for("The detector", ["Fz"], 0.005, ("Fx", "Fy", "Fz"), 0.005)
+        [2]
+    """
+    if not set(needed) <= set(axes) or not np.isclose(dt, period):
+        raise InputError(
+            f"{what} needs {', '.join(needed)} at {1 / period:g} Hz; the stream has {', '.join(axes)} at {1 / dt:g} Hz."
+        )
+    return [tuple(axes).index(axis) for axis in needed]
+
+
 def check_axes(
     axes: Sequence[str], units: Sequence[str], learned: Sequence[str], learned_units: Sequence[str], where: str
 ) -> None:

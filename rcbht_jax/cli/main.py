@@ -22,7 +22,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import rcbht_jax
 from rcbht_jax._util.atomic import DISK_FULL, targets
@@ -267,14 +267,7 @@ def _fail(sentence: str, status: int) -> int:
     return status
 
 
-def _show(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
+def _show(message: Warning | str, *_: object, **__: object) -> None:
     """A warning as a sentence, without the place in the code that gives it."""
     print(f"rcbht: {printable(str(message))}", file=sys.stderr)
 

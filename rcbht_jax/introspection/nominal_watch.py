@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from rcbht_jax.errors import InputError
+from rcbht_jax._util.signals import columns_for
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_before
 from rcbht_jax.introspection.alarms import conformal_p
 from rcbht_jax.introspection.nominal_file import MonitorFile
@@ -52,12 +51,7 @@ class NominalWatch:
         Raises:
             InputError: the signal lacks an axis or has another rate.
         """
-        if not set(self.axes) <= set(axes) or not np.isclose(dt, self.dt):
-            raise InputError(
-                f"The monitor needs {', '.join(self.axes)} at {1 / self.dt:g} Hz; the stream has {', '.join(axes)} at "
-                f"{1 / dt:g} Hz."
-            )
-        return [tuple(axes).index(axis) for axis in self.axes]
+        return columns_for("The monitor", self.axes, self.dt, axes, dt)
 
     def warm_up(self) -> None:
         """Nothing is compiled."""

@@ -328,8 +328,10 @@ def segment(
         progress: called with 1 after each model.
 
     Raises:
-        InputError: no such track or column, or fewer than two annotated groups.
+        InputError: no such track or column, fewer than two annotated groups, or one fold.
     """
+    if protocol.folds < 0 or protocol.folds == 1:
+        raise InputError(f"The number of folds is {protocol.folds}; expected 2 or more, or 0 for one for each group.")
     track = recordings.annotations.choose(protocol.track)
     if not track:
         raise InputError("The store has no annotations; import it with annotations to learn from.")

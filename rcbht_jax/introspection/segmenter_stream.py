@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import numbers_of
+from rcbht_jax._util.signals import columns_for, numbers_of
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, stamp_before
@@ -72,13 +72,7 @@ class SegmenterStream:
         Raises:
             InputError: the signal lacks an axis or has another rate.
         """
-        known = self._file.axes
-        if not set(known) <= set(axes) or not np.isclose(dt, self.dt):
-            raise InputError(
-                f"The segmenter needs {', '.join(known)} at {1 / self.dt:g} Hz; the stream has {', '.join(axes)} at "
-                f"{1 / dt:g} Hz."
-            )
-        return [tuple(axes).index(axis) for axis in known]
+        return columns_for("The segmenter", self._file.axes, self.dt, axes, dt)
 
     def warm_up(self) -> None:
         """Compile the encoder now, instead of in the first :meth:`push`."""
@@ -98,11 +92,11 @@ class SegmenterStream:
             self._encoder.restart()
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Belief]:
-        """Feed any number of samples ``[time, axis]``; returns the beliefs that come with them.
+        """Feed samples; returns the beliefs that come with them.
 
         Args:
-            samples: in the units of the training recordings.
-            time: stamp of the last of them, s; None = samples received x period.
+            samples: any number, ``[time, axis]``, in the units of the training recordings.
+            time: stamp of the last one, s; None = samples received x period.
 
         Raises:
             InputError: other axes, or values that are not finite.

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.signals import columns_for
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
@@ -79,12 +80,7 @@ class SnapDetector:
             >>> SnapDetector(200.0, ["Fz"], least=3.0).columns(("Fx", "Fy", "Fz"), 0.005)
             [2]
         """
-        if not set(self.axes) <= set(axes) or not np.isclose(dt, self.dt):
-            raise InputError(
-                f"The detector needs {', '.join(self.axes)} at {1 / self.dt:g} Hz; the signal has {', '.join(axes)} at "
-                f"{1 / dt:g} Hz."
-            )
-        return [tuple(axes).index(axis) for axis in self.axes]
+        return columns_for("The detector", self.axes, self.dt, axes, dt)
 
     def warm_up(self) -> None:
         """Compile the encoder now, instead of in the first :meth:`push`."""
@@ -139,9 +135,9 @@ def _sizes(axes: int, *values: ArrayLike) -> SnapSizes:
     except (ValueError, TypeError):
         raise InputError(f"least, most and load must be numbers, or have one for each of {axes} axes.") from None
     if not ((least > 0) & (least <= most) & (low >= 0) & (low <= high) & (least < math.inf)).all():
-        said = [np.asarray(value).tolist() for value in values]
+        given = [str(value) for value in values]
         raise InputError(
-            f"least is {said[0]}, most {said[1]} and load {said[2]} to {said[3]}; "
+            f"least is {given[0]}, most {given[1]} and load {given[2]} to {given[3]}; "
             "expected 0 < least <= most, and 0 <= low <= high for the load."
         )
     return SnapSizes(least, most, low, high)

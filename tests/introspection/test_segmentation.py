@@ -45,6 +45,12 @@ def test_phases_are_found_causally():
     assert rows[0][4] == 0
 
 
+@pytest.mark.parametrize("folds", [1, -1])
+def test_one_fold_is_refused(folds: int):
+    with pytest.raises(InputError, match=f"number of folds is {folds}; expected 2 or more"):
+        segment(made(4), WrenchSegmenter(trees=2), Protocol(folds=folds))
+
+
 @pytest.mark.parametrize(
     ("folds", "said"), [(5, "one group held out at a time"), (3, "3 folds"), (0, "one group held")]
 )
