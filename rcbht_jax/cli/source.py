@@ -203,16 +203,18 @@ class Source(RuleCommand):
 
     def _readers(self) -> list[tuple[Reader, Reads]]:
         """The segmenter and the monitor of the options, each with what it reads."""
-        from rcbht_jax.introspection import nominal_file, segmenter_file
-        from rcbht_jax.introspection.nominal_watch import NominalWatch
-        from rcbht_jax.introspection.segmenter_stream import SegmenterStream
-
         readers: list[tuple[Reader, Reads]] = []
         if self.segmenter is not None:
+            from rcbht_jax.introspection import segmenter_file
+            from rcbht_jax.introspection.segmenter_stream import SegmenterStream
+
             segmenter = segmenter_file.load(self.segmenter)
             reads = Reads(segmenter.axes, segmenter.units, 1 / segmenter.encoder.dt)
             readers.append((SegmenterStream(segmenter, self.certainty), reads))
         if self.monitor is not None:
+            from rcbht_jax.introspection import nominal_file
+            from rcbht_jax.introspection.nominal_watch import NominalWatch
+
             file = nominal_file.load(self.monitor)
             readers.append((NominalWatch(file, self.false_alarms), Reads(file.axes, file.units, file.monitor.rate)))
         return readers

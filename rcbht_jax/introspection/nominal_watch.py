@@ -28,6 +28,7 @@ class NominalWatch:
         InputError: too few recordings set the threshold for this share.
 
     Example:
+        >>> import numpy as np
         >>> from rcbht_jax.introspection.nominal import NominalMonitor
         >>> rng = np.random.default_rng(0)
         >>> monitor = NominalMonitor(rate=20).fit(0.1 * rng.normal(size=(40, 80, 1)))

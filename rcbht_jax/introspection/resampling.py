@@ -126,7 +126,7 @@ class Resampler:
         self._origin = self._last = self._since = time
         self._value, self._index, self._skipped, self._gaps = value, 0, 0, False
         self._readings = self._off = self._missing = 0
-        self._counted, self._first, self._summed, self._area = 0, time, 1, np.zeros_like(value)
+        self._counted, self._first, self._summed, self._area = 0, time, 0, np.zeros_like(value)
         return Resampled(value[None].astype(np.float32), time)
 
     def _anew(self, time: float, value: Float[np.ndarray, " axis"], text: str) -> Resampled:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import rcbht_jax
 from rcbht_jax._util.untrusted import checked_texts
@@ -18,7 +19,6 @@ from rcbht_jax.encoding.rules import (
     limits_from,
 )
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.segmentation import WrenchSegmenter
 from rcbht_jax.introspection.segmenter_columns import columns_of
 from rcbht_jax.learning.forest import Forest
 from rcbht_jax.learning.model_io import reading, write_archive
@@ -42,23 +42,24 @@ class SegmenterFile:
     second: Forest
 
     @classmethod
-    def of(cls, segmenter: WrenchSegmenter, track: str, labels: tuple[str, ...]) -> SegmenterFile:
+    def of(cls, segmenter: Any, track: str, labels: tuple[str, ...]) -> SegmenterFile:
         """What a stream needs of a fitted segmenter.
 
         Args:
-            segmenter: fitted, and causal.
+            segmenter: a fitted, causal :class:`rcbht_jax.introspection.segmentation.WrenchSegmenter`.
             track: of the annotations that it learned.
             labels: of the track, by code.
 
         Raises:
-            InputError: it is not fitted, or reads later samples.
+            NotFittedError: of scikit-learn: it is not fitted.
+            InputError: it reads later samples.
         """
-        encoder, limits = segmenter.encoder()
+        (encoder, limits), (axes, units) = segmenter.encoder(), segmenter.axes_
         if segmenter.offline:
             raise InputError("A segmenter that reads later samples cannot follow a stream; leave out --offline.")
         forests = (Forest.of(segmenter.first_), Forest.of(segmenter.second_))
         classes = tuple(labels[code] for code in segmenter.classes_)
-        return cls(track, classes, *segmenter.axes_, bool(segmenter.words), encoder, limits, *forests)
+        return cls(track, classes, axes, units, bool(segmenter.words), encoder, limits, *forests)
 
 
 def save(path: Path | str, file: SegmenterFile) -> None:

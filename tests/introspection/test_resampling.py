@@ -106,6 +106,10 @@ def test_of_a_faster_source_samples_are_means_over_a_period(rate):
     fine = np.interp(np.arange(6000) / 2000, time, signal)  # mean of the ten twentieths of each period
     expected = [fine[max(10 * k - 5, 0) : 10 * k + 5].mean() for k in range(len(samples))]
     np.testing.assert_allclose(samples[51:], expected[51:], atol=0.02)
+    level = [(moment + late, 3.0) for late in (0.0, 10.0, 20.0) for moment in time[:300].tolist()]
+    samples, _, anew = fed(level)
+    assert anew == 2
+    np.testing.assert_allclose(samples, 3.0)  # also where a stretch begins
     vibration = fed(list(zip(time, np.sin(2 * np.pi * 200 * time + 1.0), strict=True)))[0]
     assert rate < 500 or np.abs(vibration[51:]).max() < 0.2  # 0.84 in single readings
 
