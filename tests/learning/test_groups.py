@@ -49,7 +49,11 @@ def test_no_fold_divides_what_the_group_names():
 
 @pytest.mark.parametrize(
     "classifier",
-    [None, RandomForestClassifier(3), GridSearchCV(SvmClassifier(kernel="linear"), {"cost": [1, 2]}, cv=GroupKFold(2))],
+    [
+        None,
+        RandomForestClassifier(3, random_state=0),
+        GridSearchCV(SvmClassifier(kernel="linear"), {"cost": [1, 2]}, cv=GroupKFold(2)),
+    ],
 )
 def test_groups_go_to_classifiers_that_take_them(classifier):
     made = Recordings.example()
