@@ -235,7 +235,7 @@ def test_balanced_columns_reach_the_machine():
 
 def test_balance_is_for_classifiers_that_weigh_features():
     spec = FeatureSpec(("histogram", "elapsed"), balance=True)
-    for classifier in (RandomForestClassifier(3), GridSearchCV(SvmClassifier(), {"cost": [1.0]}, cv=2)):
+    for classifier in (RandomForestClassifier(3, random_state=0), GridSearchCV(SvmClassifier(), {"cost": [1.0]}, cv=2)):
         with pytest.raises(InputError, match=f"{type(classifier).__name__} takes no weights of features"):
             StateClassifier(features=spec, classifier=classifier).fit(wrenches(), STATE)
 
