@@ -68,7 +68,7 @@ class Segment(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
         from rcbht_jax.encoding.rules import AUTO
-        from rcbht_jax.introspection.segmentation import Protocol, WrenchSegmenter, fit_annotated, segment
+        from rcbht_jax.introspection.segmentation import Protocol, WrenchSegmenter, segment
         from rcbht_jax.introspection.segmenter_file import SegmenterFile, save
         from rcbht_jax.io.store import read_recordings
 
@@ -83,11 +83,10 @@ class Segment(Command):
         words = {"rule": self.rule, "tolerance": AUTO if tolerance is None else tolerance}
         segmenter = WrenchSegmenter(offline=self.offline, random_state=self.seed, **words)
         with progress_bar("segment", "models") as bar:
-            result = segment(recordings.take(np.flatnonzero(chosen)), segmenter, protocol, bar.update)
-            if self.write_model is not None:
-                whole = fit_annotated(segmenter, result.recordings, result.truth)
-                save(self.write_model, SegmenterFile.of(whole, result.protocol.track, result.classes))
-                bar.update(1)
+            keep = self.write_model is not None
+            result = segment(recordings.take(np.flatnonzero(chosen)), segmenter, protocol, bar.update, keep)
+        if self.write_model is not None:
+            save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes))
         with atomic_write(self.out) as draft:
             draft.write_text(_table(result), encoding="utf-8")
         model = {} if self.write_model is None else {"model": str(self.write_model)}

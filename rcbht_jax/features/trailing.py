@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from rcbht_jax.types import LabelTrack
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTrack, LabelTracks
 
 WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s
 
@@ -167,3 +168,28 @@ def latest_words(track: LabelTrack, times: Int[np.ndarray, " moment"]) -> Float[
         facts = np.stack([label[axis, slot], vmax[axis, slot] - vmin[axis, slot], end - start, times - end], 1)
         columns.append(np.where(known[:, None], facts, 0.0))
     return np.concatenate(columns, 1)
+
+
+class LatestWords:
+    """:func:`latest_words` of a stream, of all layers.
+
+    Args:
+        axes: number of them.
+    """
+
+    def __init__(self, axes: int) -> None:
+        self._newest = np.zeros((len(LAYERS), axes, 4))  # label, change of value, first sample, end
+
+    def take(self, tracks: LabelTracks) -> None:
+        """Words that were published, every array ``[axis, slot]``, the newest in the last slot."""
+        for layer, newest in zip(LAYERS, self._newest, strict=True):
+            track = getattr(tracks, layer)
+            for axis, slot in zip(*np.nonzero(np.asarray(track.label) > 0), strict=True):
+                change = track.vmax[axis, slot] - track.vmin[axis, slot]
+                newest[axis] = track.label[axis, slot], change, track.t0[axis, slot], track.t1[axis, slot]
+
+    def row(self, received: int) -> Float[np.ndarray, "1 column"]:
+        """The columns of all layers after so many samples."""
+        label, change, start, end = np.moveaxis(self._newest, -1, 0)
+        facts = np.stack([label, change, end - start, received - end], -1)
+        return np.where(label[..., None] > 0, facts, 0.0).reshape(1, -1)

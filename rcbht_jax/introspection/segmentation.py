@@ -272,6 +272,7 @@ class Segmentation:
         predicted: class of each sample ``[sample]`` of each recording; with one shot, those of the last turn.
         truth: the same from the annotations, UNKNOWN = not annotated.
         score: of the annotated recordings.
+        model: trained on all annotated recordings; None = it was not needed.
     """
 
     recordings: Recordings
@@ -280,6 +281,7 @@ class Segmentation:
     predicted: list[NDArray[np.int64]]
     truth: list[NDArray[np.int64]]
     score: SegmentationScore
+    model: WrenchSegmenter | None = None
 
     @property
     def annotated(self) -> NDArray[np.bool_]:
@@ -318,6 +320,7 @@ def segment(
     segmenter: WrenchSegmenter,
     protocol: Protocol = Protocol(),
     progress: Callable[[int], Any] | None = None,
+    keep: bool = False,
 ) -> Segmentation:
     """Label every recording by a model that was not trained on it, and score the annotated ones.
 
@@ -326,6 +329,7 @@ def segment(
         segmenter: a copy is fitted for each part.
         protocol: how they are divided.
         progress: called with 1 after each model.
+        keep: also train on all annotated recordings where none is left to label.
 
     Raises:
         InputError: no such track or column, fewer than two annotated groups, or one fold.
@@ -352,31 +356,16 @@ def segment(
             pairs.append((truth[row], part))
         if progress:
             progress(1)
-    new = np.flatnonzero(~known)
-    if len(new):
-        model = fit_annotated(segmenter, recordings, truth)
-        for row, part in zip(new.tolist(), model.predict(recordings.take(new)), strict=True):
+    new, whole = np.flatnonzero(~known), None
+    if len(new) or keep:
+        training = np.flatnonzero(known)
+        whole = clone(segmenter).fit(recordings.take(training), [truth[row] for row in training])
+    if whole is not None and len(new):
+        for row, part in zip(new.tolist(), whole.predict(recordings.take(new)), strict=True):
             predicted[row] = part
     score = segmentation_score([true for true, _ in pairs], [guess for _, guess in pairs], recordings.dt)
     used = replace(protocol, track=track)
-    return Segmentation(recordings, used, recordings.annotations.labels[track], predicted, truth, score)
-
-
-def fit_annotated(
-    segmenter: WrenchSegmenter, recordings: Recordings, truth: Sequence[NDArray[np.int64]]
-) -> WrenchSegmenter:
-    """A copy that is fitted to all recordings with an annotated sample.
-
-    Args:
-        segmenter: its parameters are used.
-        recordings: annotated or not.
-        truth: class of each sample of each recording; UNKNOWN = not annotated.
-
-    Raises:
-        InputError: fewer than two classes.
-    """
-    rows = np.flatnonzero([(part != UNKNOWN).any() for part in truth])
-    return clone(segmenter).fit(recordings.take(rows), [truth[row] for row in rows.tolist()])
+    return Segmentation(recordings, used, recordings.annotations.labels[track], predicted, truth, score, whole)
 
 
 def _splits(rows: NDArray[np.int64], groups: NDArray[Any], protocol: Protocol) -> Iterator[tuple[Any, Any]]:

@@ -9,16 +9,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import columns_for, numbers_of
+from rcbht_jax._util.signals import columns_for, in_precision, numbers_of
+from rcbht_jax._util.values import usable
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, stamp_before
-from rcbht_jax.features.trailing import RunningTotals, TrailingStatistics, with_norms
+from rcbht_jax.features.trailing import LatestWords, RunningTotals, TrailingStatistics, with_norms
 from rcbht_jax.introspection.alarms import Confidence
 from rcbht_jax.introspection.segmenter_columns import WINDOWS, Course, decision_period
 from rcbht_jax.introspection.segmenter_file import SegmenterFile
-from rcbht_jax.labels import LAYERS
-from rcbht_jax.types import LabelTracks
 
 MARGIN = 0.05  # below the certainty, until which a belief stays certain
 
@@ -86,7 +85,7 @@ class SegmenterStream:
         self._received = 0
         self._statistics, self._totals = TrailingStatistics(self.dt, WINDOWS), RunningTotals()
         self._course = Course()
-        self._words = np.zeros((len(LAYERS), len(self._file.axes), 4))  # code, change of value, first sample, end
+        self._words = LatestWords(len(self._file.axes))
         self._confidence.reset()
         if self._encoder is not None:
             self._encoder.restart()
@@ -99,10 +98,10 @@ class SegmenterStream:
             time: stamp of the last one, s; None = samples received x period.
 
         Raises:
-            InputError: other axes, or values that are not finite.
+            InputError: other axes, or values that are not finite, or too large; then nothing is consumed.
         """
-        chunk = numbers_of(samples).astype(np.float32)
-        if chunk.ndim != 2 or chunk.shape[1] != len(self._file.axes) or not np.isfinite(chunk).all():
+        chunk = in_precision(numbers_of(samples), np.float32)
+        if chunk.ndim != 2 or chunk.shape[1] != len(self._file.axes) or not usable(chunk):
             raise InputError(f"Samples have shape {chunk.shape}; expected finite [time, {len(self._file.axes)}].")
         last = (self._received + len(chunk)) * self.dt if time is None else time
         events = []
@@ -121,20 +120,9 @@ class SegmenterStream:
         parts = [self._statistics.push(signal)[-1:], self._totals.push(signal)[-1:]]
         if self._encoder is not None:
             for tracks in self._encoder.push(piece):
-                self._publish(tracks)
-            words = self._words.copy()
-            known, now = words[..., 0] > 0, self._received + len(piece)
-            words[..., 2], words[..., 3] = words[..., 3] - words[..., 2], now - words[..., 3]
-            parts.append(np.where(known[..., None], words, 0.0).reshape(1, -1))
+                self._words.take(tracks)
+            parts.append(self._words.row(self._received + len(piece)))
         return np.concatenate(parts, 1)
-
-    def _publish(self, tracks: LabelTracks) -> None:
-        """Remember the newest word of each layer and axis."""
-        for layer, words in zip(LAYERS, self._words, strict=True):
-            track = getattr(tracks, layer)
-            for axis, slot in zip(*np.nonzero(np.asarray(track.label) > 0), strict=True):
-                change = track.vmax[axis, slot] - track.vmin[axis, slot]
-                words[axis] = track.label[axis, slot], change, track.t0[axis, slot], track.t1[axis, slot]
 
     def _belief(self, row: Float[np.ndarray, "1 column"], time: float) -> Belief:
         first = self._file.first.probabilities(row)

@@ -67,9 +67,8 @@ class Revisions:
     """
 
     def __init__(self) -> None:
-        self._known: dict[
-            tuple[str, str, int], tuple[int, int, int]
-        ] = {}  # code, windows, revision of unpublished words
+        # code, windows and revision of words that are not published yet, by layer, axis and first sample
+        self._known: dict[tuple[str, str, int], tuple[int, int, int]] = {}
 
     def after_window(self, held: Sequence[Word]) -> list[ProvisionalWord]:
         """Events of the words that are provisional after one more window.

@@ -32,9 +32,8 @@ _TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX
 _AXIS = re.compile(
     r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?[._/ \-]*([xyz])(?:[._/](?:data|values?))?$"
 )
-_WORD = re.compile(
-    r"^(|.*[._/ \-])([^\W\d_]+)(\d*)[._/ \-]*([xyz])$"
-)  # in any language, where a unit tells the quantity
+# in any language, where a unit tells the quantity
+_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)[._/ \-]*([xyz])$")
 _ELEMENT = re.compile(
     r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
     r"(?:[._/](?:signals[._/])?(?:data|values?))?(_|\[|\()(\d+)[\])]?$"

@@ -80,7 +80,7 @@ def _pair(line: bytes) -> tuple[str, str] | None:
 
 
 def number(text: str) -> float:
-    """The number that a text begins with; 0 = none.
+    """The number that a text states, perhaps in Hz; 0 = none.
 
     >>> number("500 Hz"), number("fast")
     (500.0, 0.0)
