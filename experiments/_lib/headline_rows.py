@@ -56,12 +56,20 @@ ZERO_SHOT = {
     "three states": "three states, real trials, zero shot: simulated trials, part and sensor fitted to none of them",
     "four states": "four states, real trials, zero shot",
 }
+# Rows of the README by source and name: the causal ones first, then the paper's, then the hardest.
+SHORT_LIST = (
+    ("causal", "REAL"), ("causal", "A to B"), ("causal", "B to A"), ("headline", "REAL states"),
+    ("headline", "SIM1 states"), ("headline", "REAL success or failure"), ("zero_shot", "four states"),
+    ("headline", "failure types"), ("headline", "failure types, other batch (at rest to loaded)"),
+    ("headline", "failure types, other batch (loaded to at rest)"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class HeadlineRow:
     """One score of the frozen method; scores are records with ``mean``, ``low`` and ``high``."""
 
+    name: str  # in the source
     title: str
     paper: str  # as printed; "" = the paper has none
     score: Record
@@ -81,7 +89,7 @@ SOURCES = ("headline", "zero_shot", "causal", "zero_shot_stream", "peers")  # re
 def headline_rows(
     headline: Record, zero_shot: Record, causal: Record, simulated: Record, peers: Record
 ) -> Iterator[HeadlineRow]:
-    """The rows in the order of the README."""
+    """All rows: benchmarks, zero shot, streams."""
     yield from _offline(headline, peers)
     yield from _zero_shot(zero_shot)
     yield from _streamed(causal, STREAMED, "causal")
@@ -100,7 +108,7 @@ def _offline(headline: Record, peers: Record) -> Iterator[HeadlineRow]:
         }
         best = max(others, key=lambda method: others[method]["mean"])
         yield HeadlineRow(
-            title, paper, rows["frozen"]["score"], rows["frozen, relative"]["score"],
+            name, title, paper, rows["frozen"]["score"], rows["frozen, relative"]["score"],
             headline["rows"][f"{name} | duration alone"]["score"], (best, others[best]),
             rows["frozen"].get("trials with a mistake, at most"), rows["frozen"]["trials tested"],
             rows["frozen"]["method"], flags, "headline",
@@ -114,7 +122,7 @@ def _zero_shot(result: Record) -> Iterator[HeadlineRow]:
         mine, other = rows["frozen"], "statistics + random forest"
         tested = mine[both]["trials"]
         yield HeadlineRow(
-            title, "", mine[both], rows["frozen, relative"][both], rows["duration alone"][both],
+            name, title, "", mine[both], rows["frozen, relative"][both], rows["duration alone"][both],
             (other, rows[other][both]), None if mine["wrong"] else rule_of_three(tested), tested, mine["method"],
             ("lengths",), "zero_shot",
         )  # fmt: skip
@@ -124,7 +132,7 @@ def _streamed(result: Record, titles: dict[str, str], source: str) -> Iterator[H
     for name, title in titles.items():
         row, belief = result["rows"][name], result["belief of the method"]
         yield HeadlineRow(
-            title, "", row[f"{DETECTED}frozen, {belief}"][MEASURE],
+            name, title, "", row[f"{DETECTED}frozen, {belief}"][MEASURE],
             row[f"{DETECTED}frozen, relative, {belief}"][MEASURE],
             row[ELAPSED][MEASURE], ("last 0.1 s and elapsed time, forest", row[FOREST][MEASURE]),
             None, row["trials tested"], row["method"], ("lengths",), source,

@@ -19,8 +19,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, recorded
+from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import by_trial, with_width
 from experiments._lib.tasks import failure_types, states
 from experiments.classification.grammar import ENCODERS, RANKS
 from rcbht_jax.encoding.batch import encode_batch
@@ -112,18 +113,26 @@ class Experiment:
         ]
         return float(np.mean(inner)), predictions(x, y, train, test, best, [best.cost], weight)[0]
 
-    def score(self, task: str, grammars: tuple[str, ...], families: tuple[str, ...]) -> float:
-        """Accuracy of an option: in every split the candidate that the inner folds prefer, ties to the earlier."""
+    def score(self, task: str, grammars: tuple[str, ...], families: tuple[str, ...]) -> dict[str, Any]:
+        """Accuracy of an option with its interval; inner folds choose among its candidates, ties to the earlier."""
         per_candidate = [self.answers(task, g, f) for g, f in product(grammars, families)]
         right = []
         for split, answers in zip(self.splits(task), zip(*per_candidate, strict=True), strict=True):
             best = int(np.argmax([round(inner, 9) for inner, _ in answers]))
             right.append(metrics.accuracy(self.items(task).y[split[1]], answers[best][1]))
-        return float(np.mean(right))
+        tested = np.concatenate([self.items(task).trial[test] for _, test in self.splits(task)])
+        if task in ACROSS:
+            return by_trial(right[0], len(np.unique(tested)))
+        mean, low, high = metrics.corrected_interval(np.array(right), 1 / (FOLDS - 1))
+        return with_width({"mean": mean, "low": low, "high": high}, len(np.unique(tested)))
 
     def row(self, grammars: tuple[str, ...], families: tuple[str, ...]) -> dict[str, Any]:
-        scores = {task: round(self.score(task, grammars, families), 4) for task in TASKS}
-        return {"mean": round(float(np.mean(list(scores.values()))), 4), "scores": scores}
+        scores = {task: self.score(task, grammars, families) for task in TASKS}
+        return rounded({
+            "mean": float(np.mean([round(score["mean"], 4) for score in scores.values()])),
+            "scores": {task: score["mean"] for task, score in scores.items()},
+            "intervals": {task: [score["low"], score["high"]] for task, score in scores.items()},
+        })  # fmt: skip
 
 
 def option_name(grammars: tuple[str, ...], families: tuple[str, ...]) -> str:
@@ -138,6 +147,7 @@ def main(only: Only = ALL_ROWS) -> None:
         "families": FAMILIES,
         "grammars": GRAMMARS,
         "trials": {task: len(np.unique(experiment.items(task).trial)) for task in TASKS},
+        "intervals": "95 %, corrected; from one session to another, or without a mistake, Wilson's by trial",
     }
     rows = Rows("frozen_choice", "python -m experiments.classification.frozen_choice", about, SEED)
     rows.fill({option_name(*option): partial(experiment.row, *option) for option in OPTIONS}, only)

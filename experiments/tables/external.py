@@ -8,7 +8,10 @@ from experiments._lib.intervals import by_trial
 from experiments.tables.cells import NONE, markdown, score, table
 
 SETS = {"lp1": "LP1", "lp2": "LP2", "lp4": "LP4"}
-SCORES = ("accuracy", "macro_f1", "f1@10", "f1@25", "f1@50", "edit", "covering", "delay")
+SCORES = {
+    "accuracy": "accuracy", "macro_f1": "macro F1", "f1@10": "F1@10", "f1@25": "F1@25", "f1@50": "F1@50",
+    "edit": "edit", "covering": "covering",
+}  # fmt: skip
 
 
 @table("external-failures", "external_failures")
@@ -23,12 +26,12 @@ def failures(result: dict[str, Any]) -> str:
 @table("external-first", "external_early")
 def first(result: dict[str, Any]) -> str:
     """Accuracy after the first samples of a series."""
-    rows, counts = result["rows"], result["prefixes"]
+    rows = result["rows"]
     lines = []
-    for of, title in SETS.items():
-        found = [rows.get(f"{of} | first {count} samples") for count in counts]
-        lines.append((title, *(f"{row['accuracy']['mean']:.3f}" if row else NONE for row in found)))
-    return markdown(("samples", *map(str, counts)), lines)
+    for count in result["prefixes"]:
+        cells = [rows.get(f"{of} | first {count} samples", {}).get("accuracy") for of in SETS]
+        lines.append([str(count), *map(score, cells)])
+    return markdown(("samples", *SETS.values()), lines)
 
 
 @table("external-early", "external_early")
@@ -49,9 +52,13 @@ def early(result: dict[str, Any]) -> str:
 @table("external-caps", "external_caps")
 def caps(result: dict[str, Any]) -> str:
     """Scores of the segmentation of caps."""
-    head = ("accuracy", "macro F1", "F1@10", "F1@25", "F1@50", "edit", "covering", "delay, s")
-    lines = [(name, *(f"{row['score'][key]:.3f}" for key in SCORES)) for name, row in result["rows"].items()]
-    return markdown(("", *head), lines)
+    rows = result["rows"]
+    lines = []
+    for name, row in rows.items():
+        cells = {key: (row["score"][key], row["interval"][key]) for key in SCORES}
+        lines.append([name, *(score({"mean": mean, "low": low, "high": high}) for mean, (low, high) in cells.values())])
+    most_frequent = ["*most frequent class*", f"{rows['causal']['majority']:.3f}", *[NONE] * (len(SCORES) - 1)]
+    return markdown(("", *SCORES.values()), [*lines, most_frequent])
 
 
 @table("external-kitting", "kitting", "kitting_more")

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
-from experiments._lib.headline_rows import MEASURE, SOURCES, headline_rows
-from experiments.tables.cells import NONE, markdown, score, table
+from experiments._lib.headline_rows import MEASURE, SHORT_LIST, SOURCES, HeadlineRow, headline_rows
+from experiments.tables.cells import NONE, ends, markdown, score, table
 
 Result = dict[str, Any]
 SHORT = 12  # digits of a digest that are shown
 
 
 @table("results", *SOURCES, links=True)
-def results(*sources: Result, way: str) -> str:
-    """The frozen method on every benchmark; each row carries the digest of the method that made it."""
+def short_results(*sources: Result, way: str) -> str:
+    """The frozen method on the benchmarks of the README."""
+    rows = {(row.source, row.name): row for row in headline_rows(*sources)}
+    return _results([rows[key] for key in SHORT_LIST], way)
+
+
+@table("all-results", *SOURCES, links=True)
+def all_results(*sources: Result, way: str) -> str:
+    """The frozen method on every benchmark."""
+    return _results(headline_rows(*sources), way)
+
+
+def _results(rows: Iterable[HeadlineRow], way: str) -> str:
+    """Each row carries the digest of the method that made it."""
     lines = []
-    for row in headline_rows(*sources):
+    for row in rows:
         seen = "" if row.allowed is None else f"; none wrong of {row.tested}, at most {row.allowed:.1%}"
         name, peer = row.peer
         lines.append(
@@ -37,7 +50,8 @@ def choice(result: Result) -> str:
     lines = []
     for name, row in rows:
         grammars, families = name.split(" | ")
-        lines.append((grammars, families, f"{row['mean']:.3f}", *(f"{row['scores'][task]:.3f}" for task in tasks)))
+        cells = [f"{row['scores'][task]:.3f}{ends(*row['intervals'][task])}" for task in tasks]
+        lines.append((grammars, families, f"{row['mean']:.3f}", *cells))
     return markdown(("encoders", "families", "mean", *tasks), lines)
 
 

@@ -8,6 +8,7 @@ from experiments._lib.intervals import with_width
 from experiments.tables.cells import NONE, markdown, score, streamed_score, table
 
 Result = dict[str, Any]
+FALSE = "false alarms per nominal trial"
 
 
 @table("online", "table2")
@@ -60,7 +61,7 @@ def faults(result: Result) -> str:
             cells = [preset["kinds"][kind][part] for preset in presets.values()]
             if kind != "missing-tab" or part == WARNED[0]:
                 lines.append((title, *map(_counted, cells, presets.values())))
-    lines.append(("false alarms per nominal trial", *(_false(preset) for preset in presets.values())))
+    lines.append((FALSE, *(_false(preset) for preset in presets.values())))
     return markdown(("detected before the failing sub-task ends", *presets), lines)
 
 
@@ -85,19 +86,14 @@ def faults_apart(result: Result) -> str:
 
 @table("faults-across", "faults_across")
 def faults_across(result: Result) -> str:
-    """Simulated faults detected by monitors trained on others; a cell has a share per session."""
-    presets = result["presets"]
-    ways = next(iter(presets.values()))
+    """Simulated faults detected by monitors trained on others, by session."""
     lines = []
-    for kind in ways["own"]["kinds"]:
-        cells = [[preset[one]["kinds"][kind]["share detected"] for preset in presets.values()] for one in ways]
-        lines.append((kind.replace("-", " "), *(_means(row) for row in cells)))
-    false = [
-        [preset[one].get("false alarms per nominal trial") or _worst(preset[one]) for preset in presets.values()]
-        for one in ways
-    ]
-    lines.append(("false alarms per nominal trial", *(_means(row) for row in false)))
-    return markdown((f"sessions {', '.join(presets)}", *(TRAINED[way] for way in ways)), lines)
+    for session, ways in result["presets"].items():
+        for kind in ways["own"]["kinds"]:
+            cells = [_counted(row["kinds"][kind], {**row, **row["kinds"][kind]}) for row in ways.values()]
+            lines.append((session, kind.replace("-", " "), *cells))
+        lines.append((session, FALSE, *(_false(_most(row)) for row in ways.values())))
+    return markdown(("session", "fault", *(TRAINED[way] for way in ways)), lines)
 
 
 # Ways of training in faults_across.json -> their column titles.
@@ -107,23 +103,26 @@ TRAINED = {
 }  # fmt: skip
 
 
-def _worst(preset: dict[str, Any]) -> dict[str, float]:
-    """Most false alarms of the monitors that each lack a kind."""
-    shares = [kind["false alarms per nominal trial"] for kind in preset["kinds"].values()]
-    return max(shares, key=lambda share: share["mean"])
-
-
-def _means(shares: list[dict[str, float] | None]) -> str:
-    return ", ".join(NONE if share is None else f"{share['mean']:.3f}" for share in shares)
+def _most(row: dict[str, Any]) -> dict[str, Any]:
+    """False alarms of a way of training; of monitors that each lack a kind, those of the one with most."""
+    if FALSE in row:
+        return row
+    return max(row["kinds"].values(), key=lambda kind: kind[FALSE]["mean"])
 
 
 def _counted(cell: dict[str, Any], preset: dict[str, Any]) -> str:
     if not cell["failures streamed"]:
         return NONE
     once = round(cell["failures streamed"] / len(preset["false alarms in each repeat"]))  # repeats share their trials
-    return f"{score(with_width(cell['share detected'], once))}; {cell['detected']} of {cell['failures streamed']}"
+    return f"{_share(cell['share detected'], once)}; {cell['detected']} of {cell['failures streamed']}"
 
 
 def _false(preset: dict[str, Any]) -> str:
     alarms, trials = sum(preset["false alarms in each repeat"]), sum(preset["nominal trials streamed in each repeat"])
-    return f"{score(preset['false alarms per nominal trial'])}; {alarms} of {trials}"
+    once = preset["nominal trials streamed in each repeat"][0]  # repeats share their trials
+    return f"{_share(preset[FALSE], once)}; {alarms} of {trials}"
+
+
+def _share(share: dict[str, float], trials: int) -> str:
+    """A share with its interval; one of a single repeat has Wilson's."""
+    return score(with_width({"low": share["mean"], "high": share["mean"], **share}, trials))

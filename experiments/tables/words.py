@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import NONE, ends, markdown, streamed_score, table
+from experiments.tables.cells import NONE, ends, markdown, score, streamed_score, table
 
 TARGET = "0.01"  # residual at which methods are compared
 APPROACH = ("approach_constant", "approach_constant_inside", "approach_fixed_inside")
@@ -104,7 +104,7 @@ def classes(result: dict[str, Any]) -> str:
     rows = []
     for name in names:
         found = [result["rows"].get(f"{one} | {name}") for one in sets]
-        rows.append((name, *(NONE if row is None else f"{row['accuracy']['mean']:.3f}" for row in found)))
+        rows.append((name, *(score(row and row["accuracy"]) for row in found)))
     return markdown(("", *sets), rows)
 
 
@@ -134,8 +134,8 @@ def transfer(result: dict[str, Any]) -> str:
     rows = []
     for kind, row in result["rows"].items():
         four, three = row["harmonised"], row["merged"]
-        both = f"{four['A+B']['accuracy']:.3f}{ends(*four['A+B']['interval'])}"
-        rows.append((kind, *(f"{four[one]['accuracy']:.3f}" for one in "AB"), both, f"{three['A+B']['accuracy']:.3f}"))
+        cells = [*(four[one] for one in ("A", "B", "A+B")), three["A+B"]]
+        rows.append((kind, *(f"{cell['accuracy']:.3f}{ends(*cell['interval'])}" for cell in cells)))
     return markdown(("words", "4 states, A", "4 states, B", "4 states, both", "3 states, both"), rows)
 
 

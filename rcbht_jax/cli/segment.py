@@ -100,8 +100,9 @@ class Segment(Command):
         ]
         names = {"accuracy": "accuracy of samples", "macro_f1": "F1 of samples, mean of classes", "edit": "edit score"}
         for name, value in result["score"].items():
+            low, high = result["interval"][name]
             unit = " s, median" if name == "delay" else ""
-            lines.append(f"  {names.get(name, name):32}{value:.3f}{unit}")
+            lines.append(f"  {names.get(name, name):32}{value:.3f} ({low:.3f} to {high:.3f}){unit}")
         lines.append(f"  {'most frequent class':32}{result['majority']:.3f}")
         model = [f"{result['model']}: trained on all annotated recordings"] if "model" in result else []
         return "\n".join([*lines, f"{result['protocol']}, {how}", *model])

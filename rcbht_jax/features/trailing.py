@@ -119,20 +119,38 @@ class RunningTotals:
 
     def __init__(self) -> None:
         self._last: Signal | None = None  # sample
-        self._largest = self._path = np.zeros((1, 0))
+        self._largest, self._path = Accumulated(np.maximum), Accumulated(np.add)
 
     def push(self, signal: Signal) -> Table:
         """Rows of new samples."""
-        if not len(signal):
-            return np.zeros((0, 2 * signal.shape[1]))
-        if self._last is None:
-            self._last, self._path = signal[:1], np.zeros_like(signal[:1])
-            self._largest = self._path
-        steps = np.abs(np.diff(signal, axis=0, prepend=self._last))
-        largest = np.maximum.accumulate(np.concatenate([self._largest, np.abs(signal)]))[1:]
-        path = np.cumsum(np.concatenate([self._path, steps]), 0)[1:]
-        self._last, self._largest, self._path = signal[-1:], largest[-1:], path[-1:]
-        return np.concatenate([largest, path], 1)
+        steps = np.abs(np.diff(signal, axis=0, prepend=signal[:1] if self._last is None else self._last))
+        if len(signal):
+            self._last = signal[-1:]
+        return np.concatenate([self._largest.push(np.abs(signal)), self._path.push(steps)], 1)
+
+
+class Accumulated:
+    """``ufunc.accumulate`` of a stream over time: pieces of any size give the rows of the whole, bit for bit.
+
+    Args:
+        ufunc: of NumPy, such as ``np.add``.
+
+    Example:
+        >>> total = Accumulated(np.add)
+        >>> [total.push(np.full((2, 1), value))[:, 0].tolist() for value in (1.0, 10.0)]
+        [[1.0, 2.0], [12.0, 22.0]]
+    """
+
+    def __init__(self, ufunc: np.ufunc) -> None:
+        self._ufunc = ufunc
+        self._last: Signal | None = None
+
+    def push(self, values: Signal) -> Signal:
+        """Rows of new values."""
+        joined = values if self._last is None else np.concatenate([self._last, values])
+        rows = self._ufunc.accumulate(joined)
+        self._last = rows[-1:] if len(rows) else None
+        return rows[len(rows) - len(values) :]
 
 
 def with_norms(wrench: Signal, units: Sequence[str]) -> Table:

@@ -27,7 +27,13 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features.trailing import latest_words, running_totals, trailing_statistics, with_norms
 from rcbht_jax.introspection.segmenter_columns import WINDOWS, Course, decision_period
 from rcbht_jax.labels import LAYERS
-from rcbht_jax.learning.segment_metrics import UNKNOWN, SegmentationScore, Segments, segmentation_score
+from rcbht_jax.learning.segment_metrics import (
+    UNKNOWN,
+    SegmentationScore,
+    Segments,
+    segmentation_interval,
+    segmentation_score,
+)
 from rcbht_jax.types import Recordings
 
 with needs_extra("learn"):
@@ -272,6 +278,7 @@ class Segmentation:
         predicted: class of each sample ``[sample]`` of each recording; with one shot, those of the last turn.
         truth: the same from the annotations, UNKNOWN = not annotated.
         score: of the annotated recordings.
+        interval: 95 % interval of every score, from groups drawn with replacement.
         model: trained on all annotated recordings; None = it was not needed.
     """
 
@@ -281,6 +288,7 @@ class Segmentation:
     predicted: list[NDArray[np.int64]]
     truth: list[NDArray[np.int64]]
     score: SegmentationScore
+    interval: dict[str, tuple[float, float]]
     model: WrenchSegmenter | None = None
 
     @property
@@ -311,6 +319,7 @@ class Segmentation:
             "annotated": int(self.annotated.sum()),
             "protocol": f"{how}, grouped by {self.protocol.group}",
             "score": self.score.to_json(),
+            "interval": {name: list(ends) for name, ends in self.interval.items()},
             "majority": float(np.bincount(y[y != UNKNOWN]).max() / (y != UNKNOWN).sum()),
         }
 
@@ -334,38 +343,51 @@ def segment(
     Raises:
         InputError: no such track or column, fewer than two annotated groups, or one fold.
     """
+    track, truth = _annotated(recordings, protocol)
+    known = np.array([(part != UNKNOWN).any() for part in truth])
+    groups = recordings.column(protocol.group)
+    if len(np.unique(groups[known])) < 2:
+        raise InputError(f"Only one {protocol.group} is annotated with {track}; another one is needed to test on.")
+
+    def trained(rows: NDArray[np.int64]) -> WrenchSegmenter:
+        return clone(segmenter).fit(recordings.take(rows), [truth[row] for row in rows])
+
+    turns: list[tuple[int, int, NDArray[np.int64]]] = []  # a training recording, the labelled recording, its labels
+    for train, test in _splits(np.flatnonzero(known), groups, protocol):
+        labels = trained(train).predict(recordings.take(test))
+        turns += [(int(train[0]), row, part) for row, part in zip(test.tolist(), labels, strict=True)]
+        if progress:
+            progress(1)
+    new = np.flatnonzero(~known)
+    whole = trained(np.flatnonzero(known)) if len(new) or keep else None
+    found = {row: part for _, row, part in turns}
+    if whole is not None and len(new):
+        found |= dict(zip(new.tolist(), whole.predict(recordings.take(new)), strict=True))
+    of_train, of_test, guesses = zip(*turns, strict=True)
+    true = [truth[row] for row in of_test]
+    # With several folds no group trains alone, so only the tested ones are drawn.
+    drawn = groups[np.array([of_train, of_test] if protocol.one_shot else [of_test])].T
+    return Segmentation(
+        recordings,
+        replace(protocol, track=track),
+        recordings.annotations.labels[track],
+        [found[row] for row in range(len(truth))],
+        truth,
+        segmentation_score(true, guesses, recordings.dt),
+        segmentation_interval(true, guesses, recordings.dt, drawn),
+        whole,
+    )
+
+
+def _annotated(recordings: Recordings, protocol: Protocol) -> tuple[str, list[NDArray[np.int64]]]:
+    """The track, and the class of each sample of each recording by it."""
     if protocol.folds < 0 or protocol.folds == 1:
         raise InputError(f"The number of folds is {protocol.folds}; expected 2 or more, or 0 for one for each group.")
     track = recordings.annotations.choose(protocol.track)
     if not track:
         raise InputError("The store has no annotations; import it with annotations to learn from.")
-    truth = [
-        recordings.annotations.of_samples(row, track, length, recordings.dt)
-        for row, length in enumerate(recordings.length.tolist())
-    ]
-    known = np.array([(part != UNKNOWN).any() for part in truth])
-    groups = recordings.column(protocol.group)
-    if len(np.unique(groups[known])) < 2:
-        raise InputError(f"Only one {protocol.group} is annotated with {track}; another one is needed to test on.")
-    predicted: list[NDArray[np.int64]] = [np.zeros(0, np.int64)] * len(truth)
-    pairs: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-    for train, test in _splits(np.flatnonzero(known), groups, protocol):
-        model = clone(segmenter).fit(recordings.take(train), [truth[row] for row in train])
-        for row, part in zip(test.tolist(), model.predict(recordings.take(test)), strict=True):
-            predicted[row] = part
-            pairs.append((truth[row], part))
-        if progress:
-            progress(1)
-    new, whole = np.flatnonzero(~known), None
-    if len(new) or keep:
-        training = np.flatnonzero(known)
-        whole = clone(segmenter).fit(recordings.take(training), [truth[row] for row in training])
-    if whole is not None and len(new):
-        for row, part in zip(new.tolist(), whole.predict(recordings.take(new)), strict=True):
-            predicted[row] = part
-    score = segmentation_score([true for true, _ in pairs], [guess for _, guess in pairs], recordings.dt)
-    used = replace(protocol, track=track)
-    return Segmentation(recordings, used, recordings.annotations.labels[track], predicted, truth, score, whole)
+    lengths = enumerate(recordings.length.tolist())
+    return track, [recordings.annotations.of_samples(row, track, length, recordings.dt) for row, length in lengths]
 
 
 def _splits(rows: NDArray[np.int64], groups: NDArray[Any], protocol: Protocol) -> Iterator[tuple[Any, Any]]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from rcbht_jax.features.trailing import TrailingStatistics, with_norms
+from rcbht_jax.features.trailing import Accumulated, TrailingStatistics, with_norms
 from rcbht_jax.labels import LAYERS
 
 PERIOD = 0.025  # s between decisions; a label stays until the next one
@@ -20,15 +20,11 @@ class Course:
 
     def __init__(self) -> None:
         self._statistics = TrailingStatistics(PERIOD, BELIEF_WINDOWS)
-        self._largest: Float[np.ndarray, "1 class"] | None = None
-        self._total: Float[np.ndarray, "1 class"] | float = 0.0
+        self._largest, self._total = Accumulated(np.maximum), Accumulated(np.add)
 
     def push(self, belief: Float[np.ndarray, "moment class"]) -> Float[np.ndarray, "moment column"]:
         """Columns of new beliefs."""
-        before = belief[:1] if self._largest is None else self._largest
-        largest = np.maximum.accumulate(np.concatenate([before, belief]))[1:]
-        total = np.cumsum(np.concatenate([np.zeros_like(belief[:1]) + self._total, belief]), 0)[1:]
-        self._largest, self._total = largest[-1:], total[-1:]
+        largest, total = self._largest.push(belief), self._total.push(belief)
         return np.concatenate([belief, self._statistics.push(belief), largest, total * PERIOD], 1)
 
 

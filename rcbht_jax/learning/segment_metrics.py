@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.learning.metrics import wilson
 
+RESAMPLES = 1000
 OVERLAPS = (0.1, 0.25, 0.5)
 UNKNOWN = -1  # of a sample without annotation: it counts nowhere
 
@@ -88,29 +90,107 @@ def segmentation_score(truth: Sequence[Labels], predicted: Sequence[Labels], dt:
         >>> score.accuracy, score.f1, score.edit, round(score.delay, 3)
         (0.875, (1.0, 1.0, 1.0), 1.0, 0.05)
     """
-    if [len(part) for part in truth] != [len(part) for part in predicted]:
-        raise InputError("The predicted labels are of other recordings than the true ones: lengths differ.")
-    # A predicted label where nothing is annotated is neither right nor wrong.
-    masked = [np.where(true == UNKNOWN, UNKNOWN, guess) for true, guess in zip(truth, predicted, strict=True)]
-    y, p = np.concatenate(truth), np.concatenate(masked)
-    y, p = y[y != UNKNOWN], p[y != UNKNOWN]
-    if not len(y):
-        raise InputError("No sample is annotated; there is nothing to compare with.")
-    pairs = [(Segments.of(true), Segments.of(guess)) for true, guess in zip(truth, masked, strict=True)]
-    overlaps = [overlap_matrix(*pair) for pair in pairs]
-    best = np.concatenate([matrix.max(1, initial=0) for matrix in overlaps])
-    length = np.concatenate([true.end - true.start for true, _ in pairs])
-    delays = np.concatenate([_delays(true, part) for (true, _), part in zip(pairs, masked, strict=True)])
-    hit = np.isfinite(delays)
-    return SegmentationScore(
-        accuracy=float((y == p).mean()),
-        macro_f1=float(np.mean([2 * ((y == c) & (p == c)).sum() / ((y == c).sum() + (p == c).sum()) for c in set(y)])),
-        f1=tuple(_f1(pairs, overlaps, least) for least in OVERLAPS),
-        edit=float(np.mean([_edit_score(true.label, guess.label) for true, guess in pairs if len(true)])),
-        covering=float((best * length).sum() / length.sum()),
-        delay=float(np.median(delays[hit]) * dt) if hit.any() else float("nan"),
-        found=float(hit.mean()),
-    )
+    sums = _Sums.of(truth, predicted)
+    return sums.score(np.ones(len(truth), np.int64), dt)
+
+
+def segmentation_interval(
+    truth: Sequence[Labels], predicted: Sequence[Labels], dt: float, groups: NDArray[Any], seed: int = 0
+) -> dict[str, tuple[float, float]]:
+    """95 % interval of every score: percentiles of scores of groups that are drawn with replacement.
+
+    An interval without width, as without a mistake, is Wilson's, with each group counting once.
+
+    Args:
+        truth: class of each sample, one array per recording; UNKNOWN = not annotated.
+        predicted: the same shapes.
+        dt: seconds between samples.
+        groups: of each recording ``[recording]``; or ``[recording, way]``, where several models labelled each recording
+            (the group of the training recording and that of the labelled one): a row counts as often as the product of
+            its groups' draws (Owen 2007, "The pigeonhole bootstrap").
+        seed: of the draws.
+
+    Raises:
+        InputError: different shapes, or no annotated sample.
+
+    Example:
+        >>> truth = [np.repeat([0, 1], 10)] * 4
+        >>> predicted = [np.repeat([0, 1], (first, 20 - first)) for first in (10, 11, 12, 14)]
+        >>> interval = segmentation_interval(truth, predicted, 0.1, np.arange(4))
+        >>> [round(float(end), 3) for end in interval["accuracy"]]
+        [0.838, 0.975]
+    """
+    sums = _Sums.of(truth, predicted)
+    names, number = np.unique(groups, return_inverse=True)
+    rng = np.random.default_rng(seed)
+    drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), RESAMPLES)  # [draw, group]
+    counts = drawn[:, number.reshape(np.shape(groups))].reshape(RESAMPLES, len(truth), -1).prod(-1)
+    scores = [sums.score(count, dt).to_json() for count in counts if (count @ sums.samples) > 0]
+    whole = sums.score(np.ones(len(truth), np.int64), dt).to_json()
+    out = {}
+    for name, value in whole.items():
+        low, high = np.nanquantile([score[name] for score in scores], [0.025, 0.975])
+        if not low < high and name != "delay":
+            low, high = wilson(value * len(names), len(names))
+        out[name] = (float(low), float(high))
+    return out
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums over each recording, from which the scores of any of them together follow."""
+
+    samples: NDArray[np.int64]  # [recording], annotated
+    classes: NDArray[np.int64]  # [recording, class, 3]: samples of the class, predicted ones, both
+    matches: NDArray[np.int64]  # [recording, overlap]: predicted segments that are right
+    segments: NDArray[np.int64]  # [recording]: annotated and predicted ones together
+    edit: NDArray[np.float64]  # [recording]; 0 without an annotated segment
+    covered: NDArray[np.float64]  # [recording], samples
+    delays: list[NDArray[np.float64]]  # [segment] of each recording, in samples; NaN = not found
+
+    @classmethod
+    def of(cls, truth: Sequence[Labels], predicted: Sequence[Labels]) -> _Sums:
+        if [len(part) for part in truth] != [len(part) for part in predicted]:
+            raise InputError("The predicted labels are of other recordings than the true ones: lengths differ.")
+        # A predicted label where nothing is annotated is neither right nor wrong.
+        masked = [np.where(true == UNKNOWN, UNKNOWN, guess) for true, guess in zip(truth, predicted, strict=True)]
+        samples = np.array([(true != UNKNOWN).sum() for true in truth], np.int64)
+        if not samples.sum():
+            raise InputError("No sample is annotated; there is nothing to compare with.")
+        every = np.setdiff1d(np.concatenate(truth), [UNKNOWN])
+        same = [(true[:, None] == every, guess[:, None] == every) for true, guess in zip(truth, masked, strict=True)]
+        pairs = [(Segments.of(true), Segments.of(guess)) for true, guess in zip(truth, masked, strict=True)]
+        overlaps = [overlap_matrix(*pair) for pair in pairs]
+        return cls(
+            samples=samples,
+            classes=np.array([np.stack([a.sum(0), b.sum(0), (a & b).sum(0)], 1) for a, b in same], np.int64),
+            matches=np.array([[_matches(matrix, least) for least in OVERLAPS] for matrix in overlaps], np.int64),
+            segments=np.array([len(true) + len(guess) for true, guess in pairs], np.int64),
+            edit=np.array([_edit_score(true.label, guess.label) if len(true) else 0.0 for true, guess in pairs]),
+            covered=np.array([
+                float((matrix.max(1, initial=0) * (true.end - true.start)).sum())
+                for matrix, (true, _) in zip(overlaps, pairs, strict=True)
+            ]),
+            delays=[_delays(true, guess) for (true, _), guess in zip(pairs, masked, strict=True)],
+        )  # fmt: skip
+
+    def score(self, count: NDArray[np.int64], dt: float) -> SegmentationScore:
+        """Scores where each recording counts ``count`` times ``[recording]``."""
+        samples = int(count @ self.samples)
+        true, guess, both = np.tensordot(count, self.classes, 1).T
+        known = true > 0
+        segments = int(count @ self.segments)
+        delays = np.repeat(np.concatenate(self.delays), np.repeat(count, [len(part) for part in self.delays]))
+        hit = np.isfinite(delays)
+        return SegmentationScore(
+            accuracy=float(both.sum() / samples),
+            macro_f1=float(np.mean(2 * both[known] / (true + guess)[known])),
+            f1=tuple((2 * (count @ self.matches) / segments).tolist()),
+            edit=float(count @ self.edit / (count @ (self.samples > 0))),
+            covering=float(count @ self.covered / samples),
+            delay=float(np.median(delays[hit]) * dt) if hit.any() else float("nan"),
+            found=float(hit.mean()),
+        )
 
 
 def overlap_matrix(true: Segments, guess: Segments) -> NDArray[np.float64]:
@@ -121,18 +201,16 @@ def overlap_matrix(true: Segments, guess: Segments) -> NDArray[np.float64]:
     return np.where(true.label[:, None] == guess.label, np.maximum(high - low, 0) / union, 0.0)
 
 
-def _f1(pairs: Sequence[tuple[Segments, Segments]], overlaps: Sequence[NDArray[np.float64]], least: float) -> float:
-    """F1 of segments: a predicted one is right if it overlaps enough with a true one that none before it took."""
+def _matches(overlaps: NDArray[np.float64], least: float) -> int:
+    """Predicted segments that are right: they overlap enough with a true one that none before them took."""
     right = 0
-    for matrix in overlaps:
-        taken = np.zeros(len(matrix), bool)
-        for column in matrix.T if len(matrix) else ():
-            best = int(column.argmax())
-            if column[best] >= least and not taken[best]:
-                taken[best] = True
-                right += 1
-    total = sum(len(true) + len(guess) for true, guess in pairs)
-    return 2 * right / total if total else 0.0
+    taken = np.zeros(len(overlaps), bool)
+    for column in overlaps.T if len(overlaps) else ():
+        best = int(column.argmax())
+        if column[best] >= least and not taken[best]:
+            taken[best] = True
+            right += 1
+    return right
 
 
 def _edit_score(true: NDArray[np.integer[Any]], guess: NDArray[np.integer[Any]]) -> float:

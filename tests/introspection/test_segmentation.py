@@ -12,6 +12,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmentation import UNKNOWN, Protocol, WrenchSegmenter, segment
+from rcbht_jax.learning.segment_metrics import segmentation_interval
 from rcbht_jax.types import Recordings
 from tests.support.snaps import with_columns
 
@@ -57,6 +58,15 @@ def test_one_fold_is_refused(folds: int):
 def test_the_protocol_is_that_which_was_used(folds: int, said: str):
     result = segment(made(4), WrenchSegmenter(trees=2), Protocol(folds=folds))
     assert result.to_json()["protocol"].startswith(said)  # four recordings cannot make five folds
+
+
+def test_scores_have_intervals_by_group():
+    data = with_columns(made(6), operator=np.array(["Ann", "Bob", "Ann", "Bob", "Cy", "Cy"]))
+    result = segment(data, WrenchSegmenter(trees=2, words=False), Protocol(group="operator", folds=0))
+    by_group = segmentation_interval(result.truth, result.predicted, data.dt, data.column("operator"))
+    assert result.to_json()["interval"]["accuracy"] == list(by_group["accuracy"])
+    low, high = by_group["accuracy"]
+    assert low < result.score.accuracy < high
 
 
 def test_no_group_is_on_both_sides(monkeypatch: pytest.MonkeyPatch):

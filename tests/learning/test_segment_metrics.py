@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 from sklearn.metrics import accuracy_score, f1_score
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.learning.segment_metrics import OVERLAPS, Segments, edit_distance, segmentation_score
+from rcbht_jax.learning.metrics import wilson
+from rcbht_jax.learning.segment_metrics import (
+    OVERLAPS,
+    RESAMPLES,
+    Segments,
+    edit_distance,
+    segmentation_interval,
+    segmentation_score,
+)
 
 LABELS = st.lists(st.integers(-1, 3), min_size=1, max_size=40)
 
@@ -94,3 +102,37 @@ def test_samples_without_annotation_count_nowhere():
         segmentation_score([np.array([-1])], [np.array([0])], 1)
     with pytest.raises(InputError, match="lengths differ"):
         segmentation_score([truth], [first[:3]], 1)
+
+
+def test_intervals_are_percentiles_of_scores_of_drawn_groups():
+    rng = np.random.default_rng(3)
+    truth = [rng.integers(-1, 3, 40) for _ in range(6)]
+    guess = [
+        np.where(rng.random(40) < share, part, 1) for share, part in zip(np.linspace(0.3, 0.9, 6), truth, strict=True)
+    ]
+    groups = np.array(["a", "b", "b", "c", "d", "d"])
+    interval = segmentation_interval(truth, guess, 0.5, groups, seed=7)
+    draws = np.random.default_rng(7).multinomial(4, np.full(4, 1 / 4), RESAMPLES)
+    scores = []
+    for draw in draws:
+        rows = [i for i, group in enumerate(groups) for _ in range(draw["abcd".index(group)])]
+        scores.append(segmentation_score([truth[i] for i in rows], [guess[i] for i in rows], 0.5).to_json())
+    for name, ends in interval.items():
+        assert ends == pytest.approx(np.quantile([score[name] for score in scores], [0.025, 0.975]))
+
+
+def test_intervals_of_few_groups_are_wider_and_never_without_width():
+    truth = [np.repeat([0, 1], 20)] * 12
+    guess = [np.repeat([0, 1], (20 + shift, 20 - shift)) for shift in (0, 8, 2, 4, 1, 6, 0, 8, 2, 4, 1, 6)]
+
+    def width(groups):
+        low, high = segmentation_interval(truth, guess, 0.1, groups)["accuracy"]
+        return high - low
+
+    runs = np.arange(12)
+    assert width(runs // 6) > 1.5 * width(runs)
+    # rows that share a model are not independent either
+    assert width(np.stack([runs // 6, runs], 1)) > 1.2 * width(runs)
+    perfect = segmentation_interval(truth, truth, 0.1, runs)
+    assert perfect["accuracy"] == wilson(12, 12)
+    assert perfect["delay"] == (0, 0)
