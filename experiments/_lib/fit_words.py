@@ -35,6 +35,8 @@ class Words:
         return FitConfig(WINDOW, dt), FitLimits(np.asarray(preset().limits), self.factor * tolerance)
 
 
+# Encoders side by side, finer by the factors of the limits; added when other rows of the fit rule had been seen.
+THREE = (1.0, 1 / 4, 1 / 16)
 # Fixed before the first score of a row below the paper's; the quarter is what fit_classification.json suggests.
 PAPER = "paper"
 WORDS = {

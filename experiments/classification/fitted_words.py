@@ -22,7 +22,7 @@ import tyro
 
 from experiments._lib.benchmarks import BENCHMARKS, REAL, SIM1, items_of, of_sources, recorded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.fit_words import FIT_RULE, WEIGHED, WINDOW, tolerances
+from experiments._lib.fit_words import FIT_RULE, THREE, WEIGHED, WINDOW, tolerances
 from experiments.classification.grammar import DEVIATION, RANKS, counted
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -50,7 +50,7 @@ class Sentence:
     ranks: bool = True
     weighing: tuple[str, ...] = ()
     scales: tuple[float, ...] = (1.0,)
-    tolerance: float = 1.0  # factor on the learned one
+    tolerances: tuple[float, ...] = (1.0,)  # factors on the learned one, of encoders side by side
 
     @property
     def spec(self) -> FeatureSpec:
@@ -75,7 +75,12 @@ SENTENCES = {
     **_rows("plain words", PLAIN),
     **_rows("richer words", RICHER),
     # Do the paper's words contain more than lines below the tolerance? Added after the rows above were seen.
-    **{f"plain words, fit, tolerance / {part}": Sentence("fit", PLAIN, tolerance=1 / part) for part in FINER},
+    **{f"plain words, fit, tolerance / {part}": Sentence("fit", PLAIN, tolerances=(1 / part,)) for part in FINER},
+    # Do coarse and fine lines complement each other? Two and three tolerances were tried, after all rows above.
+    "plain words, fit, two tolerances": Sentence("fit", PLAIN, tolerances=THREE[:2]),
+    "plain words, fit, three tolerances": Sentence("fit", PLAIN, tolerances=THREE),
+    "plain words, fit, weighed, three tolerances": Sentence("fit", PLAIN, weighing=WEIGHED, tolerances=THREE),
+    "richer words, fit, three tolerances": Sentence("fit", RICHER, tolerances=THREE),
 }
 
 
@@ -105,10 +110,11 @@ class Experiment:
         sentence, items, chosen = SENTENCES[name], self.items(benchmark), Counter[str]()
         features = {
             f"limits x {scale:g}": extract_features(
-                {"W5": self.tracks(sentence.rule, scale, sentence.tolerance)}, items, sentence.spec
+                {f"W5 x {factor:g}": self.tracks(sentence.rule, scale, factor) for factor in sentence.tolerances},
+                items, sentence.spec,
             )
             for scale in sentence.scales
-        }
+        }  # fmt: skip
         weights = {key: x.weights(sentence.spec) for key, x in features.items()}
         matrices = {key: x.values for key, x in features.items()}
         grid = RANKS if sentence.ranks else DEVIATION
@@ -126,7 +132,7 @@ class Experiment:
             "repeats": self.repeats,
             "choices": (
                 "families, weighing and scales were fixed before the first score of a fit row; the benchmarks were "
-                "narrowed to these, and the rows of smaller tolerances added, after scores had been seen"
+                "narrowed to these, and the rows of smaller and of several tolerances added, after scores had been seen"
             ),
             "benchmarks": {name: BENCHMARKS[name].about(self.items(name)) for name in CHOSEN},
         }

@@ -88,7 +88,7 @@ class Experiment:
     @cache  # noqa: B019 (one object lives as long as the program)
     def measure(self, spec: Row, boundaries: str) -> dict[str, Any]:
         """Accuracy on every test set, of a learner trained on the training sets only."""
-        how = Labelling(spec.window, spec.tare, self.limits(spec), self.tolerance(spec), spec.weighing)
+        how = Labelling(spec.window, spec.tare, self.limits(spec), self.tolerances(spec), spec.weighing)
         pool = self.pool(spec, how, boundaries)
         train = pool.rows(spec.train)
         train = train[np.isin(pool.trial[train], some_trials(pool, train, spec.trials, spec.draw))]
@@ -158,11 +158,12 @@ class Experiment:
         return tuple(tuple(row) for row in np.asarray(selected.limits).tolist())
 
     @cache  # noqa: B019
-    def tolerance(self, spec: Row) -> tuple[float, ...]:
+    def tolerances(self, spec: Row) -> tuple[tuple[float, ...], ...]:
         """Tolerances of the fit rule, from training trials without their labels; none for the paper's rule."""
         if spec.rule == "paper":
             return ()
-        return tuple((spec.factor * learned_tolerance(self.training(spec)[0])).tolist())
+        learned = learned_tolerance(self.training(spec)[0])
+        return tuple(tuple((factor * learned).tolist()) for factor in spec.factors)
 
     def training(self, spec: Row) -> tuple[Recordings, LabelledIntervals]:
         """A few trials of each training set as one set, and their states."""

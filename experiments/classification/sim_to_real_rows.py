@@ -40,7 +40,7 @@ class Row:
     learner: str = "words"  # or "duration", "statistics" (of the raw wrench)
     rule: str = "paper"
     weighing: tuple[str, ...] = ()  # of labels in the family histogram
-    factor: float = 1.0  # on the tolerance of the fit rule, which is learned from training trials
+    factors: tuple[float, ...] = (1.0,)  # on the tolerance of the fit rule, which is learned from training trials
 
 
 def _of(level: str, *presets: str) -> tuple[str, ...]:

@@ -76,7 +76,7 @@ class Labelling:
     window: int = 5  # samples
     tare: bool = True  # subtract the mean of the first second
     limits: tuple[tuple[float, ...], ...] | None = None  # [6][4]; None = the preset
-    tolerance: tuple[float, ...] = ()  # [6] of the fit rule; none = the paper's rule
+    tolerances: tuple[tuple[float, ...], ...] = ()  # [encoder][6] of the fit rule; none = the paper's rule
     weighing: tuple[str, ...] = ()  # of labels in the family histogram
 
 
@@ -105,13 +105,16 @@ class Sets:
         return labelled_intervals(self.recordings(name, True), replace(spec, boundaries=boundaries))
 
     @cache  # noqa: B019
-    def tracks(self, name: str, how: Labelling) -> LabelTracks:
-        """Labels of all trials of a set."""
+    def tracks(self, name: str, how: Labelling) -> dict[str, LabelTracks]:
+        """Labels of all trials of a set, one for each encoder."""
         trials = self.recordings(name, how.tare)
         limits = preset() if how.limits is None else GradientThresholds(np.array(how.limits))
-        config = config_of("fit" if how.tolerance else "paper", how.window, trials.dt)
-        chosen = limits_for(config, limits, how.tolerance or None, trials.wrench, trials.length)
-        return encode_batch(config, chosen, trials.wrench, trials.length)
+        config = config_of("fit" if how.tolerances else "paper", how.window, trials.dt)
+        tracks = {}
+        for number, tolerance in enumerate(how.tolerances or (None,)):
+            chosen = limits_for(config, limits, tolerance, trials.wrench, trials.length)
+            tracks[f"W{how.window} {number}"] = encode_batch(config, chosen, trials.wrench, trials.length)
+        return tracks
 
     @cache  # noqa: B019
     def features(self, name: str, how: Labelling, boundaries: str) -> Features:

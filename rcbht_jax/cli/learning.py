@@ -56,7 +56,7 @@ class _Learning(Command):
     store: LabelledStore
     task: Task = "states"
     tracks: Annotated[tuple[str, ...], unset()] = ()
-    """Label tracks to use; A+B concatenates the features of two. Cross-validation selects one of several choices."""
+    """Label tracks to use; A+B concatenates their features. Cross-validation selects one of several choices."""
     boundaries: Boundaries = "harmonised"
     arm: str = "R"
     """Arm whose labels to use, if the store has several; both = side by side."""

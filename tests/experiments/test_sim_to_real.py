@@ -122,21 +122,22 @@ def test_rows_of_the_fit_rule_differ_in_their_words_only() -> None:
     known, limits = ROWS[PROTOCOL], np.arange(1.0, 7.0)
     assert not {"wide A", "wide B"} & {*known.train}
     for name, row in FIT.items():
-        assert replace(row, rule=known.rule, weighing=known.weighing, factor=known.factor) == known
-        config, made = WORDS[name].encoder(limits, 0.005)
+        assert replace(row, rule=known.rule, weighing=known.weighing, factors=known.factors) == known
+        config, made = WORDS.get(name, WORDS["fit"]).encoder(limits, 0.005)
         assert isinstance(config, FitConfig) == (row.rule == "fit")
         if isinstance(made, FitLimits):
-            np.testing.assert_allclose(made.tolerance, row.factor * limits)
+            np.testing.assert_allclose(made.tolerance, row.factors[0] * limits)
     assert FIT["paper"] == known
 
 
 def test_a_set_is_labelled_by_the_rule_of_its_tolerance(tmp_path: Path) -> None:
     some = trials((150, 400))
     some = replace(some, session=np.full(2, "A"))
-    made = Sets(tmp_path, some).tracks("A", Labelling(tare=False, tolerance=(0.5,) * 6))
-    expected = rj.encode(some.wrench, rate=200, lengths=some.length, rule="fit", tolerance=0.5)
-    np.testing.assert_array_equal(made.llb.label, expected.llb.label)
-    paper = Sets(tmp_path, some).tracks("A", Labelling(tare=False))
+    both = Labelling(tare=False, tolerances=((0.5,) * 6, (0.1,) * 6))
+    for tolerance, made in zip((0.5, 0.1), Sets(tmp_path, some).tracks("A", both).values(), strict=True):
+        expected = rj.encode(some.wrench, rate=200, lengths=some.length, rule="fit", tolerance=tolerance)
+        np.testing.assert_array_equal(made.llb.label, expected.llb.label)
+    (paper,) = Sets(tmp_path, some).tracks("A", Labelling(tare=False)).values()
     np.testing.assert_array_equal(paper.llb.label, rj.encode(some.wrench, rate=200, lengths=some.length).llb.label)
 
 
