@@ -34,7 +34,7 @@ class FeatureSpec:
     """Which features to compute; equal specifications give the same columns in the same order.
 
     Raises:
-        InputError: unknown or no families or layers, or slots or ngram out of range.
+        InputError: unknown or no families or layers, slots or ngram out of range, or a value of another type.
 
     Example:
         >>> FeatureSpec(families=("histogram", "elapsed"), layers=("llb",)).families
