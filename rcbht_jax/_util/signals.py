@@ -203,6 +203,21 @@ def columns_for(what: str, needed: Sequence[str], period: float, axes: Sequence[
     return [tuple(axes).index(axis) for axis in needed]
 
 
+def check_names(samples: Any, axes: Sequence[str]) -> None:
+    """Raise an error for samples of a stream that are a frame or an xarray of other axes, or in another order.
+
+    Raises:
+        InputError: their names are not those of the stream.
+
+    Example:
+        >>> check_names(np.zeros((5, 1)), ["Fz"])
+    """
+    if is_frame(samples) or is_xarray(samples):
+        names = _column_names(samples) if is_frame(samples) else _coordinate_names(samples)
+        if names and names != tuple(axes):
+            raise InputError(f"The samples have the axes {', '.join(names)}; the stream has {', '.join(axes)}.")
+
+
 def check_axes(
     axes: Sequence[str], units: Sequence[str], learned: Sequence[str], learned_units: Sequence[str], where: str
 ) -> None:

@@ -78,7 +78,7 @@ def host_limits(thresholds: Any) -> NDArray[Any]:
     Raises:
         InputError: they are no numbers.
     """
-    return numbers_of(limits_of(thresholds), "A table of limits")
+    return numbers_of(getattr(thresholds, "limits", thresholds), "A table of limits")
 
 
 def limits_of(thresholds: Thresholds) -> Float[Array, "*batch axis 4"]:

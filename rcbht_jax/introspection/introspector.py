@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.compiling import jit
+from rcbht_jax._util.signals import check_names
 from rcbht_jax._util.values import expect, number
 from rcbht_jax.encoding.encoder import PackedLabels
 from rcbht_jax.encoding.rules import AnyConfig
@@ -262,10 +263,12 @@ class Introspector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, a value that is not finite, a time that is no number, or more samples than are
-                counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
+            InputError: wrong shape, names of other axes, a value that is not finite, a time that is no number, or more
+                samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
+                consumed.
         """
         time = None if time is None else number("The time", time)
+        check_names(samples, self.axes)
         chunk = self._buffer.checked(samples)
         events: list[Event] = []
         end = self.received + len(chunk)

@@ -292,7 +292,7 @@ class NominalMonitor(Monitor):
             if three groups or more have several recordings (:func:`rcbht_jax.introspection.neighbours.unbiased`).
         slack: s by which a moment may be early or late.
         drift: the same, as a share of the elapsed time.
-        neighbours: nearest nominal recordings whose distances are averaged.
+        neighbours: nearest nominal recordings whose distances are averaged; all others are those of :class:`Monitor`.
 
     Attributes:
         levels_: the axes whose values are compared.
@@ -324,8 +324,8 @@ class NominalMonitor(Monitor):
         lags, levels = np.asarray(self.lags), np.asarray([] if self.levels is None else self.levels)
         good = [one.dtype.kind in "iuf" and one.ndim == 1 and (one >= 0).all() for one in (lags, levels)]
         if not all(good) or (levels % 1).any() or self.neighbours % 1:
-            given = f"lags are {self.lags!r}, levels {self.levels!r} and neighbours {self.neighbours!r}"
-            raise InputError(f"{given}; expected times, numbers of axes and a whole number.")
+            given = f"lags {self.lags!r}, levels {self.levels!r}, neighbours {self.neighbours!r}"
+            raise InputError(f"There are {given}; expected times, numbers of axes, a whole number.")
 
     @property
     def bank_(self) -> Bank:

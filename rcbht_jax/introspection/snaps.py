@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.signals import columns_for, distinct, period
+from rcbht_jax._util.signals import check_names, columns_for, distinct, period
 from rcbht_jax._util.values import expect, number
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
@@ -102,10 +102,12 @@ class SnapDetector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, a value that is not finite, a time that is no number, or more samples than are
-                counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
+            InputError: wrong shape, names of other axes, a value that is not finite, a time that is no number, or more
+                samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
+                consumed.
         """
         time = None if time is None else number("The time", time)
+        check_names(samples, self.axes)
         blocks = self._encoder.lines(samples)
         end = self._encoder.received + len(np.asarray(samples))
         stamp = round(end * self.dt, 9) if time is None else time

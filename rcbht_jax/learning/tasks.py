@@ -36,23 +36,35 @@ USUAL, PLAIN = "harmonised", "recorded"  # boundaries: corrected ones where ther
 class TaskSpec:
     """A task and the recordings that it covers; an empty filter selects everything.
 
+    Attributes:
+        task: track of annotations, or column.
+        boundaries: variant of the track: "harmonised" = TASK-harmonised if there is one, else TASK; "recorded" = TASK.
+        arms: one arm, or "both" side by side; if there is only one arm, that one.
+        sources: data sets.
+        sessions: recording sessions.
+        outcomes: None = for a track, the successes if there are any (the others are counted as left out); for a
+            column, all.
+        classes: in this order; empty = all, those of a column sorted.
+        complete: only recordings that have every label of the track, in order.
+        seconds: use only the first seconds of whole recordings, leave out shorter ones; 0 = to the end.
+
     Raises:
         InputError: a value is of another type.
 
-    >>> TaskSpec("states", sessions=("A", "B")).sessions
-    ('A', 'B')
+    Example:
+        >>> TaskSpec("states", sessions=("A", "B")).sessions
+        ('A', 'B')
     """
 
-    task: str = "states"  # track of annotations, or column
-    boundaries: str = USUAL  # variant of the track: TASK-harmonised if there is one, else TASK; or PLAIN
-    arms: str = "R"  # one arm, or "both" side by side; if there is only one arm, that one
+    task: str = "states"
+    boundaries: str = USUAL
+    arms: str = "R"
     sources: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ()
-    # None = for a track, the successes if there are any (the others are counted as left out); for a column, all
     outcomes: tuple[str, ...] | None = None
-    classes: tuple[str, ...] = ()  # in this order; empty = all, those of a column sorted
-    complete: bool = False  # only recordings that have every label of the track, in order
-    seconds: float = 0.0  # use only the first seconds of whole recordings, leave out shorter ones; 0 = to the end
+    classes: tuple[str, ...] = ()
+    complete: bool = False
+    seconds: float = 0.0
 
     def __post_init__(self) -> None:
         make_plain(self)

@@ -13,7 +13,7 @@ import sys
 import pytest
 
 SETUP = """
-import json, pathlib, tempfile, jax, numpy as np, rcbht_jax as rj
+import json, pathlib, tempfile, jax, numpy as np, pandas as pd, rcbht_jax as rj
 from rcbht_jax.encoding import encoder as core
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.introspection.fault_monitor import FaultMonitorConfig, SubtaskSnapshots
@@ -81,8 +81,8 @@ NUMBERS = {
     "rj.NominalMonitor(folds=0.5).fit(series)": "folds is 0.5",
     "rj.NominalMonitor(baseline=-1).fit(series)": "baseline is -1",
     "rj.NominalMonitor(slack=float('nan')).fit(series)": "slack is nan",
-    "rj.NominalMonitor(lags=0.2).fit(series)": "lags are 0.2",
-    "rj.NominalMonitor(lags=(-1.0,)).fit(series)": "lags are",
+    "rj.NominalMonitor(lags=0.2).fit(series)": "lags 0.2",
+    "rj.NominalMonitor(lags=(-1.0,)).fit(series)": "lags",
     "rj.NominalMonitor(levels=(0.5,)).fit(series)": "levels",
     "rj.NominalMonitor(neighbours=1.5).fit(series)": "neighbours",
     "rj.NominalMonitor().fit(series).threshold('x')": "share of false alarms",
@@ -96,6 +96,8 @@ NUMBERS = {
     "rj.Introspector(introspector.model, rate='x')": "rate of beliefs is 'x'",
     "rj.Introspector(introspector.model, k='x')": "certainty level is 'x'",
     "rj.Introspector(introspector.model, hold=None)": "hold time is 'None'",
+    "introspector.push(pd.DataFrame(np.ones((50, 6)), columns=recordings.axes[::-1]))": "samples have the axes Mz, My",
+    "detector.push(pd.DataFrame({'Fx': [1.0]}))": "samples have the axes Fx; the stream has Fz",
     "introspector.push(np.ones((50, 6)), time='now')": "time is 'now'; expected a number",
     "detector.push(np.ones((50, 1)), time='now')": "time is 'now'; expected a number",
     "rj.FaultMonitor.fit(snapshots, ['none'] * 2)": "2 trials, and snapshots of a trial of number 2",
