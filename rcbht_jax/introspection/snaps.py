@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.signals import check_names, columns_for, distinct, period
+from rcbht_jax._util.signals import check_names, columns_for, distinct, numbers_of, period
 from rcbht_jax._util.values import expect, number
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
@@ -62,7 +62,8 @@ class SnapDetector:
         expect("The config", self.config, SnapConfig)
         self.sizes = _sizes(len(self.axes), least, most, load)
         self._words = FitConfig(max(2, round(LOOK / dt)) if window is None else window, dt)
-        wide = self.sizes.least / TOLERANCES if tolerance is None else tolerance
+        given = self.sizes.least / TOLERANCES if tolerance is None else tolerance
+        wide = numbers_of(given, "A list of tolerances").astype(np.float64)
         slopes = np.tile([4.0, 3.0, 2.0, 1.0], (len(self.axes), 1))  # only the lines are used, not the labels
         self._limits = FitLimits(slopes, wide)
         self._encoder = Encoder(self._words, self._limits)
