@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from rcbht_jax import labels
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.printable import plural
-from rcbht_jax._util.signals import distinct, period, read_parts
+from rcbht_jax._util.selection import number_of, rows_of
+from rcbht_jax._util.signals import distinct, period, read_parts, warn_if_turned
 from rcbht_jax._util.svg import Bar, bands
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -116,7 +117,8 @@ class LabelTracks:
         Raises:
             InputError: no such axis, layer or recording.
         """
-        number, row = _number("axis", axis, self._axes()), _number("recording", recording, self._recordings().tolist())
+        number = number_of("axis", axis, self._axes())
+        row = number_of("recording", recording, self._recordings().tolist())
         if layer not in labels.LAYERS:
             raise InputError(f"There is no layer {layer!r}; there are {', '.join(labels.LAYERS)}.")
         codes = _batched(getattr(self, layer).label)
@@ -127,8 +129,12 @@ class LabelTracks:
         return [labels.name(layer, code) for code in codes[row, number].tolist() if code]
 
     def take(self, rows: ArrayLike) -> LabelTracks:
-        """The labels of some recordings, with their names: numbers in any order, or a mask ``[recording]``."""
-        numbers = np.arange(len(self._recordings()))[np.atleast_1d(rows)]
+        """The labels of some recordings, with their names: numbers in any order, or a mask ``[recording]``.
+
+        Raises:
+            InputError: no such recordings.
+        """
+        numbers = rows_of(rows, len(self._recordings()))
         names = tuple(self._recordings()[numbers].tolist())
         taken = jax.tree.map(lambda values: _batched(values)[numbers], self)
         return replace(taken, info=self.info and replace(self.info, recordings=names))
@@ -207,12 +213,6 @@ class LabelTracks:
         count = int(np.prod(np.shape(self.llb.label)[:-2]))  # arrays that were cut do not fit their names
         names = self.info.recordings if self.info else ()
         return np.array(names) if count and len(names) == count else np.arange(count)
-
-
-def _number(what: str, wanted: int | str, names: Sequence[Any]) -> int:
-    if isinstance(wanted, str) and wanted not in names:
-        raise InputError(f"There is no {what} {wanted!r}; there are {', '.join(map(str, names))}.")
-    return names.index(wanted) if isinstance(wanted, str) else wanted
 
 
 def padded(parts: Sequence[NDArray[np.floating]]) -> tuple[NDArray[np.floating], NDArray[np.int32]]:
@@ -300,11 +300,11 @@ class Recordings:
         """
         parts, named = read_parts(wrenches, period(rate))
         if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
-            raise InputError(
-                f"Recordings have shapes {sorted({part.shape for part in parts})}; expected [time, axis], at least "
-                "one, with the same axes."
-            )
+            shapes = sorted({part.shape for part in parts})
+            raise InputError(f"Recordings have shapes {shapes}; expected [time, axis], at least one, of the same axes.")
         wrench, length = padded(parts)
+        if axes is None:
+            warn_if_turned(wrenches, wrench.shape[1], wrench.shape[2], named)
         count, width = len(parts), wrench.shape[2]
         names = tuple(named or axis_names(width)) if axes is None else distinct(axes)
         if units is None:
@@ -353,8 +353,8 @@ class Recordings:
         return Recordings.from_arrays(wrench, outcome=np.where(slope > 0, "success", "failure"))
 
     def take(self, rows: ArrayLike) -> Recordings:
-        """The recordings of some rows: numbers in any order, or a mask ``[recording]``."""
-        numbers = np.arange(len(self))[np.asarray(rows)]
+        """The recordings of some rows, as :meth:`LabelTracks.take`."""
+        numbers = rows_of(rows, len(self))
         arrays = {name: getattr(self, name)[numbers] for name in ("wrench", "length", *_TEXTS)}
         columns = {name: values[numbers] for name, values in self.columns.items()}
         return replace(self, **arrays, columns=columns, annotations=self.annotations.take(numbers))

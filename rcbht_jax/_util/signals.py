@@ -2,34 +2,36 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rcbht_jax._util.columns import unit_of_time
+from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
 
 RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
 LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would be read as a steep line
 
 
-def period(rate: float) -> float:
+def period(rate: Any) -> float:
     """Seconds between samples.
 
     Raises:
         InputError: the rate is no positive, finite number.
     """
-    if not 0 < rate < float("inf"):
+    if not 0 < (value := number("The rate", rate)) < float("inf"):
         raise InputError(f"The rate is {rate} samples per second; expected a positive, finite number.")
-    return 1 / float(rate)
+    return 1 / value
 
 
 def read_parts(
-    recordings: Any, dt: float, axis_first: bool = False
-) -> tuple[list[NDArray[np.float32]], tuple[str, ...] | None]:
+    recordings: Any, dt: float, axis_first: bool = False, dtype: DTypeLike = np.float32
+) -> tuple[list[NDArray[Any]], tuple[str, ...] | None]:
     """Recordings of an array or of several, each as :func:`read_signal` does, and the names that they share.
 
     Raises:
@@ -46,7 +48,7 @@ def read_parts(
     named = list({names for _, names in read if names})
     if len(named) > 1:
         raise InputError(f"The recordings have different axes: {', '.join(named[0])}, and {', '.join(named[1])}.")
-    return [in_precision(values, np.float32) for values, _ in read], next(iter(named), None)
+    return [in_precision(values, dtype) for values, _ in read], next(iter(named), None)
 
 
 def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArray[Any], tuple[str, ...] | None]:
@@ -72,7 +74,7 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
             _check_time(wrench[name], dt, unit)
         if times:  # pandas' and polars' ways to say the same
             wrench = wrench.drop(columns=list(times)) if hasattr(wrench, "iloc") else wrench.drop(list(times))
-        return numbers_of(wrench), distinct(map(str, wrench.columns))
+        return numbers_of(wrench), _column_names(wrench)
     if hasattr(wrench, "column_names"):
         raise InputError("A table of pyarrow holds columns; make a frame of it: table.to_pandas().")
     if is_xarray(wrench):
@@ -86,40 +88,60 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
     return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
 
 
+def texts(axes: Iterable[str]) -> tuple[str, ...]:
+    """Names of axes; a single text is none, since each of its letters would be an axis.
+
+    >>> texts(["Fz", "My"])
+    ('Fz', 'My')
+
+    Raises:
+        InputError: there are none, or they are no texts.
+    """
+    names = tuple(axes) if isinstance(axes, Iterable) and not isinstance(axes, str) else ()
+    if not names or not all(isinstance(name, str) for name in names):
+        raise InputError(f'The axes are {names or axes!r}; expected names of one or more, such as ["Fx", "Fy", "Fz"].')
+    return names
+
+
 def distinct(axes: Iterable[str]) -> tuple[str, ...]:
     """Names of axes, all different: a name that two axes share would stand for the first alone.
 
     Raises:
-        InputError: two axes have the same name.
+        InputError: two axes have the same name, or as :func:`texts`.
     """
-    names = tuple(axes)
+    names = texts(axes)
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"{names.count(twice)} axes are called {twice}; give each axis a name of its own.")
     return names
 
 
-def numbers_of(values: Any) -> NDArray[Any]:
+def numbers_of(values: Any, what: str = "A signal") -> NDArray[Any]:
     """A host array of whole or floating point numbers; those that are masked or missing are NaN.
 
     Raises:
-        InputError: something else, such as text, dates or complex numbers, or rows of different lengths.
+        InputError: something else, such as text, dates or complex numbers, or rows of different lengths; the message
+            says of ``what``.
 
     Example:
         >>> numbers_of(np.ma.masked_equal([1, 9], 9)).tolist()
         [1.0, nan]
     """
     if np.ma.isMaskedArray(values):
-        return np.where(np.ma.getmaskarray(values), np.nan, numbers_of(values.data))
+        return np.where(np.ma.getmaskarray(values), np.nan, numbers_of(values.data, what))
     try:
         array = _frame_values(values) if is_frame(values) else np.asarray(values)
+    except InputError:
+        raise
     except ValueError:
-        raise InputError("Rows of a signal have different lengths; expected as many numbers in each.") from None
+        raise InputError(f"{what} has rows of different lengths; expected as many numbers in each.") from None
+    except TypeError:  # as of what is no array: a data set of xarray, keys of JAX
+        raise InputError(f"{what} is {type(values).__name__}; expected an array of numbers.") from None
     if array.dtype == object and array.size and all(isinstance(value, Real) for value in array.flat):
         array = array.astype(np.float64)
     if array.dtype.kind in "fiub":
         return array
     if not np.can_cast(array.dtype, np.float32):  # as bfloat16 and its like can be
-        raise InputError(f"A signal of shape {array.shape} is {array.dtype}; expected numbers.")
+        raise InputError(f"{what} of shape {array.shape} is {array.dtype}; expected numbers.")
     return array.astype(np.float32)
 
 
@@ -127,6 +149,34 @@ def in_precision(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
     """Numbers in another precision; those beyond it become infinite, which encoders refuse."""
     with np.errstate(over="ignore"):
         return np.asarray(values, dtype)
+
+
+def warn_if_turned(recordings: Any, samples: int, axes: int, names: tuple[str, ...] | None = None) -> None:
+    """Warn of recordings with more axes than samples, where no names say which is which: they may be ``[axis, time]``.
+
+    >>> warn_if_turned(np.zeros((600, 6)), 600, 6)
+    """
+    one = recordings[0] if isinstance(recordings, list | tuple) else recordings
+    if not (names or is_xarray(one)) and 0 < samples < axes:
+        given = f"There are {axes} axes and only {samples} samples"
+        warnings.warn(f"{given}; recordings are [time, axis], so turn those that are [axis, time].", stacklevel=3)
+
+
+def whole_series(series: NDArray[np.float64], least: int = 1) -> NDArray[np.float64]:
+    """A recording ``[time, axis]`` as it is.
+
+    Raises:
+        InputError: another shape, fewer than ``least`` samples, or values that are not finite.
+
+    Example:
+        >>> whole_series(np.zeros((2, 1))).shape
+        (2, 1)
+    """
+    if series.ndim != 2 or series.shape[1] < 1 or len(series) < least:
+        raise InputError(f"A recording has the shape {series.shape}; expected [time, axis] with samples.")
+    if not np.isfinite(series).all():
+        raise InputError("A recording holds values that are not finite numbers; remove or interpolate them.")
+    return series
 
 
 def columns_for(what: str, needed: Sequence[str], period: float, axes: Sequence[str], dt: float) -> list[int]:
@@ -153,6 +203,21 @@ def columns_for(what: str, needed: Sequence[str], period: float, axes: Sequence[
     return [tuple(axes).index(axis) for axis in needed]
 
 
+def check_names(samples: Any, axes: Sequence[str]) -> None:
+    """Raise an error for samples of a stream that are a frame or an xarray of other axes, or in another order.
+
+    Raises:
+        InputError: their names are not those of the stream.
+
+    Example:
+        >>> check_names(np.zeros((5, 1)), ["Fz"])
+    """
+    if is_frame(samples) or is_xarray(samples):
+        names = _column_names(samples) if is_frame(samples) else _coordinate_names(samples)
+        if names and names != tuple(axes):
+            raise InputError(f"The samples have the axes {', '.join(names)}; the stream has {', '.join(axes)}.")
+
+
 def check_axes(
     axes: Sequence[str], units: Sequence[str], learned: Sequence[str], learned_units: Sequence[str], where: str
 ) -> None:
@@ -168,11 +233,26 @@ def check_axes(
             raise InputError(f"{where} has {axis} in {unit}; the model learned it in {known}.")
 
 
+def _column_names(frame: Any) -> tuple[str, ...] | None:
+    """Names of the axes, the columns; those that are all numbers, as pandas has them by itself, are no names."""
+    numbered = all(isinstance(name, Integral) for name in frame.columns)
+    return None if numbered else distinct(map(str, frame.columns))
+
+
 def _frame_values(frame: Any) -> NDArray[Any]:
-    """Values ``[time, axis]``; numbers that may be missing, as pandas' own types have them, are NaN where they are."""
+    """Values ``[time, axis]``; numbers that may be missing, as pandas' own types have them, are NaN where they are.
+
+    Raises:
+        InputError: columns of text, dates or categories beside others of numbers.
+    """
     values = frame.to_numpy()
-    if values.dtype == object and all(getattr(dtype, "kind", "O") in "fiub" for dtype in frame.dtypes):
-        return np.asarray(frame.to_numpy(np.float64, na_value=np.nan))
+    if values.dtype == object and hasattr(frame, "iloc"):
+        kinds = [getattr(dtype, "kind", "O") for dtype in frame.dtypes]
+        if all(kind in "fiub" for kind in kinds):
+            return np.asarray(frame.to_numpy(np.float64, na_value=np.nan))
+        others = [str(name) for name, kind in zip(frame.columns, kinds, strict=True) if kind not in "fiub"]
+        if len(others) < len(kinds):
+            raise InputError(f"The columns {', '.join(others)} hold no numbers; drop them, or give the axes alone.")
     return np.asarray(values)
 
 
@@ -198,9 +278,9 @@ def ordered(wrench: Any, axis_first: bool = False) -> Any:
 
 
 def _coordinate_names(wrench: Any) -> tuple[str, ...] | None:
-    """Names of the axes, the last dimension; numbers are no names unless the dimension is called axis."""
+    """Names of the axes, the last dimension; numbers are no names."""
     axis = wrench.dims[-1] if wrench.dims else ""
-    if axis not in wrench.coords or (axis != "axis" and wrench.coords[axis].dtype.kind in "fiub"):
+    if axis not in wrench.coords or wrench.coords[axis].dtype.kind in "fiub":
         return None
     return distinct(map(str, wrench.coords[axis].to_numpy()))
 

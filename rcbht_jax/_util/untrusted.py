@@ -280,7 +280,7 @@ def checked_fields(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
     for name, value in values.items():
         if name not in known:
             raise InputError(f"{name} is not one of the fields of {kind.__name__}: {', '.join(sorted(known))}")
-        if not _fits(value, hints[name]):
+        if not fits(value, hints[name]):
             raise InputError(f"{name} is {str(value)[:40]!r}, which is not of the type that {kind.__name__} has for it")
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
 
@@ -294,7 +294,7 @@ def checked_number(what: str, value: Any) -> float:
     Raises:
         InputError: it is none.
     """
-    if not _fits(value, float):
+    if not fits(value, float):
         raise InputError(f"{what} is {str(value)[:40]!r}, no finite number.")
     return float(value)
 
@@ -327,16 +327,21 @@ def _is_name(value: Any) -> bool:
         return False
 
 
-def _fits(value: Any, hint: Any) -> bool:
+def fits(value: Any, hint: Any) -> bool:
+    """Whether a plain value is of the type that a field of a dataclass states; numbers must be finite.
+
+    >>> fits(5, int | None), fits("5", float), fits([1, 2], tuple[int, ...])
+    (True, False, True)
+    """
     origin, within = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
-        return any(_fits(value, one) for one in within)
+        return any(fits(value, one) for one in within)
     if origin is Literal:
         return isinstance(value, str | int) and value in within
     if origin is tuple:
         if not isinstance(value, list | tuple) or (Ellipsis not in within and len(value) != len(within)):
             return False
-        return all(_fits(one, within[0]) for one in value)
+        return all(fits(one, within[0]) for one in value)
     if hint is float:
         return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300
     if hint is int:

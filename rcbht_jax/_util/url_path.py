@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path, PosixPath
 
+from rcbht_jax._util.values import expect
+
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]+:")  # two letters and more: C: is a drive
 
 
@@ -20,7 +22,12 @@ class UrlPath(PosixPath):
 
 
 def as_path(place: Path | str) -> Path:
-    """A path as it is, and text as the path or URL that it names."""
+    """A path as it is, and text as the path or URL that it names.
+
+    Raises:
+        InputError: it is neither.
+    """
+    expect("The path", place, Path, str)
     if isinstance(place, Path):
         return place
     return UrlPath(place) if "://" in place else Path(place)

@@ -1,9 +1,14 @@
-"""Checks of numbers that are data or parameters."""
+"""Checks of numbers and objects that are data or parameters."""
 
 from __future__ import annotations
 
+from dataclasses import fields
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
 
 SINGLE = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)  # sizes with all digits in float32
 LARGEST = 1e30  # of a sample in any unit: sums over hours stay far from the largest single precision number
@@ -25,3 +30,44 @@ def positive(values: NDArray[np.floating]) -> bool:
     (True, False, False)
     """
     return bool(((values >= SINGLE[0]) & (values <= SINGLE[1])).all())  # NaN compares as false
+
+
+def number(what: str, value: Any) -> float:
+    """A number as a float; text is none, even if it could be read as one.
+
+    >>> number("The rate", np.float32(0.5))
+    0.5
+
+    Raises:
+        InputError: it is no number.
+    """
+    try:
+        if not isinstance(value, str | bytes):
+            return float(value)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise InputError(f"{what} is {str(value)[:40]!r}; expected a number.")
+
+
+def expect(what: str, value: Any, *kinds: type) -> None:
+    """Raise an error for an object that is of none of these classes.
+
+    >>> expect("The threshold", 3, int, float)
+
+    Raises:
+        InputError: it is of another one.
+    """
+    if not isinstance(value, kinds):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{what} is {str(value)[:40]!r}, {type(value).__name__}; expected {names}.")
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equality of two dataclasses: of one class, and equal in every field, arrays in all their elements.
+
+    >>> same(np.array([1, 2]), np.array([1, 2]))
+    True
+    """
+    if hasattr(a, "__dataclass_fields__"):
+        return type(a) is type(b) and all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
+    return bool(np.array_equal(a, b))

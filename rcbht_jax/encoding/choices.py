@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-import numbers
+import types
+import typing
 from dataclasses import fields
-from typing import Any
+from functools import cache
+from typing import Any, Literal
 
+from rcbht_jax._util.untrusted import fits
 from rcbht_jax.errors import InputError
 
 MAX_WINDOW = 2**20  # samples
@@ -29,8 +32,6 @@ def check_choices(window: int, dt: float, **seconds: float | None) -> None:
         Traceback (most recent call last):
         rcbht_jax.errors.InputError: The latency cap is -1.0 s; expected a positive number or none.
     """
-    if not isinstance(window, numbers.Integral):
-        raise InputError(f"The window is {window!r}; expected a whole number of samples.")
     if not 2 <= window <= MAX_WINDOW:
         raise InputError(f"The window is {window} samples; a line needs at least 2, and at most {MAX_WINDOW}.")
     if not 0 < dt < math.inf:
@@ -50,13 +51,37 @@ def make_plain(choices: Any) -> None:
 
     Lists and arrays become tuples, and numbers of NumPy and JAX those of Python.
 
+    Raises:
+        InputError: a value is not of the type that the class states for its field.
+
     Example:
         >>> import numpy as np, rcbht_jax as rj
         >>> rj.EncoderConfig(dt=np.float64(0.25)).dt  # which calls this
         0.25
     """
+    hints = _hints(choices.__class__)
     for field in fields(choices):
-        object.__setattr__(choices, field.name, _plain(getattr(choices, field.name)))
+        value = _plain(getattr(choices, field.name))
+        if not fits(value, hints[field.name]):
+            kind = type(choices).__name__
+            raise InputError(f"{field.name} of {kind} is {value!r}; expected {_in_words(hints[field.name])}.")
+        object.__setattr__(choices, field.name, value)
+
+
+_hints = cache(typing.get_type_hints)
+_WORDS = {float: "a finite number", int: "a whole number", bool: "True or False", str: "a text", type(None): "None"}
+
+
+def _in_words(hint: Any) -> str:
+    origin, within = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(map(_in_words, within))
+    if origin is Literal:
+        return " or ".join(map(repr, within))
+    if origin is tuple:
+        count = "any number" if Ellipsis in within else str(len(within))
+        return f"a tuple of {count}, each {_in_words(within[0])}"
+    return _WORDS.get(hint) or f"a {hint.__name__}"
 
 
 def _plain(value: Any) -> Any:

@@ -47,7 +47,7 @@ class EncoderConfig:
         noise_below: single compositions shorter than this many seconds become noise.
 
     Raises:
-        InputError: a value is out of range.
+        InputError: a value is of another type or out of range.
 
     Example:
         >>> EncoderConfig(window=20, dt=0.001).dt  # lines of 20 ms at 1 kHz
@@ -67,9 +67,6 @@ class EncoderConfig:
     def __post_init__(self) -> None:
         make_plain(self)
         check_choices(self.window, self.dt, latency_cap=self.latency_cap, noise_below=self.noise_below)
-        if self.pipe not in ("two-slot", "one-slot") or self.rule not in ("paper", "similar"):
-            expected = "expected 'two-slot' or 'one-slot', and 'paper' or 'similar'"
-            raise InputError(f"The pipe is {self.pipe!r} and the rule {self.rule!r}; {expected}.")
 
     @property
     def short(self) -> int:
@@ -116,11 +113,8 @@ class PackedLabels:
 
 def init(lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32) -> EncoderState:
     """The empty state for ``lanes``, for example ``(6,)`` or ``(trials, 6)``; dtype float32 or float64."""
-    return EncoderState(
-        jnp.zeros(lanes, jnp.int32),
-        jnp.zeros((_HELD * _INTS, *lanes), jnp.int32),
-        jnp.zeros((_HELD * _REALS, *lanes), dtype),
-    )
+    ints, reals = jnp.zeros((_HELD * _INTS, *lanes), jnp.int32), jnp.zeros((_HELD * _REALS, *lanes), dtype)
+    return EncoderState(jnp.zeros(lanes, jnp.int32), ints, reals)
 
 
 def step(
@@ -138,7 +132,7 @@ def step(
         the new state and at most one label per layer and lane, packed.
 
     Raises:
-        InputError: the window has another number of samples.
+        InputError: the window has another number of samples, or limits of other axes.
 
     Example:
         >>> from rcbht_jax.encoding.thresholds import preset
@@ -222,9 +216,13 @@ def encode(
     Returns:
         labels ``[trial, axis, slot]`` in the dense form: one slot per window, partial ones included,
         then 2, 5 and 8 slots for what the end of the stream publishes.
+
+    Raises:
+        InputError: other shapes.
     """
-    trials, _, axes = wrench.shape
-    wrench = segments.as_floating(wrench)
+    if wrench.ndim != 3 or length.shape != wrench.shape[:1]:
+        raise InputError(f"Wrench {wrench.shape}, length {length.shape}; expected [trial, time, axis] and [trial].")
+    (trials, _, axes), wrench = wrench.shape, segments.as_floating(wrench)
     lane_limits = _lane_limits(limits_of(thresholds), jnp.empty((1, trials * axes), wrench.dtype), (trials, axes))
     length, run = length.astype(jnp.int32), partial(_scan_whole, config)
     if jax.default_backend() == "gpu":
@@ -288,7 +286,10 @@ def join_tracks(a: LabelTracks, b: LabelTracks) -> LabelTracks:
 def _lane_limits(limits: Array, like: Array, lanes: tuple[int, ...] | None = None) -> Array:
     """Limits ``[..., axis, 4]`` as ``[4, ...lanes]`` in the dtype of the signal."""
     shape = like.shape[1:] if lanes is None else lanes
-    wide = jnp.broadcast_to(jnp.asarray(limits, like.dtype), (*shape, 4))
+    try:
+        wide = jnp.broadcast_to(jnp.asarray(limits, like.dtype), (*shape, 4))
+    except ValueError:
+        raise InputError(f"Thresholds have shape {jnp.shape(limits)}; expected [axis, 4], or {[*shape, 4]}.") from None
     return jnp.moveaxis(wide, -1, 0).reshape(4, *like.shape[1:])
 
 

@@ -60,7 +60,7 @@ class FitConfig:
         lookback: seconds back from now within which a break may still be found, at least two windows.
 
     Raises:
-        InputError: a value is out of range.
+        InputError: a value is of another type or out of range.
 
     Example:
         >>> FitConfig(window=20, dt=0.001).short  # samples in 0.1 s

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.untrusted import checked_fields
+from rcbht_jax._util.values import expect
 from rcbht_jax.encoding import encoder, fit, provisional
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
 from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, validate
+from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, host_limits, limits_of, validate
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTracks
@@ -51,7 +52,12 @@ FIT = Rule(fit.init, fit.step, fit.step_partial, fit.flush, provisional.labels, 
 
 
 def rule_of(config: AnyConfig) -> Rule:
-    """The functions that a configuration belongs to."""
+    """The functions that a configuration belongs to.
+
+    Raises:
+        InputError: it is none.
+    """
+    expect("The config", config, EncoderConfig, FitConfig)
     return FIT if isinstance(config, FitConfig) else PAPER
 
 
@@ -65,7 +71,7 @@ def config_of(rule: str, window: int, dt: float) -> AnyConfig:
         >>> config_of("fit", 2, 0.01).window
         2
     """
-    if rule not in RULES:
+    if not isinstance(rule, str) or rule not in RULES:
         raise InputError(f"There is no rule {rule!r}; there are {' and '.join(RULES)}.")
     return FitConfig(window, dt) if rule == "fit" else EncoderConfig(window, dt)
 
@@ -107,7 +113,7 @@ def limits_for(
             thresholds.stacked()
             return thresholds
         thresholds = GradientThresholds(thresholds.gradients)
-    gradients = np.asarray(limits_of(thresholds), np.float64)
+    gradients = host_limits(thresholds).astype(np.float64)
     found = auto_tolerance(wrench, length, config.needed) if learned else _numbers(tolerance)
     try:
         limits = FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]))
@@ -143,7 +149,7 @@ def checked_limits(config: AnyConfig, limits: AnyLimits) -> NDArray[np.floating]
         return limits.stacked()
     if isinstance(config, FitConfig):
         raise InputError("The fit rule needs a tolerance for every axis; pass FitLimits.")
-    values = np.asarray(limits_of(limits))
+    values = host_limits(limits)
     validate(values)
     return values
 

@@ -142,7 +142,7 @@ class Encoder:
         dtype: float32 or float64 (the latter needs JAX's 64-bit mode).
 
     Raises:
-        InputError: thresholds have the wrong shape or are not in order, or the dtype is not float32 or float64.
+        InputError: no configuration, thresholds of wrong shape or not in order, or another dtype.
 
     Example:
         >>> import numpy as np, rcbht_jax as rj
@@ -154,6 +154,7 @@ class Encoder:
     """
 
     def __init__(self, config: AnyConfig, thresholds: AnyLimits, dtype: type[np.floating] = np.float32) -> None:
+        rule = rule_of(config)
         limits = checked_limits(config, thresholds)
         if limits.ndim != 2:
             raise InputError(f"Thresholds have shape {(*limits.shape[:-1], 4)}; a stream expects [axis, 4].")
@@ -162,7 +163,7 @@ class Encoder:
         self._config = config
         self._limits = jnp.array(limits, dtype)  # a copy, which no caller can change
         self._axes = limits.shape[0]
-        self._state: EncoderState = rule_of(config).init(config, (self._axes,), dtype)
+        self._state: EncoderState = rule.init(config, (self._axes,), dtype)
         self._buffer = WindowBuffer(config.window, self._axes, dtype)
 
     @property

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.signals import distinct, numbers_of, texts
 from rcbht_jax._util.untrusted import checked_number, load_json
 from rcbht_jax._util.url_path import as_path
-from rcbht_jax._util.values import positive
+from rcbht_jax._util.values import expect, positive, same
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Array
@@ -35,12 +36,13 @@ MOMENT_SCALE = 10.0  # moments of a hand-sized lever are about a tenth of the fo
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GradientThresholds:
     """Gradient limits, largest first; negative slopes use the same limits, mirrored (paper, section III-A).
 
     A plain pytree: ``jax.grad``, ``jax.tree.map`` and ``jax.device_get`` return another one. The constructor checks
-    nothing; encoders, files and models check the limits that they are given (:meth:`validate`).
+    nothing; encoders, files and models check the limits that they are given (:meth:`validate`). Two of them are equal
+    if all their limits are.
 
     Attributes:
         limits: float ``[..., axis, 4]``, impulse >= big >= medium >= small > 0, N/s for forces, Nm/s for moments.
@@ -60,11 +62,23 @@ class GradientThresholds:
         Raises:
             InputError: wrong shape, not finite, not positive or not ordered.
         """
-        validate(np.asarray(self.limits))
+        validate(host_limits(self))
         return self
+
+    def __eq__(self, other: object) -> bool:
+        return same(self, other)
 
 
 Thresholds = GradientThresholds | Float[Array, "*batch axis 4"]  # what encoders take: the object, or its limits
+
+
+def host_limits(thresholds: Any) -> NDArray[Any]:
+    """The limits of a thresholds object, or of an array or list, as numbers on the host.
+
+    Raises:
+        InputError: they are no numbers.
+    """
+    return numbers_of(getattr(thresholds, "limits", thresholds), "A table of limits")
 
 
 def limits_of(thresholds: Thresholds) -> Float[Array, "*batch axis 4"]:
@@ -100,16 +114,17 @@ def preset(robot: str = "hiro", axes: Sequence[str] = AXES) -> GradientThreshold
         axes: their names; those that begin with M or T are moments, all others forces.
 
     Raises:
-        InputError: unknown robot.
+        InputError: unknown robot, no axes, or axes that are not names.
 
     Example:
         >>> preset("hiro", ["Fz", "My"]).limits.tolist()
         [[70.0, 46.0, 23.0, 1.0], [7.0, 4.6, 2.3, 0.1]]
     """
-    if robot not in _FORCE_LIMITS:
+    if robot not in ROBOTS:
         raise InputError(f"Robot {robot!r} has no thresholds; expected one of {', '.join(ROBOTS)}.")
     force = np.array(_FORCE_LIMITS[robot])
-    return GradientThresholds(np.stack([force / MOMENT_SCALE if axis[:1] in "MT" else force for axis in axes]))
+    names = texts(axes)
+    return GradientThresholds(np.stack([force / MOMENT_SCALE if axis[:1] in "MT" else force for axis in names]))
 
 
 def from_free(free: Array) -> GradientThresholds:
@@ -147,7 +162,8 @@ def write_thresholds(
         axes: their names.
 
     Raises:
-        InputError: wrong shape, not in order, limits of the fit rule, or the folder does not exist.
+        InputError: wrong shape, not in order, limits of the fit rule, axes that are not different names, provenance
+            that is not JSON, or the folder does not exist.
 
     Example:
         >>> import tempfile
@@ -158,7 +174,7 @@ def write_thresholds(
     """
     if hasattr(thresholds, "tolerance"):
         raise InputError("These limits have tolerances; write them with rcbht_jax.encoding.limit_files.write_limits.")
-    limits = np.asarray(limits_of(thresholds), np.float64)
+    limits = host_limits(thresholds).astype(np.float64)
     check_rows(limits, path, axes)
     write_rows(path, FORMAT_VERSION, axes, dict(zip(LIMITS, limits.T, strict=True)), provenance)
 
@@ -174,9 +190,10 @@ def write_rows(
     """Write numbers ``[axis]`` by name as a file of thresholds; ``more`` are entries at its top.
 
     Raises:
-        InputError: the folder does not exist.
+        InputError: the folder does not exist, two axes have the same name, or ``provenance`` is not JSON.
     """
-    path = as_path(path)
+    path, axes = as_path(path), distinct(axes)
+    expect("The provenance", provenance, Mapping)
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder; make it, or choose another file.")
     lists = {name: values.tolist() for name, values in columns.items()}
@@ -189,10 +206,14 @@ def write_rows(
         "limits": rows,
         "rcbht_jax_version": rcbht_jax.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "provenance": dict(provenance),
+        "provenance": provenance,
     }
+    try:
+        text = json.dumps(content, indent=1, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"The provenance cannot be stored as JSON: {error}.") from None
     with atomic_write(path) as draft:
-        draft.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+        draft.write_text(text + "\n")
 
 
 def read_thresholds(path: Path | str, axes: Sequence[str] = AXES) -> tuple[GradientThresholds, dict[str, Any]]:

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-from rcbht_jax._util.values import positive
+from rcbht_jax._util.signals import numbers_of
+from rcbht_jax._util.values import positive, same
 from rcbht_jax.encoding.thresholds import validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
@@ -23,9 +24,9 @@ _SECOND_DIFFERENCE = 6**0.5  # deviation of x[i] - 2 x[i+1] + x[i+2] of white no
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitLimits:
-    """Gradient limits and tolerance of every axis, for :mod:`rcbht_jax.encoding.fit`.
+    """Gradient limits and tolerance of every axis, for :mod:`rcbht_jax.encoding.fit`; equal if all numbers are.
 
     Attributes:
         gradients: float ``[..., axis, 4]``, impulse >= big >= medium >= small > 0, units of the axis per second.
@@ -45,7 +46,8 @@ class FitLimits:
             >>> FitLimits(np.array([[70.0, 46.0, 23.0, 1.0]]), np.array([0.5])).stacked().tolist()
             [[70.0, 46.0, 23.0, 1.0, 0.5]]
         """
-        gradients, tolerance = np.asarray(self.gradients, np.float64), np.asarray(self.tolerance, np.float64)
+        gradients = numbers_of(self.gradients, "A table of limits").astype(np.float64)
+        tolerance = numbers_of(self.tolerance, "A list of tolerances").astype(np.float64)
         validate(gradients)
         try:
             tolerance = np.broadcast_to(tolerance, gradients.shape[:-1])
@@ -59,6 +61,9 @@ class FitLimits:
                 "3.4e38, which single precision holds."
             )
         return np.concatenate([gradients, tolerance[..., None]], axis=-1)
+
+    def __eq__(self, other: object) -> bool:
+        return same(self, other)
 
 
 def by_lane(limits: Array, like: Array) -> Array:

@@ -33,8 +33,19 @@ _CHUNK = 64  # intervals handled at once, which bounds memory
 class FeatureSpec:
     """Which features to compute; equal specifications give the same columns in the same order.
 
+    Attributes:
+        families: see docs/howto/features.md.
+        layers: of labels: "primitive", "mc", "llb".
+        slots: resampled labels per interval, of each of the three layers, for the family sentence.
+        one_hot: resampled labels as one column per slot and label instead of one code per slot.
+        ngram: labels in a run, 1 to 3.
+        weighing: how labels weigh in histogram and ngram: count, time, change (of value), each with columns of its own;
+            none = time and count in histogram, count in ngram. Long words of the fit rule carry more information by
+            time and change.
+        balance: absolute families, elapsed time and all other families together weigh the same.
+
     Raises:
-        InputError: unknown or no families or layers, or slots or ngram out of range.
+        InputError: unknown or no families or layers, slots or ngram out of range, or a value of another type.
 
     Example:
         >>> FeatureSpec(families=("histogram", "elapsed"), layers=("llb",)).families
@@ -43,13 +54,11 @@ class FeatureSpec:
 
     families: tuple[str, ...] = ("histogram", "ngram", "attributes")
     layers: tuple[str, ...] = LAYERS
-    slots: tuple[int, int, int] = (64, 32, 16)  # resampled labels per interval: primitive, mc, llb
-    one_hot: bool = False  # resampled labels as one column per slot and label instead of one code per slot
-    ngram: int = 2  # labels in a run, 1 to 3
-    # How labels weigh in histogram and ngram: count, time, change (of value), each with columns of its own; none = time
-    # and count in histogram, count in ngram. Long words of the fit rule carry more information by time and change.
+    slots: tuple[int, int, int] = (64, 32, 16)
+    one_hot: bool = False
+    ngram: int = 2
     weighing: tuple[str, ...] = ()
-    balance: bool = False  # absolute families, elapsed time and all other families together weigh the same
+    balance: bool = False
 
     def __post_init__(self) -> None:
         make_plain(self)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Level
 from rcbht_jax.learning.metrics import INADMISSIBLE
@@ -40,7 +41,7 @@ def conformal_threshold(peaks: Float[np.ndarray, " trial"], share: float) -> flo
     >>> conformal_threshold(np.arange(9) / 10, 0.1)
     0.8
     """
-    if not 0 < share < 1:
+    if not 0 < (share := number("The share of false alarms", share)) < 1:
         raise InputError(f"{share:g} false alarms per trial were asked for; expected a number between 0 and 1.")
     rank = int(np.ceil((len(peaks) + 1) * (1 - share) - 1e-9))
     if rank > len(peaks):
@@ -120,6 +121,7 @@ class Confidence:
     """
 
     def __init__(self, k: float, margin: float) -> None:
+        k, margin = number("The certainty level", k), number("The margin", margin)
         if not INADMISSIBLE <= k < 1 or not 0 <= margin <= k - INADMISSIBLE:
             raise InputError(f"a belief cannot be certain above {k:g} with a margin of {margin:g}; k is 0.5 to 1.")
         self._k, self._margin = k, margin
@@ -145,7 +147,7 @@ class Alarm:
     below ``k`` where that is less."""
 
     def __init__(self, k: float, hold: float) -> None:
-        if not 0 <= hold < float("inf"):
+        if not 0 <= (hold := number("The hold time", hold)) < float("inf"):
             raise InputError(f"an alarm cannot be held for {hold} s; expected zero or more.")
         self._k, self._hold = k, hold
         self.reset()

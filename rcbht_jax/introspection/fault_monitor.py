@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from rcbht_jax._util.values import expect
+from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import Alarm, conformal_threshold, held_out, sustained_peak
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
@@ -30,7 +32,7 @@ class SubtaskSnapshots:
     """Features of streams at successive moments; rows of a trial are consecutive and in order of time.
 
     Raises:
-        InputError: the rows are not in that order.
+        InputError: columns of different lengths, or rows that are not in that order.
     """
 
     trial: Int[np.ndarray, " snapshot"]  # number of the trial, from 0
@@ -41,6 +43,9 @@ class SubtaskSnapshots:
     dt: float  # s between samples
 
     def __post_init__(self) -> None:
+        lengths = {name: len(getattr(self, name)) for name in COLUMNS}
+        if len(set(lengths.values())) > 1:
+            raise InputError(f"The columns of the snapshots have different lengths: {lengths}.")
         later = np.diff(self.now) > 0
         if (
             not (self.now > self.begin).all()
@@ -97,7 +102,11 @@ def schedule_snapshots(
 
 @dataclass(frozen=True)
 class FaultMonitorConfig:
-    """How a monitor learns."""
+    """How a monitor learns.
+
+    Raises:
+        InputError: a value is of another type or out of range.
+    """
 
     rate: float = 10.0  # snapshots per second
     false_alarms: float = 0.01  # of the words, per nominal trial
@@ -106,6 +115,14 @@ class FaultMonitorConfig:
     cost: float = 0.1  # of the linear SVM
     snapshots: int = 8  # per sub-task and trial used in training, evenly spaced
     fewest: int = 3  # trials of a cause; rarer causes are not used in training
+
+    def __post_init__(self) -> None:
+        make_plain(self)
+        if not self.rate > 0 or not self.holds or min(self.holds) < 0 or min(self.snapshots, self.fewest) < 1:
+            raise InputError(
+                f"rate is {self.rate}, holds are {self.holds}, snapshots {self.snapshots} and fewest {self.fewest}; "
+                "expected a positive rate, one time or more of zero or more, and counts of one or more."
+            )
 
 
 @dataclass(frozen=True)
@@ -159,10 +176,13 @@ class FaultMonitor:
             seed: of the folds.
 
         Raises:
-            InputError: no sub-task has both nominal and faulty trials, or there are too few nominal trials for the
-                chosen probability of false alarms.
+            InputError: no sub-task has both nominal and faulty trials, there are too few nominal trials for the
+                chosen probability of false alarms, or snapshots of trials that have no cause.
         """
-        config = config or FaultMonitorConfig()
+        config = FaultMonitorConfig() if config is None else config
+        expect("The config", config, FaultMonitorConfig)
+        cause = np.asarray(cause)
+        _check_trials(snapshots, len(cause))
         nominal, streamed = cause == NOMINAL, np.isin(np.arange(len(cause)), snapshots.trial)
         visible = np.zeros(len(cause)) if visible is None else visible
         deadline = np.full(len(cause), np.inf) if deadline is None else deadline
@@ -204,7 +224,11 @@ class FaultMonitor:
 
         Returns:
             ``"words"``: by the classifiers; ``"clock"``: by the time limits.
+
+        Raises:
+            InputError: there are snapshots of more trials.
         """
+        _check_trials(snapshots, trials)
         first = {name: np.full(trials, np.inf) for name in ("words", "clock")}
         probability, time = self.predict(snapshots), snapshots.time
         for subtask, level in self.levels.items():
@@ -218,6 +242,12 @@ class FaultMonitor:
         late = snapshots.elapsed > limit
         np.minimum.at(first["clock"], snapshots.trial[late], time[late])
         return first
+
+
+def _check_trials(snapshots: SubtaskSnapshots, trials: int) -> None:
+    expect("The stream", snapshots, SubtaskSnapshots)
+    if (last := int(snapshots.trial.max(initial=-1))) >= trials:
+        raise InputError(f"There are {trials} trials, and snapshots of a trial of number {last}; expected less.")
 
 
 def _training_rows(

@@ -12,6 +12,8 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.compiling import jit
+from rcbht_jax._util.signals import check_names
+from rcbht_jax._util.values import expect, number
 from rcbht_jax.encoding.encoder import PackedLabels
 from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.encoding.stream import WindowBuffer, held
@@ -143,7 +145,7 @@ class Introspector:
         (['SubtaskStarted', 'Belief', 'Belief', 'Belief'], 'success')
 
     Raises:
-        InputError: a rate faster than the samples, levels out of range, or no classifier to detect with.
+        InputError: no model, a rate faster than the samples, levels out of range, or no classifier to detect with.
     """
 
     def __init__(
@@ -156,6 +158,7 @@ class Introspector:
         detect: bool = False,
         words: bool = False,
     ) -> None:
+        expect("The model", model, IntrospectionModel)
         self.model = model
         self.certainty, self._words = k, words
         self._chain = Chain.of(model)
@@ -232,9 +235,9 @@ class Introspector:
 
     def begin(self, label: str = "", detected: bool = False) -> list[Event]:
         """Start a sub-task of this name with the next sample; ``detected`` = it was not announced by a controller."""
-        for number, scope in enumerate(self._chain.scopes):
+        for view, scope in enumerate(self._chain.scopes):
             if scope == "subtask":
-                self._begins[number] = self.received
+                self._begins[view] = self.received
         for head, confidence in zip(self.model.heads, self._confidence, strict=True):
             if head.scope == "subtask":
                 confidence.reset()
@@ -260,9 +263,12 @@ class Introspector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, a value that is not finite, or more samples than are counted (``MOST_SAMPLES`` of
-                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
+            InputError: wrong shape, names of other axes, a value that is not finite, a time that is no number, or more
+                samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
+                consumed.
         """
+        time = None if time is None else number("The time", time)
+        check_names(samples, self.axes)
         chunk = self._buffer.checked(samples)
         events: list[Event] = []
         end = self.received + len(chunk)
@@ -362,7 +368,7 @@ def _samples_between(rate: float | Literal["auto"] | None, config: AnyConfig) ->
         return None
     if rate == "auto":
         return max(1, round(0.1 / config.dt))
-    if not 0 < rate < float("inf"):
+    if not 0 < (rate := number("The rate of beliefs", rate)) < float("inf"):
         raise InputError(f"{rate} beliefs per second were asked for; expected a positive number, or none.")
     every = round(1 / (rate * config.dt))
     if every < 1 or abs(every * rate * config.dt - 1) > 0.01:

@@ -13,21 +13,22 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax._util.signals import read_signal
+from rcbht_jax._util.signals import period, read_parts, read_signal, warn_if_turned, whole_series
+from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import conformal_threshold
 from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest, unbiased
 from rcbht_jax.learning.estimators import keep_names
 
 with needs_extra("learn"):
-    from sklearn.base import BaseEstimator
+    from sklearn.base import BaseEstimator, clone
     from sklearn.utils.validation import check_is_fitted
 
 CALIBRATIONS = ("cross", "split")
@@ -61,6 +62,8 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
     folds: Any = 10
     random_state: Any = 0
 
+    _least: ClassVar = {"rate": 1e-9, "score_rate": 1e-9, "memory": 1e-9, "folds": 1}  # smallest value of a parameter
+
     def fit(self, X: Any, y: Any = None, groups: ArrayLike | None = None) -> Monitor:
         """Learn from nominal recordings of one skill, each from the beginning of the skill.
 
@@ -73,18 +76,26 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
 
         Raises:
             InputError: fewer than three recordings, wrong shapes, recordings with different axes, values that are not
-                finite, a time that disagrees with the rate, or bad parameters.
+                finite, a time that disagrees with the rate, or bad parameters; what was fitted before stays.
         """
+        fitted = clone(self)._fitted(X, groups)  # a fit that fails leaves what was fitted before
+        keep_names(self, None)
+        self.__dict__.update(vars(fitted))
+        return self
+
+    def _fitted(self, X: Any, groups: ArrayLike | None) -> Monitor:
         if self.calibration not in CALIBRATIONS:
             raise InputError(f"calibration is {self.calibration!r}; expected one of {', '.join(CALIBRATIONS)}.")
         self._check()
-        read = [_series(part, self.rate) for part in X]
-        series = [part for part, _ in read]
-        if len(series) < 3 or len({(part.shape[1], names) for part, names in read}) > 1:
+        read, axes = read_parts(X, period(self.rate), dtype=np.float64)
+        series = [whole_series(part) for part in read]
+        if len(series) < 3 or len({part.shape[1] for part in series}) > 1:
             raise InputError(f"{len(series)} recordings; it takes three or more nominal ones with the same axes.")
-        names = np.arange(len(series)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
-        if names.shape != (len(series),):
-            raise InputError(f"There are {len(names)} groups for {len(series)} recordings; expected one for each.")
+        warn_if_turned(X, max(map(len, series)), series[0].shape[1], axes)
+        given = np.arange(len(series)) if groups is None else np.asarray(groups)
+        if given.shape != (len(series),):
+            raise InputError(f"Groups have the shape {given.shape}; expected one for each of {len(series)} recordings.")
+        names = np.unique(given, return_inverse=True)[1]
         names = names if len(np.unique(names)) > 1 else np.arange(len(series))
         parts = [_blocks(part, self.score_step) for part in series]
         self._prepare(parts, names)
@@ -96,7 +107,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         else:
             model, peaks = self._learn(parts, names), self._cross_peaks(parts, names)
         self._model, self.peaks_, self.n_features_in_ = model, peaks, series[0].shape[1]
-        keep_names(self, read[0][1])
+        keep_names(self, axes)
         return self
 
     def scores(self, series: ArrayLike) -> Float[np.ndarray, " time"]:
@@ -144,9 +155,9 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         return max(round(seconds * self.rate / self.score_step), 1)
 
     def _check(self) -> None:
-        for name in ("rate", "score_rate", "memory", "folds"):
-            if not 1e-9 <= getattr(self, name) <= 1e9:
-                raise InputError(f"{name} is {getattr(self, name)}; expected 1e-09 to 1e+09.")
+        for name, least in self._least.items():
+            if not least <= number(name, getattr(self, name)) <= 1e9:
+                raise InputError(f"{name} is {getattr(self, name)}; expected {least:g} to 1e+09.")
 
     def _cross_peaks(
         self, parts: list[Float[np.ndarray, "_ channel"]], groups: Int[np.ndarray, " recording"]
@@ -230,7 +241,8 @@ class MonitorStream:
                 rate.
         """
         monitor = self._monitor
-        new, names = _series(samples, monitor.rate, least=0)
+        read, names = read_signal(samples, 1 / monitor.rate)
+        new = whole_series(np.asarray(read, np.float64), least=0)
         known = tuple(getattr(monitor, "feature_names_in_", names or ()))
         if names and names != known:
             raise InputError(f"The samples have the axes {', '.join(names)}; the monitor learned {', '.join(known)}.")
@@ -280,7 +292,7 @@ class NominalMonitor(Monitor):
             if three groups or more have several recordings (:func:`rcbht_jax.introspection.neighbours.unbiased`).
         slack: s by which a moment may be early or late.
         drift: the same, as a share of the elapsed time.
-        neighbours: nearest nominal recordings whose distances are averaged.
+        neighbours: nearest nominal recordings whose distances are averaged; all others are those of :class:`Monitor`.
 
     Attributes:
         levels_: the axes whose values are compared.
@@ -304,6 +316,16 @@ class NominalMonitor(Monitor):
     slack: Any = 0.2
     drift: Any = 0.1
     neighbours: Any = 1
+
+    _least: ClassVar = {**Monitor._least, "baseline": 0, "slack": 0, "drift": 0, "neighbours": 1}
+
+    def _check(self) -> None:
+        super()._check()
+        lags, levels = np.asarray(self.lags), np.asarray([] if self.levels is None else self.levels)
+        good = [one.dtype.kind in "iuf" and one.ndim == 1 and (one >= 0).all() for one in (lags, levels)]
+        if not all(good) or (levels % 1).any() or self.neighbours % 1:
+            given = f"lags {self.lags!r}, levels {self.levels!r}, neighbours {self.neighbours!r}"
+            raise InputError(f"There are {given}; expected times, numbers of axes, a whole number.")
 
     @property
     def bank_(self) -> Bank:
@@ -360,19 +382,6 @@ class NominalMonitor(Monitor):
         distance = nearest(distances(model, described, time), model.neighbours)
         ratio = distance / model.reference[np.minimum(time, len(model.reference) - 1)]
         return np.log1p(ratio**2 / FREEDOM).mean(1)
-
-
-def _series(
-    values: ArrayLike, rate: float, least: int = 1
-) -> tuple[Float[np.ndarray, "time axis"], tuple[str, ...] | None]:
-    """A recording, and the names of its axes, where it has some."""
-    read, names = read_signal(values, 1 / rate)
-    series = np.asarray(read, np.float64)
-    if series.ndim != 2 or series.shape[1] < 1 or len(series) < least:
-        raise InputError(f"A recording has the shape {series.shape}; expected [time, axis] with samples.")
-    if not np.isfinite(series).all():
-        raise InputError("A recording holds values that are not finite numbers; remove or interpolate them.")
-    return series, names
 
 
 def _blocks(series: Float[np.ndarray, "time axis"], step: int) -> Float[np.ndarray, "_ axis"]:

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.values import expect
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
@@ -99,6 +100,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             InputError: fewer than two classes, labels whose lengths differ from the recordings', an unknown rule, or a
                 tolerance that does not fit the axes or the rule.
         """
+        expect("The data set", recordings, Recordings)
         if [len(part) for part in y] != recordings.length.tolist():
             raise InputError("The labels in y have other lengths than the recordings; expected a class per sample.")
         classes = np.setdiff1d(np.concatenate(y), [UNKNOWN])
@@ -111,8 +113,8 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
     def _fitted(self, recordings: Recordings, y: Sequence[NDArray[Any]], classes: NDArray[Any]) -> WrenchSegmenter:
         self.classes_ = classes
         self.axes_, self._dt = (recordings.axes, recordings.units), recordings.dt
-        self.thresholds_ = auto_thresholds(recordings, self.window)
         config = config_of(self.rule, self.window, recordings.dt)
+        self.thresholds_ = auto_thresholds(recordings, self.window)
         self._limits = limits_for(config, self.thresholds_, self.tolerance, recordings.wrench, recordings.length)
         self.tolerance_ = np.asarray(self._limits.tolerance) if isinstance(self._limits, FitLimits) else None
         rng = np.random.default_rng(self.random_state)
@@ -133,6 +135,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             InputError: recordings whose axes, units or rate differ from those in :meth:`fit`.
         """
         check_is_fitted(self, "second_")
+        expect("The data set", recordings, Recordings)
         # units that are not stated count too: norms are of the axes of one unit
         if (recordings.axes, recordings.units) != self.axes_ or not np.isclose(recordings.dt, self._dt):
             raise InputError(

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float64, Int64
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 
 Reals = Float64[np.ndarray, "*lanes"]
@@ -47,7 +48,7 @@ class SnapConfig:
         apart: seconds after a snap without another one on the same axis.
 
     Raises:
-        InputError: a value is out of range.
+        InputError: a value is of another type or out of range.
     """
 
     within: float = 0.04
@@ -58,6 +59,7 @@ class SnapConfig:
     apart: float = 0.3
 
     def __post_init__(self) -> None:
+        make_plain(self)
         for name, value in (("within", self.within), ("hold", self.hold), ("apart", self.apart)):
             if not 0 < value < math.inf:
                 raise InputError(f"A snap's {name} is {value:g} s; expected a positive, finite time.")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.signals import columns_for
+from rcbht_jax._util.signals import check_names, columns_for, distinct, numbers_of, period
+from rcbht_jax._util.values import expect, number
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
@@ -34,7 +36,8 @@ class SnapDetector:
         config: what else counts as a snap; None = the defaults.
 
     Raises:
-        InputError: sizes that are not positive, not in order or not one for each axis, or a bad rate or window.
+        InputError: axes that are not different names, sizes that are not positive, not in order or not one for each
+            axis, or a bad rate or window.
 
     Example:
         >>> force = np.interp(np.arange(600) / 200, [0, 0.5, 2.0, 2.03, 3], [0, 0, 9, 2, 2])  # let go after 2 s
@@ -54,12 +57,13 @@ class SnapDetector:
         tolerance: ArrayLike | None = None,
         config: SnapConfig | None = None,
     ) -> None:
-        if not 0 < rate < math.inf:
-            raise InputError(f"The rate is {rate:g} samples per second; expected a positive, finite number.")
-        self.axes, self.config = tuple(axes), config or SnapConfig()
-        self.sizes = _sizes(len(self.axes), least, most, *load)
-        self._words = FitConfig(max(2, round(LOOK * rate)) if window is None else window, 1 / rate)
-        wide = self.sizes.least / TOLERANCES if tolerance is None else np.asarray(tolerance, np.float64)
+        dt = period(rate)
+        self.axes, self.config = distinct(axes), SnapConfig() if config is None else config
+        expect("The config", self.config, SnapConfig)
+        self.sizes = _sizes(len(self.axes), least, most, load)
+        self._words = FitConfig(max(2, round(LOOK / dt)) if window is None else window, dt)
+        given = self.sizes.least / TOLERANCES if tolerance is None else tolerance
+        wide = numbers_of(given, "A list of tolerances").astype(np.float64)
         slopes = np.tile([4.0, 3.0, 2.0, 1.0], (len(self.axes), 1))  # only the lines are used, not the labels
         self._limits = FitLimits(slopes, wide)
         self._encoder = Encoder(self._words, self._limits)
@@ -99,9 +103,12 @@ class SnapDetector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, a value that is not finite, or more samples than are counted (``MOST_SAMPLES`` of
-                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
+            InputError: wrong shape, names of other axes, a value that is not finite, a time that is no number, or more
+                samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
+                consumed.
         """
+        time = None if time is None else number("The time", time)
+        check_names(samples, self.axes)
         blocks = self._encoder.lines(samples)
         end = self._encoder.received + len(np.asarray(samples))
         stamp = round(end * self.dt, 9) if time is None else time
@@ -128,9 +135,10 @@ class SnapDetector:
         return found
 
 
-def _sizes(axes: int, *values: ArrayLike) -> SnapSizes:
-    """Sizes ``[axis]``, checked."""
+def _sizes(axes: int, *sizes: Any) -> SnapSizes:
+    """Sizes ``[axis]``, checked: the smallest and largest fall, and both ends of the load."""
     try:
+        values = (*sizes[:2], *sizes[2])
         least, most, low, high = (np.broadcast_to(np.asarray(value, np.float64), (axes,)) for value in values)
     except (ValueError, TypeError):
         raise InputError(f"least, most and load must be numbers, or have one for each of {axes} axes.") from None

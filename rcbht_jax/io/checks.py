@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from rcbht_jax._util.untrusted import MAX_PADDED, MAX_RATIO, MAX_VALUES
-from rcbht_jax._util.values import LARGEST, usable
+from rcbht_jax._util.values import LARGEST, expect, usable
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
 
@@ -33,6 +33,7 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
             array or is far from filling it, a sample is not finite within the length or not zero beyond it, or an
             annotation is about no recording.
     """
+    expect("The data set", recordings, Recordings)
     wrench = np.asarray(recordings.wrench)
     if wrench.ndim != 3 or 0 in (wrench.shape[::2] if gaps else wrench.shape):
         raise InputError(f"wrench has shape {wrench.shape}; expected [recordings, samples, axes], none of them 0.")

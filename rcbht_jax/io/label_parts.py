@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
@@ -47,6 +48,7 @@ def create(
         InputError: ``attrs`` are not JSON values.
     """
     date = datetime.now(UTC).isoformat(timespec="seconds") if created is None else created
+    expect("The provenance", attrs, Mapping)
     group = zarr_io.create_group(folder, {**attrs, "rcbht_jax_version": rcbht_jax.__version__, "created": date})
     axes, real = np.shape(sample.llb.label)[1], str(np.asarray(sample.llb.avg).dtype)
     parts.create(group, layout, _fields(axes, real))

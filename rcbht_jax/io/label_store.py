@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.url_path import as_path
+from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
@@ -26,7 +27,7 @@ from rcbht_jax.types import LabelTrack, LabelTracks
 with needs_extra("store"):
     import zarr
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 
 
 def write_tracks(
@@ -51,6 +52,7 @@ def write_tracks(
             is not JSON.
     """
     path = as_path(path)
+    expect("The set of labels", tracks, LabelTracks)
     count = count_recordings(path)
     for layer in LAYERS:
         label_parts.checked(getattr(tracks, layer), layer, count)
@@ -240,8 +242,10 @@ def list_tracks(path: Path | str) -> list[str]:
 
 
 def _folder(path: Path, name: str) -> Path:
-    if not NAME.fullmatch(name):
-        raise InputError(f"{name!r} is not a name for label tracks; expected letters, digits and . _ - only.")
+    if not (isinstance(name, str) and NAME.fullmatch(name)):
+        raise InputError(
+            f"{str(name)[:40]!r} is not a name for label tracks; expected up to 200 letters, digits and . _ - only."
+        )
     return path / LABELS / name
 
 

@@ -91,7 +91,7 @@ def write_recordings(
         part: number of recordings in a part; default: parts of about 64 MiB.
 
     Raises:
-        InputError: the recordings are inconsistent, ``path`` exists, or ``attrs`` is not JSON.
+        InputError: the recordings are inconsistent, ``path`` exists, ``attrs`` is not JSON, or a part is empty.
     """
     path = as_path(path)
     check_target(path, overwrite)

@@ -84,6 +84,8 @@ def schema_of(
         part: recordings in a part; default: so many that a part has about 64 MiB.
     """
     rows = len(recordings) if rows is None else rows
+    if part is not None and not (isinstance(part, int) and part >= 1):
+        raise InputError(f"A part has {part} recordings; expected a whole number, 1 or more.")
     if part is None:
         most = max(1, min(MOST_ROWS, PART_BYTES // max(1, recordings.wrench[0].nbytes), rows))
         part = 1 << (most - 1).bit_length() if most == rows else 1 << (most.bit_length() - 1)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
@@ -66,6 +67,7 @@ def create(path: Path, schema: Schema, attrs: Mapping[str, Any], created: str) -
         "axis_units": list(schema.units),
         "annotation_labels": {track: list(names) for track, names in schema.labels.items()},
     }
+    expect("The provenance", attrs, Mapping)
     group = zarr_io.create_group(path, {**attrs, **header})
     for name in (COLUMNS, ANNOTATIONS):
         group.create_group(name)

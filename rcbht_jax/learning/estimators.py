@@ -23,7 +23,7 @@ from rcbht_jax._util.values import usable
 from rcbht_jax.encoding.arrays import read_signals
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AnyConfig, config_of, limits_for
-from rcbht_jax.encoding.thresholds import preset, validate
+from rcbht_jax.encoding.thresholds import host_limits, preset, validate
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec, Intervals, interval_features
@@ -148,7 +148,7 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         return read_signals(X, self._encoder_config().dt, axis_first=self.layout == "axis-time")
 
     def _encoder_config(self) -> AnyConfig:
-        dt = period(float(self.rate))
+        dt = period(self.rate)
         plain = config_of(self.rule, self.window, dt)
         if self.config is None:
             return plain
@@ -179,7 +179,7 @@ def _limits(thresholds: Any, names: tuple[str, ...]) -> Float[np.ndarray, "axis 
     axes = len(names)
     if isinstance(thresholds, str):
         thresholds = preset(thresholds, names)
-    limits = np.array(getattr(thresholds, "limits", thresholds), np.float64)  # a copy, which no caller can change
+    limits = np.array(host_limits(thresholds), np.float64)  # a copy, which no caller can change
     limits = np.tile(limits, (axes, 1)) if limits.ndim == 1 else limits
     validate(limits)
     if limits.shape != (axes, 4):

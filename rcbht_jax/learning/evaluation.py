@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.values import expect
+from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
@@ -34,7 +36,8 @@ class EvaluationProtocol:
     """How to measure: repeated grouped k-fold, or training and testing on different sessions.
 
     Raises:
-        InputError: sessions for one side only, a session on both sides, sessions and a group, or no repeats.
+        InputError: sessions for one side only, a session on both sides, sessions and a group, no repeats, or a value of
+            another type.
     """
 
     folds: int = 5
@@ -46,6 +49,7 @@ class EvaluationProtocol:
     group: str = "trial"  # column whose groups are never split by folds: an operator, a part, a day
 
     def __post_init__(self) -> None:
+        make_plain(self)
         if bool(self.train_on) != bool(self.test_on):
             raise InputError("train-on and test-on belong together; give the sessions of both or of neither.")
         if set(self.train_on) & set(self.test_on):
@@ -96,6 +100,10 @@ def candidates(
     """Features of all labels by all specifications, in the order given, with the weights of their columns, by name."""
     grammars = {"": tracks} if isinstance(tracks, LabelTracks) else tracks
     specs = {"": features} if isinstance(features, FeatureSpec) else features
+    expect("The choice of labels", grammars, Mapping)
+    expect("The choice of features", specs, FeatureSpec, Mapping)
+    if not grammars or not specs:
+        raise InputError("There are no labels or no features to choose from; give at least one of each.")
     described: dict[str, tuple[Features, Weight]] = {}
     for grammar, labels in grammars.items():
         for name, spec in specs.items():
@@ -142,11 +150,12 @@ def evaluate(
         >>> result.score["accuracy"]["mean"], result.majority_baseline["accuracy"]["mean"]
         (1.0, 0.5)
     """
-    specs = {"": features} if isinstance(features, FeatureSpec) else dict(features)
+    expect("The protocol", protocol, EvaluationProtocol)
     items = labelled_intervals(recordings, task)
     column, rows = protocol.group, items.intervals[0].recording
     groups = items.trial if column == "trial" else recordings.column(column)[rows]
     described = candidates(tracks, items, features, len(recordings))
+    specs = {"": features} if isinstance(features, FeatureSpec) else features
     facts = facts or WrenchFacts.of(recordings)
     provenance = {
         "version": rcbht_jax.__version__,
@@ -334,7 +343,9 @@ def train(
     described = candidates(tracks, items, features, len(recordings))
     matrices = {name: part.values for name, (part, _) in described.items()}
     weights = {name: weight for name, (_, weight) in described.items()}
-    chosen = select(matrices, items.y, items.trial, grid or Grid(), seed, weights, progress)
+    grid = Grid() if grid is None else grid
+    expect("The grid", grid, Grid)
+    chosen = select(matrices, items.y, items.trial, grid, seed, weights, progress)
     best, weight = described[chosen.features]
     svm = fit(best.values, items.y, items.classes, chosen, weight)
     how = dict(encoder or {})

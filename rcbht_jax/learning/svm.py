@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.scaling import Scale, fit_scale
@@ -40,7 +41,11 @@ _PER_ITEM = 100
 
 @dataclass(frozen=True)
 class SvmSpec:
-    """Hyper-parameters of one classifier."""
+    """Hyper-parameters of one classifier.
+
+    Raises:
+        InputError: a value is of another type or out of range.
+    """
 
     kernel: str = "poly"  # one of KERNELS
     cost: float = 1.0  # C
@@ -52,18 +57,25 @@ class SvmSpec:
     ranks: bool = False  # scale by ranks among the training side instead of mean and deviation
 
     def __post_init__(self) -> None:
+        make_plain(self)
         if self.kernel not in KERNELS or self.gamma not in ("auto", "scale") or not 0 < self.cost < float("inf"):
             raise InputError(
                 f"an SVM with kernel {self.kernel!r}, gamma {self.gamma!r} and cost {self.cost} does not exist; "
                 f"choose a kernel of {', '.join(KERNELS)}, gamma auto or scale, and a positive cost."
             )
+        if self.floor < 0:
+            raise InputError(f"The floor of deviations is {self.floor}; expected zero or more.")
         if self.ranks and not self.scaling:
             raise InputError("ranks are a way of scaling; choose scaling with them.")
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What nested selection may choose from; ties go to the earlier kernel, no scaling, the smaller cost."""
+    """What nested selection may choose from; ties go to the earlier kernel, no scaling, the smaller cost.
+
+    Raises:
+        InputError: nothing to choose from, costs that do not increase, or a value of another type.
+    """
 
     kernels: tuple[str, ...] = KERNELS
     costs: tuple[float, ...] = COSTS  # increasing; those too hard to solve are passed over
@@ -75,6 +87,7 @@ class Grid:
     ranks: bool = False  # scaled features are ranks, see SvmSpec
 
     def __post_init__(self) -> None:
+        make_plain(self)
         for name in ("kernels", "costs", "scalings"):
             if not getattr(self, name):
                 raise InputError(f"There are no {name} to choose from; give at least one.")
@@ -275,7 +288,7 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         from sklearn.model_selection import StratifiedGroupKFold
 
     if not isinstance(folds, int | np.integer):
-        if not hasattr(folds, "split"):
+        if isinstance(folds, str) or not hasattr(folds, "split"):
             raise InputError(f"The folds are {type(folds).__name__}; expected a number, or a scikit-learn splitter.")
         splits = [(np.asarray(a, np.int64), np.asarray(b, np.int64)) for a, b in folds.split(y, y, groups)]
         if any(np.intersect1d(groups[train], groups[test]).size for train, test in splits):

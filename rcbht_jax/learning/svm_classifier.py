@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.signals import numbers_of
 from rcbht_jax._util.values import positive
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.probability import FOLDS, ProbabilisticSvm, fit_probabilistic
@@ -20,7 +21,8 @@ from rcbht_jax.learning.svm import SvmSpec, fit, pairs
 
 with needs_extra("learn"):
     from sklearn.base import BaseEstimator, ClassifierMixin
-    from sklearn.utils import check_consistent_length
+    from sklearn.exceptions import NotFittedError
+    from sklearn.utils import check_consistent_length, column_or_1d
     from sklearn.utils.metaestimators import available_if
     from sklearn.utils.multiclass import check_classification_targets
     from sklearn.utils.validation import check_is_fitted, validate_data
@@ -89,7 +91,7 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         """
         X, y = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(y)
-        groups = np.arange(len(y)) if groups is None else np.asarray(groups)
+        groups = np.arange(len(y)) if groups is None else column_or_1d(groups)
         check_consistent_length(X, groups)
         counted = None if sample_weight is None else _checked(sample_weight, len(y))
         if counted is not None:
@@ -100,15 +102,17 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             self.kernel, self.cost, self.scaling, self.gamma, self.balanced, floor=self.floor, ranks=self.ranks
         )
         names = [str(name) for name in classes]
-        weight = None if self.feature_weight is None else np.asarray(self.feature_weight, np.float64)
+        given = self.feature_weight
+        weight = None if given is None else numbers_of(given, "feature_weight").astype(np.float64)
         if weight is not None and not (weight.shape == (X.shape[1],) and positive(weight)):
             raise InputError(f"feature_weight has the shape {weight.shape}; expected {X.shape[1]} positive numbers.")
+        sigmoid = None
         if self.probability:
             machine = fit_probabilistic(X, code, groups, names, spec, self.random_state, self.cv, weight, counted)
-            self.model_, self.sigmoid_ = machine.svm, machine.sigmoid
+            model, sigmoid = machine.svm, machine.sigmoid
         else:
-            self.model_ = fit(X, code, names, spec, weight, counted)
-        self.classes_ = classes  # last: a fit that fails leaves the names of the machine that there is
+            model = fit(X, code, names, spec, weight, counted)
+        self.model_, self.sigmoid_, self.classes_ = model, sigmoid, classes  # a fit that fails changes nothing
         return self
 
     def predict(self, X: Any) -> NDArray[Any]:
@@ -129,8 +133,10 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
     @available_if(lambda self: self.probability)  # type: ignore[untyped-decorator]
     def predict_proba(self, X: Any) -> Float[np.ndarray, "sample class"]:
-        """Class probabilities; only with ``probability=True``."""
+        """Class probabilities; only with ``probability=True``, also in :meth:`fit`."""
         x = self._features(X)
+        if self.sigmoid_ is None:
+            raise NotFittedError("This SvmClassifier was fitted without probability; set it and call fit again.")
         return ProbabilisticSvm(self.model_, self.sigmoid_).probability(x)
 
     def _features(self, X: Any) -> Float[np.ndarray, "sample feature"]:
@@ -139,7 +145,7 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
 
 def _checked(sample_weight: ArrayLike, samples: int) -> NDArray[np.float64]:
-    weight = np.asarray(sample_weight, np.float64)
+    weight = numbers_of(sample_weight, "sample_weight").astype(np.float64)
     if weight.shape != (samples,) or not (np.isfinite(weight) & (weight >= 0)).all():
         raise InputError(
             f"sample_weight has the shape {weight.shape}, its least value is {weight.min(initial=0)}; "

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.values import expect
+from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import (
     Features,
@@ -34,20 +36,38 @@ USUAL, PLAIN = "harmonised", "recorded"  # boundaries: corrected ones where ther
 class TaskSpec:
     """A task and the recordings that it covers; an empty filter selects everything.
 
-    >>> TaskSpec("states", sessions=("A", "B")).sessions
-    ('A', 'B')
+    Attributes:
+        task: track of annotations, or column.
+        boundaries: variant of the track: "harmonised" = TASK-harmonised if there is one, else TASK; "recorded" = TASK.
+        arms: one arm, or "both" side by side; if there is only one arm, that one.
+        sources: data sets.
+        sessions: recording sessions.
+        outcomes: None = for a track, the successes if there are any (the others are counted as left out); for a
+            column, all.
+        classes: in this order; empty = all, those of a column sorted.
+        complete: only recordings that have every label of the track, in order.
+        seconds: use only the first seconds of whole recordings, leave out shorter ones; 0 = to the end.
+
+    Raises:
+        InputError: a value is of another type.
+
+    Example:
+        >>> TaskSpec("states", sessions=("A", "B")).sessions
+        ('A', 'B')
     """
 
-    task: str = "states"  # track of annotations, or column
-    boundaries: str = USUAL  # variant of the track: TASK-harmonised if there is one, else TASK; or PLAIN
-    arms: str = "R"  # one arm, or "both" side by side; if there is only one arm, that one
+    task: str = "states"
+    boundaries: str = USUAL
+    arms: str = "R"
     sources: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ()
-    # None = for a track, the successes if there are any (the others are counted as left out); for a column, all
     outcomes: tuple[str, ...] | None = None
-    classes: tuple[str, ...] = ()  # in this order; empty = all, those of a column sorted
-    complete: bool = False  # only recordings that have every label of the track, in order
-    seconds: float = 0.0  # use only the first seconds of whole recordings, leave out shorter ones; 0 = to the end
+    classes: tuple[str, ...] = ()
+    complete: bool = False
+    seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        make_plain(self)
 
 
 @dataclass(frozen=True)
@@ -99,6 +119,7 @@ def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = F
     Raises:
         InputError: a filter names an unknown source or session, or the track or column is not there.
     """
+    _check(recordings, spec)
     dropped: Counter[str] = Counter()
     unknown = spec.outcomes is None or UNKNOWN in spec.outcomes
     if whole and not (_track(recordings, spec) or _column(recordings, spec)):
@@ -129,6 +150,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         >>> items.classes, items.y.tolist(), items.dropped
         (('failure', 'success'), [1, 0], {'class unknown': 1})
     """
+    _check(recordings, spec)
     dropped: Counter[str] = Counter()
     rows = _rows(recordings, spec, dropped)
     track = track_of(recordings, spec)
@@ -153,6 +175,11 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
     first = found.rows[:, 0]
     trial, session = _trials(recordings, first), recordings.session[first]
     return LabelledIntervals(classes, y, trial, session, found.intervals(recordings.dt), dict(dropped))
+
+
+def _check(recordings: Recordings, spec: TaskSpec) -> None:
+    expect("The data set", recordings, Recordings)
+    expect("The task", spec, TaskSpec)
 
 
 def track_of(recordings: Recordings, spec: TaskSpec) -> str:
@@ -207,7 +234,7 @@ def extract_features(
         count: number of recordings that the items come from; labels of more or fewer recordings are rejected.
 
     Raises:
-        InputError: the number of recordings shows that the labels belong to other recordings than the items.
+        InputError: no labels, an argument of another type, or labels of more or fewer recordings than the items.
 
     Example:
         >>> import rcbht_jax as rj
@@ -217,9 +244,16 @@ def extract_features(
         >>> features.values.shape, features.names[0]
         ((2, 96), 'histogram.llb.Fx.time.FX')
     """
+    expect("The choice of features", spec, FeatureSpec)
+    expect("The choice of intervals", items, LabelledIntervals, UnlabelledIntervals)
     if isinstance(tracks, TrackBatches):
         return extract_batched_features(tracks.read(), items, spec, count)
-    return extract_batched_features([tracks if isinstance(tracks, Mapping) else {"": tracks}], items, spec, count)
+    named = tracks if isinstance(tracks, Mapping) else {"": tracks}
+    if not named:
+        raise InputError("There are no labels; expected those of one encoder or more.")
+    for one in named.values():
+        expect("Each set of labels", one, LabelTracks)
+    return extract_batched_features([named], items, spec, count)
 
 
 def extract_batched_features(

@@ -12,6 +12,7 @@ import xarray as xr
 import rcbht_jax as rj
 from rcbht_jax.encoding import encoder
 from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from tests.support.trees import assert_trees_equal
 
@@ -73,6 +74,53 @@ def test_names_decide_which_axes_are_moments() -> None:
     tracks = rj.encode(frame)
     assert tracks.words("Tz") == rj.encode(WRENCH[0]).words("Mz")
     assert tracks.words("Fz") == rj.encode(WRENCH[0]).words("Fz")
+
+
+def test_more_axes_than_samples_are_noticed_unless_names_say_which_is_which() -> None:
+    for form in (WRENCH[0].T, WRENCH.swapaxes(1, 2), [WRENCH[0].T], pd.DataFrame(WRENCH[0].T)):
+        with pytest.warns(UserWarning, match="300 axes and only 6 samples; recordings are"):
+            rj.encode(form)
+    with pytest.warns(UserWarning, match="300 axes"):
+        rj.Recordings.from_arrays([WRENCH[0].T])
+    with pytest.warns(UserWarning, match="300 axes"):
+        rj.NominalMonitor().fit(WRENCH.swapaxes(1, 2))
+    with pytest.warns(UserWarning, match="300 axes"):
+        rj.WrenchFeatures().fit(WRENCH.swapaxes(1, 2))
+    rj.encode([WRENCH[0], WRENCH[1, :3], WRENCH[2, :0]])  # the tests make an error of every warning
+    rj.encode(pd.DataFrame(WRENCH[0, :3], columns=NAMES))
+    rj.encode(xr.DataArray(WRENCH[0, :3].T, dims=("axis", "time")))
+    rj.Encoder(rj.EncoderConfig(), rj.preset()).push(WRENCH[0, :3])
+
+
+def test_numbers_are_no_names() -> None:
+    """As pandas numbers columns by itself: six of them are Fx to Mz, as those of an array."""
+    expected = rj.encode(WRENCH[0]).to_frame()
+    numbered = xr.DataArray(WRENCH[0], dims=("time", "axis"), coords={"axis": range(6)})
+    for form in (pd.DataFrame(WRENCH[0]), pd.DataFrame(WRENCH[0]).assign(time=np.arange(300) * 0.005), numbered):
+        assert rj.encode(form).to_frame().equals(expected)
+        assert rj.Recordings.from_arrays([form]).axes == tuple(NAMES)
+
+
+def test_columns_that_hold_no_numbers_are_named() -> None:
+    frame = pd.DataFrame(WRENCH[0], columns=NAMES).assign(note="x", day=DATES)
+    with pytest.raises(InputError, match="columns note, day hold no numbers; drop them"):
+        rj.encode(frame)
+    with pytest.raises(InputError, match="Dataset; expected an array"):
+        rj.Encoder(rj.EncoderConfig(), rj.preset()).push(xr.Dataset({"Fz": ("time", WRENCH[0, :, 2])}))
+
+
+def test_thresholds_are_equal_by_their_numbers() -> None:
+    assert rj.preset() == rj.preset()
+    assert rj.preset() != rj.preset("pa10")
+    assert rj.preset() != rj.preset().limits.tolist()
+    assert rj.preset("pa10") in [rj.preset(), rj.preset("pa10")]
+    fitted = FitLimits(rj.preset().limits, np.ones(6))
+    assert fitted == FitLimits(rj.preset().limits, np.ones(6)) != FitLimits(rj.preset().limits, np.full(6, 2.0))
+
+
+def test_none_of_the_rows_is_a_choice() -> None:
+    assert len(rj.encode(WRENCH).take([]).llb.label) == 0
+    assert len(rj.Recordings.example().take(3)) == 1
 
 
 def test_frame_has_a_row_per_word() -> None:

@@ -227,6 +227,15 @@ def test_a_fit_that_fails_changes_no_score() -> None:
     with pytest.raises(InputError, match="a single recording remains"):
         monitor.fit([one[:, :1] for one in pushes(3, 2)], groups=[0, 0, 1])
     np.testing.assert_array_equal(monitor.scores(new), before)
+    with pytest.raises(InputError, match="numbers of axes, 0 to"):
+        monitor.set_params(levels=(9,)).fit(pushes(6, 0))
+    np.testing.assert_array_equal(monitor.scores(new), before)
+
+
+def test_recordings_of_xarray_may_have_their_dimensions_in_any_order() -> None:
+    series = np.stack([one[:30] for one in pushes(6, 0)])
+    turned = xr.DataArray(series, dims=("trial", "time", "axis")).transpose("time", "axis", "trial")
+    np.testing.assert_array_equal(NominalMonitor().fit(turned).peaks_, NominalMonitor().fit(series).peaks_)
 
 
 def test_alarms_are_judged_by_the_onset() -> None:
@@ -254,7 +263,7 @@ def test_alarms_are_judged_by_the_onset() -> None:
         (NominalMonitor(), [np.zeros((5, 2)), np.zeros((5, 3)), np.zeros((5, 2))], "same axes"),
         (NominalMonitor(), [np.full((5, 2), np.nan)] * 3, "not finite"),
         (NominalMonitor(calibration="none"), pushes(3, 0), "cross, split"),
-        (NominalMonitor(neighbours=0), pushes(3, 0), "one neighbour"),
+        (NominalMonitor(neighbours=0), pushes(3, 0), "neighbours is 0"),
         (NominalMonitor(memory=0), pushes(3, 0), "memory is 0"),
         (NominalMonitor(score_rate=1e-300), pushes(3, 0), "score_rate is 1e-300"),
         (QuantileBand(share=2), pushes(3, 0), "share is 2"),

@@ -155,7 +155,7 @@ def test_thresholds_of_any_form(form):
         ({}, np.zeros((5, 6)), "pass a single recording"),
         ({}, [np.zeros((5, 6)), np.zeros((5, 3))], "same axes"),
         ({}, [np.zeros((0, 6))], "need samples"),
-        ({}, [], "pass a single recording"),
+        ({}, [], "no recording"),
         ({"layout": "aeon"}, np.zeros((1, 9, 6)), "layout is 'aeon'"),
         ({"thresholds": "c3po"}, np.zeros((1, 9, 6)), "no thresholds"),
         ({"thresholds": np.ones((3, 4))}, np.zeros((1, 9, 6)), r"expected \[6, 4\]"),
