@@ -22,6 +22,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.assemble import assemble
+from rcbht_jax.io.importing.blocks import read_blocks
 from rcbht_jax.io.importing.constants import constants_of, describe
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
@@ -32,6 +33,7 @@ from rcbht_jax.io.importing.record import Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.io.importing.ts import read_ts
 from rcbht_jax.types import Recordings
 
 Constants = dict[str, dict[str, float]]  # recording -> column -> value
@@ -147,7 +149,7 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
         return read_bag_tables(item.path, item.name or spelled(item.path.name), mapping.topic)
     readers = {
         "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
-        "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot,
+        "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
     }  # fmt: skip
     return readers[item.kind](item.path, item.name)
 
