@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments.external import change_points, kitting_more, method
+from experiments._lib import other_robots
+from experiments.external import change_points, failures, kitting_more, method
+from rcbht_jax.errors import InputError
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
@@ -70,6 +73,35 @@ def test_days_are_held_out_whole(runs: Recordings) -> None:
     splits = kitting_more.by_days(items)
     assert [set(items.session[test]) for _, test in splits] == [{"monday"}, {"tuesday"}]
     assert all(not set(items.session[train]) & set(items.session[test]) for train, test in splits)
+
+
+def test_every_set_of_robot_failures_in_the_folder_is_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one of a class with fewer items than there are folds, as LP3 is: 3 series lost of 47."""
+    rng = np.random.default_rng(0)
+    rows = ["instance,class,sample,t_ms,Fx,Fy,Fz,Tx,Ty,Tz"]
+    for instance in range(24):
+        name = "lost" if instance < 2 else ("ok", "moved")[instance % 2]
+        at = {"ok": 0, "moved": 20, "lost": 60}[name]
+        values = rng.integers(at, at + 9, (15, 6)).tolist()
+        rows += [f"{instance},{name},{k},{21 * k},{','.join(map(str, row))}" for k, row in enumerate(values)]
+    folder = tmp_path / failures.FOLDER
+    folder.mkdir()
+    (folder / "lp3.csv").write_text("\n".join(rows))
+    for module in (failures, other_robots):
+        monkeypatch.setattr(module, "EXTERNAL", tmp_path)
+    assert failures.sets() == ("lp3",)
+    experiment = failures.Experiment(1, 0)
+    y = experiment.data("lp3")[1].y
+    [folds] = failures.repeated_folds(y, 1, 0)
+    assert len(folds) == 5
+    assert np.sort(np.concatenate([test for _, test in folds])).tolist() == list(range(24))
+    assert min(np.bincount(y[train], minlength=3).min() for train, _ in folds) == 1  # the SVM needs two of a class
+    makers = experiment.makers()
+    for title in ("words + wrench", "words: SVM", "tuned in the folds"):
+        assert experiment.row("lp3", makers[title])["accuracy"]["mean"] > 0.85
+    (folder / "lp3.csv").unlink()
+    with pytest.raises(InputError, match="holds no set such as lp1"):
+        failures.sets()
 
 
 def test_a_class_with_one_item_is_not_learned() -> None:

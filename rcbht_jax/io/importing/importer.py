@@ -29,7 +29,7 @@ from rcbht_jax.io.importing.find import Item, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Record, Row, bounded, records
+from rcbht_jax.io.importing.record import Lacks, Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
@@ -83,7 +83,7 @@ def read_source(
             )
         return _exported(source, items[0])
     report = ImportReport()
-    if others:
+    if others := [name for name in others if name not in marks.described_by(base, items)]:
         listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
         were = plural(len(others), "other file was", "other files were")
         report.remarks.append(f"{were} not read: {listed}.")
@@ -177,6 +177,7 @@ def _read(
     tables = {base.table, *(track.file for track in base.annotations)} - {""}
     files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
     rows = marks.rows_of(source, base, files, report.warnings, listing)
+    lacks = Lacks(base)
     for item in progress(items):
         if item.name in tables:
             continue
@@ -194,10 +195,12 @@ def _read(
                         if not base.channels and not meaning[0].group:
                             unused = (row.column for row in meaning[1] if row.role == "left out")
                             constants[record.name] = constants_of(table, unused)
+                    lacks.add(table)
                 except InputError as error:  # the other tables of the file may be usable
                     report.skipped.append((table.name, _reason(error, source)))
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
+    report.warnings += lacks.warnings()
     return found, used, beside, constants
 
 
