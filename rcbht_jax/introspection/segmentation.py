@@ -19,6 +19,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.printable import plural
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
@@ -97,7 +98,8 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             raise InputError("The labels in y have other lengths than the recordings; expected a class per sample.")
         classes = np.setdiff1d(np.concatenate(y), [UNKNOWN])
         if len(classes) < 2:
-            raise InputError(f"There are {len(classes)} classes in {len(y)} recordings; two are needed.")
+            count = plural(len(classes), "class", "classes")
+            raise InputError(f"The labels of {plural(len(y), 'recording')} have {count}; two are needed.")
         fitted = clone(self)._fitted(recordings, y, classes)  # a fit that fails leaves what was fitted before
         self.__dict__.update(vars(fitted))
         return self
@@ -303,7 +305,9 @@ class Segmentation:
         y = np.concatenate(self.truth)
         count, groups = self.protocol.folds_of(self.recordings.column(self.protocol.group)[self.annotated])
         folds = f"{count} folds" if count < groups else "one group held out at a time"
-        how = "trained on one recording at a time, tested on all others" if self.protocol.one_shot else folds
+        dull = int((self.annotated & ~_teaching(self.truth)).sum())
+        besides = f", but not on {dull} of a single class," if dull else ","
+        how = f"trained on one recording at a time{besides} tested on all others" if self.protocol.one_shot else folds
         return {
             "track": self.protocol.track,
             "classes": list(self.classes),
@@ -349,7 +353,12 @@ def segment(
         raise InputError(f"Only one {protocol.group} is annotated with {track}; another one is needed to test on.")
     predicted: list[NDArray[np.int64]] = [np.zeros(0, np.int64)] * len(truth)
     pairs: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+    teaching = _teaching(truth)
+    if protocol.one_shot and not teaching.any():
+        raise InputError(f"No recording has two classes of {track}, so none can be trained on alone.")
     for train, test in _splits(np.flatnonzero(known), groups, protocol):
+        if protocol.one_shot and not teaching[train].any():
+            continue
         model = clone(segmenter).fit(recordings.take(train), [truth[row] for row in train])
         for row, part in zip(test.tolist(), model.predict(recordings.take(test)), strict=True):
             predicted[row] = part
@@ -366,6 +375,11 @@ def segment(
     score = segmentation_score([true for true, _ in pairs], [guess for _, guess in pairs], recordings.dt)
     used = replace(protocol, track=track)
     return Segmentation(recordings, used, recordings.annotations.labels[track], predicted, truth, score, whole)
+
+
+def _teaching(truth: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
+    """Recordings with two classes or more."""
+    return np.array([len(np.setdiff1d(part, [UNKNOWN])) > 1 for part in truth])
 
 
 def _splits(rows: NDArray[np.int64], groups: NDArray[Any], protocol: Protocol) -> Iterator[tuple[Any, Any]]:

@@ -29,17 +29,16 @@ def learnable(
         >>> recordings = Recordings.from_arrays(np.zeros((5, 400, 6)), part=names)
         >>> items, kept = learnable(labelled_intervals(recordings, TaskSpec("part")))
         >>> items.classes, items.y.tolist(), items.dropped
-        (('clip', 'peg'), [1, 1, 0, 0], {'class plug: in one trial only': 1})
+        (('clip', 'peg'), [1, 1, 0, 0], {'class in one trial only: plug': 1})
     """
     groups = items.trial if groups is None else groups
     counts = np.array([len(np.unique(groups[items.y == code])) for code in range(len(items.classes))])
     if (counts > 1).all() or (counts > 1).sum() < 2:
         return items, np.ones(len(items.y), bool)
     kept = (counts > 1)[items.y]
-    dropped = dict(items.dropped)
-    for code in np.flatnonzero(counts < 2).tolist():
-        reason = f"class {items.classes[code]}: in one {group} only"
-        dropped[reason] = len(np.unique(items.trial[items.y == code]))
+    few = [items.classes[code] for code in np.flatnonzero(counts < 2)]
+    reason = f"class in one {group} only: {', '.join(few[:5])}" + (", ..." if len(few) > 5 else "")
+    dropped = {**items.dropped, reason: len(np.unique(items.trial[~kept]))}
     chosen = LabelledIntervals(
         tuple(name for name, count in zip(items.classes, counts.tolist(), strict=True) if count > 1),
         (np.cumsum(counts > 1) - 1)[items.y[kept]],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 from experiments._lib import other_robots
-from experiments.external import change_points, failures, kitting_more, method
+from experiments._lib.results_io import not_finite
+from experiments.external import change_points, failures, kitting, kitting_more, method
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
@@ -102,6 +104,31 @@ def test_every_set_of_robot_failures_in_the_folder_is_scored(tmp_path: Path, mon
     (folder / "lp3.csv").unlink()
     with pytest.raises(InputError, match="holds no set such as lp1"):
         failures.sets()
+
+
+def test_other_skills_of_kitting_are_measured() -> None:
+    """Skills and days are those of the data; one of a single day is left out, and one may have no anomaly."""
+    rng = np.random.default_rng(0)
+    days = np.array(["may", "june"] * 8 + ["may"] * 4)
+    bad = np.arange(20) % 8 == 7
+    series = [rng.normal(size=(40, 2)) + 9 * (np.arange(40) > 20)[:, None] * late for late in bad]
+    recordings = Recordings.from_arrays(
+        series, 20, axes=["force", "torque"], session=days, outcome=np.where(bad, "failure", "success"),
+        skill=["8"] * 8 + ["9"] * 8 + ["6"] * 4, anomaly=np.where(bad, "bump", ""),
+        anomaly_rel=np.where(bad, "1.0", ""),
+    )  # fmt: skip
+    assert kitting.skills(recordings) == ("8", "9")
+    executions = {skill: kitting.of_skill(recordings, skill) for skill in ("8", "9")}
+    executions["9"] = replace(executions["9"], nominal=np.ones(8, bool))
+    band = kitting.QuantileBand(rate=20, score_rate=5, memory=0.2)
+    found = kitting.measure(band, executions, [0, 1], rng)
+    assert found["skills"]["8"]["auroc"] == 1.0
+    assert found["skills"]["9"]["auroc"] is found["skills"]["9"]["auroc_interval"] is None
+    assert not_finite(found) == ""
+    assert found["thresholds"] == {}  # it takes 19 nominal executions
+    assert found["false_alarms"] is None
+    with pytest.raises(InputError, match="No skill has 3 nominal executions besides those of one day"):
+        kitting.skills(recordings.take(np.arange(16, 20)))
 
 
 def test_a_class_with_one_item_is_not_learned() -> None:

@@ -142,15 +142,11 @@ def described_by(mapping: Mapping, items: Iterable[Item]) -> set[str]:
     True
     """
     patterns = {one for track in mapping.annotations for one in (track.file, track.ends, track.ids)}
-    paths = [PurePosixPath(item.name) for item in items]
-    named = {
-        str(path.with_name(one.replace("{stem}", path.stem)))
-        for one in patterns
-        if "{stem}" in one
-        for path in paths
-        if path.name
+    paths = [PurePosixPath(item.name) for item in items if item.name]
+    own = {
+        str(path.with_name(one.replace("{stem}", path.stem))) for one in patterns if "{stem}" in one for path in paths
     }
-    return named | patterns | {mapping.table}
+    return {one for one in (*own, *patterns, mapping.table) if one and "{stem}" not in one}
 
 
 def track_intervals(
