@@ -27,7 +27,8 @@ from experiments._lib.other_robots import of_other_robot
 from experiments.external import change_points
 from experiments.external.change_points import DETECTORS, ORACLE
 from rcbht_jax.features.trailing import trailing_statistics, with_norms
-from rcbht_jax.introspection.segmentation import Protocol, Segmentation, WrenchSegmenter, segment
+from rcbht_jax.introspection.segmentation import Protocol, Segmentation, segment
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.learning.segment_metrics import segmentation_interval, segmentation_score
 from rcbht_jax.types import Recordings
 

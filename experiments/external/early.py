@@ -28,7 +28,7 @@ from experiments._lib import early
 from experiments._lib.benchmarks import FOLDS, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments.external import failures, method
-from rcbht_jax.learning import metrics, validation
+from rcbht_jax.learning import metrics
 
 PREFIXES = (2, 3, 4, 5, 6, 8, 10, 12, 15)  # samples
 LENGTH = PREFIXES[-1]
@@ -51,7 +51,7 @@ class Fold:
         self.train, self.test, self.seed = train, test, seed
         self.y_train, self.y_test = y[train], y[test]
         self.delay = np.array(PREFIXES) / LENGTH
-        inner = list(StratifiedKFold(INNER_FOLDS, shuffle=True, random_state=seed).split(train, y[train]))
+        inner = failures.folds_of(StratifiedKFold(INNER_FOLDS, shuffle=True, random_state=seed), y[train])
         seen, held_out = [], np.zeros((len(PREFIXES), len(train), int(y.max()) + 1))
         for at, samples in enumerate(PREFIXES):
             believe = partial(experiment.believe, name, samples)
@@ -76,7 +76,7 @@ class Experiment:
     def splits(self, name: str) -> Iterator[tuple[Ints, Ints, int]]:
         """Training and test rows of every fold, and its seed, as in experiments.external.failures."""
         y = self.source.data(name)[1].y
-        for repeat, folds in enumerate(validation.repeated_folds(y, np.arange(len(y)), FOLDS, self.repeats, self.seed)):
+        for repeat, folds in enumerate(failures.repeated_folds(y, self.repeats, self.seed)):
             for number, (train, test) in enumerate(folds):
                 yield train, test, 1000 * (self.seed + repeat) + number
 
@@ -151,7 +151,7 @@ RULES: dict[str, Rule] = {
 
 
 def main(repeats: int = 2, seed: int = 0, only: Only = ALL_ROWS) -> None:
-    """Score every prefix and every rule on three sets."""
+    """Score every prefix and every rule on every set of the folder."""
     experiment = Experiment(repeats, seed)
     about = {
         "folds": FOLDS, "repeats": repeats, "method": method.ABOUT, "prefixes": list(PREFIXES),
@@ -162,12 +162,12 @@ def main(repeats: int = 2, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "external_early", f"python -m experiments.external.early --repeats {repeats} --seed {seed}", about, seed
     )
     wanted: dict[str, Callable[[], Any]] = {}
-    for name in failures.SETS:
+    for name in failures.sets():
         for at, samples in enumerate(PREFIXES):
             wanted[f"{name} | first {samples} samples"] = partial(experiment.prefix, name, at)
         for title, make in RULES.items():
             wanted[f"{name} | {title}"] = partial(experiment.rule, name, make)
-    wanted |= {f"{name} | TEASER": partial(experiment.teaser, name) for name in failures.SETS}
+    wanted |= {f"{name} | TEASER": partial(experiment.teaser, name) for name in failures.sets()}
     rows.fill(wanted, only)
 
 

@@ -1,7 +1,7 @@
 """Robot execution failures (UCI; Seabra Lopes and Camarinha-Matos 1999): the one method, its parts, and peers.
 
 Series of 15 samples from the detection of a failure; stratified folds, repeated. Copies in the data are kept, as other
-publications have them: LP2 and LP4 hold one pair each.
+publications have them: LP2 and LP4 hold one pair each. Every set that lies in the folder is scored.
 
 Run: python -m experiments.external.failures --repeats 4 --seed 0
 Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL; the rows of MiniRocket,
@@ -10,6 +10,7 @@ MultiRocketHydra and QUANT need the library aeon (see make peers).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -17,21 +18,46 @@ from typing import Any
 
 import numpy as np
 import tyro
-from sklearn.model_selection import StratifiedKFold
+from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
 from sklearn.naive_bayes import GaussianNB
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, rounded, segments
+from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.other_robots import of_other_robot
 from experiments.external import method
+from rcbht_jax.errors import InputError
 from rcbht_jax.features.recipes import LEVELS
 from rcbht_jax.learning import validation
+from rcbht_jax.learning.svm import Split, grouped_folds
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
-SETS = ("lp1", "lp2", "lp4")
+FOLDER = "robot_execution_failures"
 MEMBERS = ("words", "wrench")
+
+
+def sets() -> tuple[str, ...]:
+    """The sets in the folder of recordings: lp1, lp2, ..."""
+    found = tuple(sorted(path.stem for path in (EXTERNAL / FOLDER).glob("*.csv")))
+    if not found:
+        raise InputError(f"{EXTERNAL / FOLDER} holds no set such as lp1.csv.")
+    return found
+
+
+def folds_of(splitter: Any, y: method.Rows) -> list[Split]:
+    """Training and test rows of each fold; a class with fewer items than folds is not tested in some of them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of classes with few items, and of groups that are not used
+        return grouped_folds(y, np.arange(len(y)), splitter, 0)
+
+
+def repeated_folds(y: method.Rows, repeats: int, seed: int) -> list[list[Split]]:
+    """Stratified folds ``[repeat][fold]``."""
+    seeds = range(seed, seed + repeats)
+    return [folds_of(StratifiedGroupKFold(FOLDS, shuffle=True, random_state=one), y) for one in seeds]
+
 
 Make = Callable[[str], validation.Estimator]
 
@@ -45,8 +71,7 @@ class Experiment:
     @cache  # noqa: B019 (one object lives as long as the program)
     def data(self, name: str, samples: int = 15) -> tuple[Recordings, LabelledIntervals]:
         """A set, or the first samples of its series."""
-        file = f"robot_execution_failures/{name}.csv"
-        recordings = of_other_robot(file, "robot_execution_failures", keep_copies=True)
+        recordings = of_other_robot(f"{FOLDER}/{name}.csv", "robot_execution_failures", keep_copies=True)
         cut = np.minimum(recordings.length, samples)
         recordings = replace(recordings, wrench=recordings.wrench[:, :samples], length=cut)
         return recordings, labelled_intervals(recordings, TaskSpec("class", outcomes=()))
@@ -65,8 +90,8 @@ class Experiment:
 
         def predict(train: Any, test: Any, seed: int) -> Any:
             rows = (items.y, train, test, seed)
-            total = method.svm(words, *rows) + method.svm(wrench, *rows) + method.trees(wrench, *rows)
-            return total.argmax(1), {}
+            members = ((method.svm, words), (method.svm, wrench), (method.trees, wrench))
+            return sum(method.of_known(make, x, *rows) for make, x in members).argmax(1), {}
 
         return predict
 
@@ -74,13 +99,13 @@ class Experiment:
         """The vote or one of its members, by three folds of the training rows."""
         y, x = self.data(name)[1].y, self.described(name)
         ways: dict[str, Callable[..., Any]] = {
-            "words": lambda *rows: method.svm(x["words"], y, *rows),
-            "wrench": lambda *rows: method.trees(x["wrench"], y, *rows),
+            "words": lambda *rows: method.of_known(method.svm, x["words"], y, *rows),
+            "wrench": lambda *rows: method.of_known(method.trees, x["wrench"], y, *rows),
         }
         ways["both"] = lambda *rows: ways["words"](*rows) + ways["wrench"](*rows)
 
         def predict(train: Any, test: Any, seed: int) -> Any:
-            folds = list(StratifiedKFold(3, shuffle=True, random_state=seed).split(train, y[train]))
+            folds = folds_of(StratifiedKFold(3, shuffle=True, random_state=seed), y[train])
             right = {
                 way: sum((make(train[a], train[b], seed).argmax(1) == y[train[b]]).sum() for a, b in folds)
                 for way, make in ways.items()
@@ -93,7 +118,7 @@ class Experiment:
     def member(self, name: str, member: str) -> validation.Estimator:
         x, y = self.described(name)[member], self.data(name)[1].y
         make = method.svm if member == "words" else method.trees
-        return lambda train, test, seed: (make(x, y, train, test, seed).argmax(1), {})
+        return lambda train, test, seed: (method.of_known(make, x, y, train, test, seed).argmax(1), {})
 
     def peer(self, kind: str, name: str) -> validation.Estimator:
         """A classifier of aeon on the series themselves."""
@@ -122,13 +147,13 @@ class Experiment:
 
     def row(self, name: str, make: Make) -> Any:
         y = self.data(name)[1].y
-        splits = validation.repeated_folds(y, np.arange(len(y)), FOLDS, self.repeats, self.seed)
+        splits = repeated_folds(y, self.repeats, self.seed)
         scores = validation.cross_validate(make(name), y, splits, self.seed)
         return rounded(scores.summary()) | {"repeats": self.repeats}
 
 
 def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:
-    """Score the method, its members and peers on three sets."""
+    """Score the method, its members and peers on every set of the folder."""
     experiment = Experiment(repeats, seed)
     about = {"folds": FOLDS, "repeats": repeats, "method": method.ABOUT}
     command = f"python -m experiments.external.failures --repeats {repeats} --seed {seed}"
@@ -136,7 +161,7 @@ def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:
     wanted = {
         f"{name} | {title}": partial(experiment.row, name, make)
         for title, make in experiment.makers().items()
-        for name in SETS
+        for name in sets()
     }
     rows.fill(wanted, only)
 

@@ -36,9 +36,10 @@ from rcbht_jax import labels
 from rcbht_jax._util.cells import number_of
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.arrays import encode
-from rcbht_jax.introspection.alarms import conformal_threshold
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.alarms import conformal_threshold, trials_needed
 from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
-from rcbht_jax.introspection.nominal_evaluation import Watched, auroc, hold_out, judge
+from rcbht_jax.introspection.nominal_evaluation import FEWEST, Watched, auroc, hold_out, judge
 from rcbht_jax.introspection.nominal_peers import IsolationForestMonitor, QuantileBand
 from rcbht_jax.types import Recordings
 
@@ -48,7 +49,6 @@ SETS = {
     "contact": ("force", "torque", "left", "right"),
     "force and torque": ("force", "torque"),
 }
-SKILLS = ("3", "4", "5", "7")
 CHANGES, NEAREST = "nearest nominal, changes", "nearest nominal"
 AFTER_LOOKING = (
     "Look 1: the design of the row contact, nearest nominal, as fixed before (skill 5 .787, skill 7 .966). "
@@ -82,6 +82,18 @@ def read_executions() -> Recordings:
     return of_other_robot("kitting", "kitting", KITTING)
 
 
+def skills(recordings: Recordings) -> tuple[str, ...]:
+    """The skills of which a day can be held out, with enough nominal executions on the others."""
+    found = []
+    for skill in np.unique(recordings.columns["skill"]).tolist():
+        one = of_skill(recordings, skill)
+        if max((one.nominal & (one.day != day)).sum() for day in np.unique(one.day)) >= FEWEST:
+            found.append(skill)
+    if not found:
+        raise InputError(f"No skill has {FEWEST} nominal executions besides those of one day.")
+    return tuple(found)
+
+
 def of_skill(recordings: Recordings, skill: str) -> Executions:
     rows = np.flatnonzero(recordings.columns["skill"].astype(str) == skill)
     onset = [number_of(value) for value in recordings.columns["anomaly_rel"][rows]]
@@ -110,16 +122,22 @@ def methods(rate: float, channels: str) -> dict[str, Monitor]:
 
 
 def thresholds(watched: dict[str, Watched]) -> dict[str, float]:
-    """By day, from the peaks of the nominal executions of all skills on the other days."""
+    """By day, from the peaks of the nominal executions of all skills on the other days, if these are enough."""
     days = sorted({day for one in watched.values() for day in one.calibration})
-    pooled = {day: [one.calibration[day] for one in watched.values() if day in one.calibration] for day in days}
-    return {day: conformal_threshold(np.concatenate(peaks), ALPHA) for day, peaks in pooled.items()}
+    every = {
+        day: np.concatenate([one.calibration[day] for one in watched.values() if day in one.calibration])
+        for day in days
+    }
+    enough = {day: peaks for day, peaks in every.items() if len(peaks) >= trials_needed(ALPHA)}
+    return {day: conformal_threshold(peaks, ALPHA) for day, peaks in enough.items()}
 
 
-def interval(one: Watched, rng: np.random.Generator) -> list[float]:
-    """95 % interval of the AUROC: executions drawn with replacement, nominal and anomalous ones apart."""
+def interval(one: Watched, rng: np.random.Generator) -> list[float] | None:
+    """95 % interval of the AUROC, both kinds drawn with replacement; None = one kind is missing."""
     peak, draws = one.peaks(), []
     kinds = [np.flatnonzero(one.seen & one.nominal), np.flatnonzero(one.seen & ~one.nominal)]
+    if not all(map(len, kinds)):
+        return None
     for _ in range(BOOTSTRAP):
         rows = np.concatenate([rng.choice(kind, len(kind)) for kind in kinds])
         draws.append(auroc(one.nominal[rows], peak[rows]))
@@ -160,11 +178,12 @@ def measure(
         for skill, one in watched.items()
     }
     calm = np.array([row["false_alarms_of"] for row in skills.values()]).sum(0)
-    return {"skills": skills, "false_alarms": float(calm[0] / calm[1]), "thresholds": limits}
+    return {"skills": skills, "false_alarms": float(calm[0] / calm[1]) if calm[1] else None, "thresholds": limits}
 
 
-def main(seed: int = 0, skill: tuple[str, ...] = SKILLS, show: bool = True) -> None:
+def main(seed: int = 0, skill: tuple[str, ...] = (), show: bool = True) -> None:
     recordings = read_executions()
+    skill = skill or skills(recordings)
     executions = {name: of_skill(recordings, name) for name in skill}
     rng, rows = np.random.default_rng(seed), {}
     sets = {name: [CHANNELS.index(channel) for channel in channels] for name, channels in SETS.items()}

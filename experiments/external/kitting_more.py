@@ -54,7 +54,7 @@ class Experiment:
         return kitting.read_executions()
 
     def band(self) -> dict[str, Any]:
-        executions = {skill: kitting.of_skill(self.recordings(), skill) for skill in kitting.SKILLS}
+        executions = {skill: kitting.of_skill(self.recordings(), skill) for skill in kitting.skills(self.recordings())}
         columns = [kitting.CHANNELS.index(channel) for channel in kitting.SETS["contact"]]
         band = GaussianProcessBand(
             rate=1 / self.recordings().dt, score_rate=kitting.SCORE_RATE, memory=1 / kitting.SCORE_RATE,

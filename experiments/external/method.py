@@ -8,6 +8,7 @@ scored on recordings of other laboratories.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,7 @@ ABOUT = {
 
 Matrix = Float[np.ndarray, "item feature"]
 Rows = Int[np.ndarray, " row"]
+Member = Callable[[Matrix, Rows, Rows, Rows, int], Matrix]  # svm or trees
 
 
 def describe(
@@ -87,23 +89,27 @@ def svm(x: Matrix, y: Rows, train: Rows, test: Rows, seed: int) -> Matrix:
     return machine.probability(x[test])
 
 
-def believe(words: Matrix, wrench: Matrix, y: Rows, train: Rows, test: Rows, seed: int) -> Matrix:
-    """Probabilities of the vote ``[test item, class]``; a class with a single item in ``train`` is not learned."""
+def of_known(make: Member, x: Matrix, y: Rows, train: Rows, test: Rows, seed: int) -> Matrix:
+    """Probabilities of a member ``[test item, class]``; a class with a single item in ``train`` is not learned."""
     kept = train[np.bincount(y[train])[y[train]] > 1]
     known, code = np.unique(y[kept], return_inverse=True)
     local = np.zeros_like(y)
     local[kept] = code
-    rows = (local, kept, test, seed)
     out = np.zeros((len(test), int(y.max()) + 1))
-    out[:, known] = (svm(words, *rows) + trees(wrench, *rows)) / 2
+    out[:, known] = make(x, local, kept, test, seed)
     return out
+
+
+def believe(words: Matrix, wrench: Matrix, y: Rows, train: Rows, test: Rows, seed: int) -> Matrix:
+    """Probabilities of the vote ``[test item, class]``; a class with a single item in ``train`` is not learned."""
+    rows = (y, train, test, seed)
+    return (of_known(svm, words, *rows) + of_known(trees, wrench, *rows)) / 2
 
 
 def vote(words: Matrix, wrench: Matrix, y: Rows) -> Any:
     """The method as an estimator of :mod:`rcbht_jax.learning.validation`."""
 
     def predict(train: Rows, test: Rows, seed: int) -> tuple[Rows, dict[str, Any]]:
-        total = svm(words, y, train, test, seed) + trees(wrench, y, train, test, seed)
-        return total.argmax(1), {}
+        return believe(words, wrench, y, train, test, seed).argmax(1), {}
 
     return predict

@@ -12,6 +12,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import mcap": ("rcbht_jax.cli.importing:ImportMcap", "read MCAP files into a store"),
     "import bag": ("rcbht_jax.cli.importing:ImportBag", "read bags of ROS 1 and ROS 2 into a store"),
     "import lerobot": ("rcbht_jax.cli.importing:ImportLerobot", "read LeRobot data sets into a store"),
+    "import ts": ("rcbht_jax.cli.importing:ImportTs", "read .ts files of aeon and sktime into a store"),
+    "import uci": ("rcbht_jax.cli.importing:ImportUci", "read files of UCI Robot Execution Failures into a store"),
     "info": ("rcbht_jax.cli.store:Info", "summarise and verify a store"),
     "join": ("rcbht_jax.cli.store:Join", "join several stores into one"),
     "encode": ("rcbht_jax.cli.encode:Encode", "encode every recording of a store as labels"),

@@ -127,22 +127,23 @@ class Evaluate(_Learning):
     """Sessions to train on, in place of cross-validation; needs --test-on."""
     test_on: Annotated[tuple[str, ...], unset()] = ()
     """Sessions to test on."""
-    folds: int = 5
-    """Folds of the cross-validation."""
+    folds: Annotated[
+        int | None, option("Folds of the cross-validation.", "5, or the trials of the rarest class if they are fewer")
+    ] = None
     repeats: int = 10
     """Repetitions of the cross-validation, each with other folds."""
     group: Annotated[str, option("Column whose groups no fold splits, for example operator or session.")] = "trial"
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
-        from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
+        from rcbht_jax.learning.evaluation import FOLDS, EvaluationProtocol, evaluate
 
         grammars, how = self.read_tracks()
         protocol = EvaluationProtocol(
             self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on, self.group
         )
         families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-        folds = 1 if self.train_on else self.folds * self.repeats
+        folds = 1 if self.train_on else (self.folds or FOLDS) * self.repeats
         recordings, facts = table_and_facts(self.store)
         with progress_bar("evaluate", "folds", folds) as bar:
             result = evaluate(recordings, grammars, self.spec, families, protocol, how, bar.update, facts=facts)

@@ -68,7 +68,8 @@ class Segment(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
         from rcbht_jax.encoding.rules import AUTO
-        from rcbht_jax.introspection.segmentation import Protocol, WrenchSegmenter, segment
+        from rcbht_jax.introspection.segmentation import Protocol, segment
+        from rcbht_jax.introspection.segmenter import WrenchSegmenter
         from rcbht_jax.introspection.segmenter_file import SegmenterFile, save
         from rcbht_jax.io.store import read_recordings
 

@@ -191,13 +191,19 @@ def _group(group: list[Any], dt: float) -> dict[str, Any]:
 def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, Any]:
     """Intervals of each class, and sentences about confounds and what is left out."""
     from rcbht_jax.learning.confounds import confounds
+    from rcbht_jax.learning.rare_classes import learnable
     from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 
     arm = max(recordings.arm.tolist())  # R before L
     try:
-        items = labelled_intervals(recordings, TaskSpec(name, arms=arm))
+        items, _ = learnable(labelled_intervals(recordings, TaskSpec(name, arms=arm)))
     except InputError as error:
         return {"classes": {}, "sentences": [str(error)]}
+    trials = [len(np.unique(items.trial[items.y == code])) for code in range(len(items.classes))]
+    if min(trials) < 2:
+        several = sum(count > 1 for count in trials)
+        text = f"{several} of its {len(trials)} classes are in two trials or more; two such classes are needed."
+        return {"classes": {}, "sentences": [text]}
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
     left = [f"{count} left out: {reason}." for reason, count in items.dropped.items()]
     if len(set(recordings.arm.tolist())) > 1:

@@ -96,6 +96,7 @@ class TrainOnline(RuleCommand):
         from rcbht_jax.introspection.training import HeadSpec, train_model
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.learning.confounds import confounds
+        from rcbht_jax.learning.rare_classes import learnable
         from rcbht_jax.learning.tasks import TaskSpec, chosen_recordings, labelled_intervals, track_of
         from rcbht_jax.learning.wrench_facts import WrenchFacts
 
@@ -130,7 +131,7 @@ class TrainOnline(RuleCommand):
             model = train_model(recordings, specs, config, limits, self.seed, progress)
         save(self.out, model)
         facts = WrenchFacts.of(recordings)
-        items = [labelled_intervals(recordings, spec.task) for spec in specs]
+        items = [learnable(labelled_intervals(recordings, spec.task))[0] for spec in specs]
         heads = {
             head.name: {
                 "classes": list(head.classes),

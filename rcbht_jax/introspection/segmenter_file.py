@@ -46,7 +46,7 @@ class SegmenterFile:
         """What a stream needs of a fitted segmenter.
 
         Args:
-            segmenter: a fitted, causal :class:`rcbht_jax.introspection.segmentation.WrenchSegmenter`.
+            segmenter: a fitted, causal :class:`rcbht_jax.introspection.segmenter.WrenchSegmenter`.
             track: of the annotations that it learned.
             labels: of the track, by code.
 

@@ -35,7 +35,7 @@ class SegmenterHead:
 class SegmenterStream:
     """Beliefs of a segmenter over a stream; chunks of any size give the same events.
 
-    They equal :meth:`rcbht_jax.introspection.segmentation.WrenchSegmenter.predict_proba`, but for words that a
+    They equal :meth:`rcbht_jax.introspection.segmenter.WrenchSegmenter.predict_proba`, but for words that a
     recording publishes only because it ends. :meth:`reset` begins the next recording.
 
     Args:
@@ -47,7 +47,7 @@ class SegmenterStream:
 
     Example:
         >>> from rcbht_jax import Recordings
-        >>> from rcbht_jax.introspection.segmentation import WrenchSegmenter
+        >>> from rcbht_jax.introspection.segmenter import WrenchSegmenter
         >>> force = np.random.default_rng(0).normal(size=(4, 200, 1)) * 0.1
         >>> force[:, 100:] += 5
         >>> recordings = Recordings.from_arrays(force, rate=40, axes=["grip"], units=["N"])

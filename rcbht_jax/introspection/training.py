@@ -23,6 +23,7 @@ from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
 from rcbht_jax.labels import AXES
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.progress import ProgressCalibration
+from rcbht_jax.learning.rare_classes import learnable
 from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import FAILURE, LabelledIntervals, TaskSpec, labelled_intervals, track_of
 from rcbht_jax.types import Recordings
@@ -201,9 +202,9 @@ def train_head(
     ``progress`` is called with the number of snapshots since the last call and the total.
 
     Raises:
-        InputError: fewer than two classes, a class with a single trial, or too few nominal trials for ``false_alarms``.
+        InputError: fewer than two classes in two trials or more, or too few nominal trials for ``false_alarms``.
     """
-    items = labelled_intervals(recordings, spec.task)
+    items, _ = learnable(labelled_intervals(recordings, spec.task))
     spec = replace(spec, subtask=bool(track_of(recordings, spec.task)))
     snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
     snapshots = since_trial_start(snapshots) if spec.phase else snapshots

@@ -18,7 +18,8 @@ from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.model_io import TrainedModel
-from rcbht_jax.learning.svm import Grid, Split, Weight, fit, grouped_folds, select
+from rcbht_jax.learning.rare_classes import learnable
+from rcbht_jax.learning.svm import Grid, Split, Weight, fewest_groups, fit, grouped_folds, select
 from rcbht_jax.learning.tasks import (
     LabelledIntervals,
     TaskSpec,
@@ -30,6 +31,8 @@ from rcbht_jax.learning.tasks import (
 from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import LabelTracks, Recordings
 
+FOLDS = 5
+
 
 @dataclass(frozen=True)
 class EvaluationProtocol:
@@ -40,7 +43,7 @@ class EvaluationProtocol:
             another type.
     """
 
-    folds: int = 5
+    folds: int | None = None  # None = 5, or the number of trials (groups) of the rarest class, if it is smaller
     repeats: int = 10
     seed: int = 0
     grid: Grid = field(default_factory=Grid)
@@ -59,6 +62,10 @@ class EvaluationProtocol:
             raise InputError(f"folds are grouped by {self.group}, but sessions are trained and tested on; give one.")
         if self.repeats < 1:
             raise InputError(f"{self.repeats} repeats were asked for; at least one is needed.")
+
+    def folds_for(self, y: NDArray[np.int64], groups: NDArray[Any]) -> int:
+        """The number of folds for items of these classes and groups."""
+        return min(FOLDS, fewest_groups(y, groups)) if self.folds is None else self.folds
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,9 @@ def evaluate(
 ) -> EvaluationResult:
     """Score a nested SVM on the features of labels.
 
+    A class that occurs in one trial (group) only cannot be cross-validated: it is left out, and counted, if two others
+    remain.
+
     Args:
         recordings: the data set.
         tracks: its labels, arrays ``[recording, axis, slot]``, or candidates by name; inner folds choose one.
@@ -154,6 +164,9 @@ def evaluate(
     items = labelled_intervals(recordings, task)
     column, rows = protocol.group, items.intervals[0].recording
     groups = items.trial if column == "trial" else recordings.column(column)[rows]
+    if not protocol.train_on and splitter is None:
+        items, kept = learnable(items, groups, column)
+        groups = groups[kept]
     described = candidates(tracks, items, features, len(recordings))
     specs = {"": features} if isinstance(features, FeatureSpec) else features
     facts = facts or WrenchFacts.of(recordings)
@@ -197,7 +210,9 @@ def score(
         scored = _in_folds(items, estimators, protocol, groups, splitter)
     return EvaluationResult(
         task=task,
-        protocol=asdict(protocol) | ({} if splitter is None else {"splitter": repr(splitter)}),
+        protocol=asdict(protocol)
+        | {"folds": protocol.folds_for(items.y, groups)}
+        | ({} if splitter is None else {"splitter": repr(splitter)}),
         classes=items.classes,
         items=dict(
             zip(items.classes, np.bincount(items.y[scored.used], minlength=len(items.classes)).tolist(), strict=True)
@@ -260,7 +275,9 @@ def _in_folds(
 ) -> _Scored:
     """Repeated folds, or those of scikit-learn's splitter."""
     folds = (
-        validation.repeated_folds(items.y, groups, protocol.folds, protocol.repeats, protocol.seed, protocol.group)
+        validation.repeated_folds(
+            items.y, groups, protocol.folds_for(items.y, groups), protocol.repeats, protocol.seed, protocol.group
+        )
         if splitter is None
         else [grouped_folds(items.y, groups, splitter, protocol.seed)]
     )
@@ -315,6 +332,8 @@ def train(
 ) -> TrainedModel:
     """Fit on all intervals of a task, with hyper-parameters selected by grouped cross-validation on these intervals.
 
+    A class that occurs in one trial only is left out, and counted, if two others remain.
+
     Args:
         recordings: the data set.
         tracks: its labels, or candidates by name, of which one is selected as well.
@@ -328,7 +347,7 @@ def train(
         facts: facts about the wrenches, if the recordings have no samples.
 
     Raises:
-        InputError: fewer than two classes, a class with a single trial, or labels of more or fewer recordings.
+        InputError: fewer than two classes in two trials or more, or labels of more or fewer recordings.
 
     Example:
         >>> import rcbht_jax as rj
@@ -338,7 +357,7 @@ def train(
         >>> train(recordings, tracks, rj.TaskSpec("outcome"), FeatureSpec(("histogram",)), grid).svm.classes
         ('failure', 'success')
     """
-    items = labelled_intervals(recordings, task)
+    items, _ = learnable(labelled_intervals(recordings, task))
     facts = facts or WrenchFacts.of(recordings)
     described = candidates(tracks, items, features, len(recordings))
     matrices = {name: part.values for name, (part, _) in described.items()}

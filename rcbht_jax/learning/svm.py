@@ -309,6 +309,14 @@ def fewest_groups(y: Ints, groups: NDArray[Any]) -> int:
     return min(len(np.unique(groups[y == c])) for c in np.unique(y))
 
 
+def _inner_folds(y: Ints, groups: NDArray[Any], most: int, seed: int) -> list[Split]:
+    """Folds of the items whose class has two groups or more; of all, which is an error, if it is one class only."""
+    several = [c for c in np.unique(y) if len(np.unique(groups[y == c])) > 1]
+    rows = np.flatnonzero(np.isin(y, several)) if len(several) > 1 else np.arange(len(y))
+    folds = grouped_folds(y[rows], groups[rows], min(most, fewest_groups(y[rows], groups[rows])), seed)
+    return [(rows[train], rows[test]) for train, test in folds]
+
+
 def select(
     candidates: Mapping[str, Matrix],
     y: Ints,
@@ -324,7 +332,8 @@ def select(
         candidates: feature matrices ``[item, feature]`` of the same items, by name.
         y: class index ``[item]``.
         groups: trial ``[item]``.
-        grid: choices; fewer inner folds are used when a class has fewer trials than ``grid.inner``.
+        grid: choices; fewer inner folds are used when a class has fewer trials than ``grid.inner``. A class with a
+            single trial has no part in the choice, if two others remain.
         seed: of the folds.
         weights: of the features ``[feature]``, by name of the matrix, where they do not all weigh the same.
         progress: called with 1 after each fold.
@@ -332,7 +341,7 @@ def select(
     paths = grid.paths(list(candidates))
     if grid.single and len(paths) == 1:
         return paths[0]
-    splits = grouped_folds(y, groups, min(grid.inner, fewest_groups(y, groups)), seed)
+    splits = _inner_folds(y, groups, grid.inner, seed)
     scores = np.zeros((len(paths), len(grid.costs)))
     for train, test in splits:
         scaled, made_for = np.zeros((0, 0)), None

@@ -15,7 +15,7 @@ import zarr
 from rcbht_jax._util.digest import content_hash
 from rcbht_jax.introspection import nominal_file, segmenter_file
 from rcbht_jax.introspection.nominal import NominalMonitor
-from rcbht_jax.introspection.segmentation import WrenchSegmenter
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 from rcbht_jax.io.export import DataSet, export
 from rcbht_jax.io.importing.importer import read_source

@@ -20,7 +20,7 @@ from rcbht_jax.encoding.thresholds import write_thresholds
 from rcbht_jax.introspection import model as model_files
 from rcbht_jax.introspection import nominal_file, segmenter_file
 from rcbht_jax.introspection.nominal import NominalMonitor
-from rcbht_jax.introspection.segmentation import WrenchSegmenter
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.io.rosbags import messages, open_bag
 from rcbht_jax.labels import LAYERS
 from tests.support.introspection_models import model, trial

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments.external import change_points, kitting_more, method
+from experiments._lib import other_robots
+from experiments._lib.results_io import not_finite
+from experiments.external import change_points, failures, kitting, kitting_more, method
+from rcbht_jax.errors import InputError
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
@@ -70,6 +75,60 @@ def test_days_are_held_out_whole(runs: Recordings) -> None:
     splits = kitting_more.by_days(items)
     assert [set(items.session[test]) for _, test in splits] == [{"monday"}, {"tuesday"}]
     assert all(not set(items.session[train]) & set(items.session[test]) for train, test in splits)
+
+
+def test_every_set_of_robot_failures_in_the_folder_is_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one of a class with fewer items than there are folds, as LP3 is: 3 series lost of 47."""
+    rng = np.random.default_rng(0)
+    rows = ["instance,class,sample,t_ms,Fx,Fy,Fz,Tx,Ty,Tz"]
+    for instance in range(24):
+        name = "lost" if instance < 2 else ("ok", "moved")[instance % 2]
+        at = {"ok": 0, "moved": 20, "lost": 60}[name]
+        values = rng.integers(at, at + 9, (15, 6)).tolist()
+        rows += [f"{instance},{name},{k},{21 * k},{','.join(map(str, row))}" for k, row in enumerate(values)]
+    folder = tmp_path / failures.FOLDER
+    folder.mkdir()
+    (folder / "lp3.csv").write_text("\n".join(rows))
+    for module in (failures, other_robots):
+        monkeypatch.setattr(module, "EXTERNAL", tmp_path)
+    assert failures.sets() == ("lp3",)
+    experiment = failures.Experiment(1, 0)
+    y = experiment.data("lp3")[1].y
+    [folds] = failures.repeated_folds(y, 1, 0)
+    assert len(folds) == 5
+    assert np.sort(np.concatenate([test for _, test in folds])).tolist() == list(range(24))
+    assert min(np.bincount(y[train], minlength=3).min() for train, _ in folds) == 1  # the SVM needs two of a class
+    makers = experiment.makers()
+    for title in ("words + wrench", "words: SVM", "tuned in the folds"):
+        assert experiment.row("lp3", makers[title])["accuracy"]["mean"] > 0.85
+    (folder / "lp3.csv").unlink()
+    with pytest.raises(InputError, match="holds no set such as lp1"):
+        failures.sets()
+
+
+def test_other_skills_of_kitting_are_measured() -> None:
+    """Skills and days are those of the data; one of a single day is left out, and one may have no anomaly."""
+    rng = np.random.default_rng(0)
+    days = np.array(["may", "june"] * 8 + ["may"] * 4)
+    bad = np.arange(20) % 8 == 7
+    series = [rng.normal(size=(40, 2)) + 9 * (np.arange(40) > 20)[:, None] * late for late in bad]
+    recordings = Recordings.from_arrays(
+        series, 20, axes=["force", "torque"], session=days, outcome=np.where(bad, "failure", "success"),
+        skill=["8"] * 8 + ["9"] * 8 + ["6"] * 4, anomaly=np.where(bad, "bump", ""),
+        anomaly_rel=np.where(bad, "1.0", ""),
+    )  # fmt: skip
+    assert kitting.skills(recordings) == ("8", "9")
+    executions = {skill: kitting.of_skill(recordings, skill) for skill in ("8", "9")}
+    executions["9"] = replace(executions["9"], nominal=np.ones(8, bool))
+    band = kitting.QuantileBand(rate=20, score_rate=5, memory=0.2)
+    found = kitting.measure(band, executions, [0, 1], rng)
+    assert found["skills"]["8"]["auroc"] == 1.0
+    assert found["skills"]["9"]["auroc"] is found["skills"]["9"]["auroc_interval"] is None
+    assert not_finite(found) == ""
+    assert found["thresholds"] == {}  # it takes 19 nominal executions
+    assert found["false_alarms"] is None
+    with pytest.raises(InputError, match="No skill has 3 nominal executions besides those of one day"):
+        kitting.skills(recordings.take(np.arange(16, 20)))
 
 
 def test_a_class_with_one_item_is_not_learned() -> None:

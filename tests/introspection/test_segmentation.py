@@ -11,12 +11,14 @@ from rcbht_jax.annotations import Annotations
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.segmentation import UNKNOWN, Protocol, WrenchSegmenter, segment
+from rcbht_jax.introspection.segmentation import UNKNOWN, Protocol, segment
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.learning.segment_metrics import segmentation_interval
 from rcbht_jax.types import Recordings
 from tests.support.snaps import with_columns
 
 RATE, SHIFT = 40.0, 0.1
+FIELDS = ("recording", "track", "code", "start", "end")
 TREES = {"trees": 8}
 
 
@@ -135,6 +137,24 @@ def test_a_label_does_not_depend_on_later_samples():
 def test_one_recording_teaches():
     result = segment(made(3), WrenchSegmenter(**TREES), Protocol(one_shot=True))
     assert result.score.accuracy > 0.9
+
+
+def test_a_recording_of_a_single_class_teaches_nothing_alone():
+    data = made(4)
+    rows = data.annotations
+    kept = (rows.recording != 1) | (rows.code == 0)
+    one = replace(data, annotations=replace(rows, **{f: getattr(rows, f)[kept] for f in FIELDS}))
+    result = segment(one, WrenchSegmenter(**TREES), Protocol(one_shot=True))
+    protocol = result.to_json()["protocol"]
+    assert protocol.startswith(
+        "trained on one recording at a time, but not on 1 of a single class, tested on all others"
+    )
+    assert result.score.accuracy > 0.8
+    rest = replace(data, annotations=replace(rows, **{f: getattr(rows, f)[rows.code == 0] for f in FIELDS}))
+    with pytest.raises(InputError, match="No recording has two classes of phase, so none can be trained on alone"):
+        segment(rest, WrenchSegmenter(**TREES), Protocol(one_shot=True))
+    with pytest.raises(InputError, match="The labels of 3 recordings have 1 class; two are needed"):
+        segment(rest, WrenchSegmenter(**TREES), Protocol(folds=0))
 
 
 def test_recordings_without_annotation_are_labelled():

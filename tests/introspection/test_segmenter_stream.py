@@ -12,7 +12,7 @@ import pytest
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.segmentation import WrenchSegmenter
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.introspection.segmenter_file import SegmenterFile, load, save
 from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 from rcbht_jax.io.store import read_recordings, write_recordings

@@ -46,7 +46,11 @@ def edit(line: int, old: bytes, new: bytes) -> bytes:
         (b" \r\n\t\n", "is empty"),
         (b"0 1 2 3 4 5 6\n", "one line"),
         (edit(7, b"3 \t.1 \t-.2 \t3e-1 \t\r", b""), "line 7: 3 columns; expected 7. Is the line cut off?"),
-        (edit(4, b"1 \t", b"1 9 \t"), "line 4: 8 columns"),
+        (edit(4, b"1 \t", b"1 9 \t"), "line 4: 8 columns; expected 7. Is the line cut off?"),
+        (
+            b"0 1 2 3 4 5 6 7 8\n" * 2,
+            "line 1: 9 columns; expected 7, of HIRO; read another table with",
+        ),
         (GOOD[:-10], "line 20: 6 columns"),
         (edit(3, b"2 ", b"two "), "line 3: 'two' is not a number"),
         (edit(3, b"2 ", b"1_0 "), "line 3: '1_0' is not a number"),

@@ -17,7 +17,7 @@ import json, pathlib, tempfile, jax, numpy as np, pandas as pd, rcbht_jax as rj
 from rcbht_jax.encoding import encoder as core
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.introspection.fault_monitor import FaultMonitorConfig, SubtaskSnapshots
-from rcbht_jax.introspection.segmentation import WrenchSegmenter
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.introspection.snap_rule import SnapConfig
 from rcbht_jax.introspection.training import HeadSpec, train_model
 from rcbht_jax.learning.evaluation import EvaluationProtocol

@@ -143,7 +143,10 @@ def _read_slowly(path: Path, raw: bytes, columns: int) -> Float64[np.ndarray, "r
             continue
         values = [_number(field, f"{path}, line {number}") for field in fields]
         if len(values) != columns:
-            raise InputError(f"{path}, line {number}: {len(values)} columns; expected {columns}. Is the line cut off?")
+            where = f"{path}, line {number}: {len(values)} columns; expected {columns}"
+            if len(values) < columns or rows:
+                raise InputError(f"{where}. Is the line cut off?")
+            raise InputError(f'{where}, of HIRO; read another table with "rcbht import csv", and a map (--map).')
         rows.append(values)
     return np.array(rows, np.float64)
 

@@ -12,10 +12,10 @@ from rcbht_jax.errors import InputError
 
 SUFFIXES = {
     ".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".pq": "parquet", ".npz": "npz", ".npy": "npz", ".h5": "hdf5",
-    ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab", ".mcap": "mcap", ".bag": "bag", ".db3": "bag",
+    ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab", ".mcap": "mcap", ".bag": "bag", ".db3": "bag", ".ts": "ts",
 }  # fmt: skip
-TEXTS = (".txt", ".dat", ".data", ".log", ".lvm", ".asc")  # tables where "csv" is asked for
-KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot")
+TEXTS = (".txt", ".dat", ".data", ".log", ".lvm", ".asc")  # where "csv" or "uci" is asked for
+KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot", "ts", "uci")
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,8 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
         for name in sorted(files):
             if not name.startswith("."):
                 path = here / name
-                found = (
-                    "csv" if kind == "csv" and path.suffix.lower() in TEXTS else SUFFIXES.get(path.suffix.lower(), "")
-                )
+                suffix = path.suffix.lower()
+                found = kind if kind in ("csv", "uci") and suffix in TEXTS else SUFFIXES.get(suffix, "")
                 relative = spelled(path.relative_to(source).as_posix())
                 if found and kind in ("auto", found):
                     items.append(Item(relative, path, found))

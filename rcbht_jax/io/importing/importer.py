@@ -22,16 +22,18 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.assemble import assemble
+from rcbht_jax.io.importing.blocks import read_blocks
 from rcbht_jax.io.importing.constants import constants_of, describe
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Record, Row, bounded, records
+from rcbht_jax.io.importing.record import Lacks, Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.io.importing.ts import read_ts
 from rcbht_jax.types import Recordings
 
 Constants = dict[str, dict[str, float]]  # recording -> column -> value
@@ -81,7 +83,7 @@ def read_source(
             )
         return _exported(source, items[0])
     report = ImportReport()
-    if others:
+    if others := [name for name in others if name not in marks.described_by(base, items)]:
         listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
         were = plural(len(others), "other file was", "other files were")
         report.remarks.append(f"{were} not read: {listed}.")
@@ -147,7 +149,7 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
         return read_bag_tables(item.path, item.name or spelled(item.path.name), mapping.topic)
     readers = {
         "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
-        "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot,
+        "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
     }  # fmt: skip
     return readers[item.kind](item.path, item.name)
 
@@ -175,6 +177,7 @@ def _read(
     tables = {base.table, *(track.file for track in base.annotations)} - {""}
     files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
     rows = marks.rows_of(source, base, files, report.warnings, listing)
+    lacks = Lacks(base)
     for item in progress(items):
         if item.name in tables:
             continue
@@ -192,10 +195,12 @@ def _read(
                         if not base.channels and not meaning[0].group:
                             unused = (row.column for row in meaning[1] if row.role == "left out")
                             constants[record.name] = constants_of(table, unused)
+                    lacks.add(table)
                 except InputError as error:  # the other tables of the file may be usable
                     report.skipped.append((table.name, _reason(error, source)))
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
+    report.warnings += lacks.warnings()
     return found, used, beside, constants
 
 

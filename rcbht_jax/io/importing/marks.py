@@ -134,6 +134,21 @@ def beside(source: Path, file: Path, pattern: str) -> Path:
     return path
 
 
+def described_by(mapping: Mapping, items: Iterable[Item]) -> set[str]:
+    """Names of the files that describe recordings by a mapping: its table, and those of its annotations.
+
+    >>> described_by(Mapping(annotations=(Track("phase", ends="{stem}.ends", ids="{stem}.ids"),)),
+    ...              [Item("day1/a.npz", Path("runs/day1/a.npz"), "npz")]) == {"day1/a.ends", "day1/a.ids"}
+    True
+    """
+    patterns = {one for track in mapping.annotations for one in (track.file, track.ends, track.ids)}
+    paths = [PurePosixPath(item.name) for item in items if item.name]
+    own = {
+        str(path.with_name(one.replace("{stem}", path.stem))) for one in patterns if "{stem}" in one for path in paths
+    }
+    return {one for one in (*own, *patterns, mapping.table) if one and "{stem}" not in one}
+
+
 def track_intervals(
     source: Path, file: Path, track: Track, names: Names, place: int, warnings: list[tuple[str, str]]
 ) -> list[Interval]:

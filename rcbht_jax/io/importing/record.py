@@ -135,20 +135,55 @@ def is_outcome(name: str, values: Iterable[Any]) -> bool:
 
 
 def check_columns(table: Table, mapping: Mapping) -> None:
-    """Check that a table has the columns that a mapping names.
+    """Check that a table has the columns of a mapping without which it is no recording: channels, time and group.
 
     >>> check_columns(Table("a.csv", {"t": np.arange(4.0)}), Mapping(time="t"))
 
     Raises:
         InputError: a column is missing.
     """
-    named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
-    others = [mapping.time, mapping.group, *(track.column for track in mapping.annotations)]
-    others += [value.column for value in mapping.columns.values() if value.column not in table.facts]
-    for name in filter(None, [*named, *others]):
+    named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds, mapping.time, mapping.group]
+    for name in filter(None, named):
         if name not in table.columns:
-            listed = ", ".join(list(table.columns)[:20])
-            raise InputError(f"{table.name} has no column {name!r}; it has {listed}.")
+            raise InputError(no_column(table, name))
+
+
+def no_column(table: Table, name: str) -> str:
+    """The sentence about a column that a table lacks.
+
+    >>> no_column(Table("a.csv", {"t": np.arange(4.0)}), "Fz")
+    "a.csv has no column 'Fz'; it has t."
+    """
+    return f"{table.name} has no column {name!r}; it has {', '.join(list(table.columns)[:20])}."
+
+
+class Lacks:
+    """Tables without a column of annotations, or one that describes recordings: these are imported without it."""
+
+    def __init__(self, mapping: Mapping) -> None:
+        """Take the mapping of all tables."""
+        tracks = {track.column: f"annotations {track.track}" for track in mapping.annotations if track.column}
+        facts = {value.column: f"column {name}" for name, value in mapping.columns.items() if value.column}
+        self._roles, self._held = tracks | facts, set[str]()
+        self._lacking: list[tuple[str, str, str]] = []  # table, column, sentence
+
+    def add(self, table: Table) -> None:
+        """Take a table from which recordings were read."""
+        for column in self._roles:
+            if column in table.columns or column in table.facts:
+                self._held.add(column)
+            else:
+                self._lacking.append((table.name, column, no_column(table, column)))
+
+    def warnings(self) -> list[tuple[str, str]]:
+        """A warning about each table that lacks a column.
+
+        Raises:
+            InputError: no table has the column.
+        """
+        if wrong := next((sentence for _, column, sentence in self._lacking if column not in self._held), ""):
+            raise InputError(wrong)
+        return [(name, f"has no column {column!r}, so no {self._roles[column]}.") for name, column, _ in self._lacking]
 
 
 def _check(table: Table, mapping: Mapping) -> None:
@@ -189,7 +224,7 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
             columns[target] = value
     intervals = list(table.intervals)
     for track in mapping.annotations:
-        if track.column:
+        if track.column in table.columns:
             order = np.argsort(stamps, kind="stable")
             order = order[stamps[order] >= first]
             intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
@@ -248,7 +283,7 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
             return None
         found = values.pop() if values else ""
     else:
-        found = text(table.facts[source.column])
+        found = text(table.facts.get(source.column, ""))
     return source.words.get(found, source.words.get(found.lower(), found))
 
 

@@ -212,7 +212,9 @@ def _slow(
         if len(row) == len(names) + 1 and not row[-1]:
             row = row[:-1]
         if len(row) != len(names):
-            raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(names)}. Is the line cut off?")
+            blocks = len(names) == 1 and len(row) == 6  # rows of a wrench below a word
+            hint = "Read the blocks of a UCI file with: rcbht import uci." if blocks else "Is the line cut off?"
+            raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(names)}. {hint}")
         rows.append(row)
         numbers.append(number)
         if len(rows) == CHUNK:

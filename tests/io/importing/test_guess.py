@@ -8,7 +8,7 @@ import pytest
 from rcbht_jax._util.columns import base_and_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.guess import guess
-from rcbht_jax.io.importing.mapping import Mapping, Track, Value
+from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.names import wrenches
 from rcbht_jax.io.importing.table import Table
 
@@ -320,7 +320,7 @@ def test_times_of_exports_of_plotjuggler_and_foxglove(name: str) -> None:
     assert (mapping.time, mapping.time_unit) == (name, "ns")
 
 
-@pytest.mark.parametrize("base", [Mapping(time="nope"), Mapping(group="nope"), Mapping(columns={"a": Value("nope")})])
+@pytest.mark.parametrize("base", [Mapping(time="nope"), Mapping(group="nope"), Mapping((Channel("nope"),))])
 def test_a_named_column_that_is_missing_is_told(base: Mapping) -> None:
     with pytest.raises(InputError, match=r"^a\.csv has no column 'nope'; it has t, Fz\.$"):
         guess(Table("a.csv", {"t": np.arange(9) * 0.1, "Fz": np.ones(9)}), base)

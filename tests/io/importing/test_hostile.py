@@ -91,6 +91,16 @@ def hdf5() -> bytes:
     return file.getvalue()
 
 
+def ts() -> bytes:
+    head = "@problemName pokes\n@timeStamps false\n@missing false\n@dimension 6\n@classLabel true soft hard\n@data\n"
+    return (head + ":".join(",".join(map(repr, axis)) for axis in WRENCH.T.tolist()) + ":soft\n").encode()
+
+
+def uci() -> bytes:
+    rows = "".join("\t" + "\t".join(map(repr, row)) + "\n" for row in WRENCH.tolist())
+    return f"collision_in_tool\n{rows}\n\n".encode()
+
+
 def mcap() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         with McapWriter(Path(folder) / "a.mcap") as writer:
@@ -99,7 +109,11 @@ def mcap() -> bytes:
         return (Path(folder) / "a.mcap").read_bytes()
 
 
-VALID = {".mcap": mcap, ".csv": csv, ".npz": npz, ".parquet": parquet, ".mat": matlab, ".bag": bag, ".h5": hdf5}
+VALID = {
+    ".mcap": mcap, ".csv": csv, ".npz": npz, ".parquet": parquet, ".mat": matlab, ".bag": bag, ".h5": hdf5, ".ts": ts,
+    ".data": uci,
+}  # fmt: skip
+KIND = {".data": "uci"}  # of suffixes that state none
 SUFFIXES = sorted([*VALID, ".npy", ".db3", ".tsv"])
 
 
@@ -119,10 +133,10 @@ def test_any_bytes(suffix: str, data: st.DataObject) -> None:
     magic = {
         ".npz": b"PK\x03\x04", ".npy": b"\x93NUMPY\x01\x00", ".parquet": b"PAR1", ".bag": b"#ROSBAG V2.0\n",
         ".h5": b"\x89HDF\r\n\x1a\n", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\x00",
-        ".mat": b"MATLAB 5.0".ljust(124) + b"\x00\x01IM",
+        ".mat": b"MATLAB 5.0".ljust(124) + b"\x00\x01IM", ".ts": b"@classLabel true a\n@data\n", ".data": b"normal\n",
     }.get(suffix, b"t,Fz\n")  # fmt: skip
     head = data.draw(st.sampled_from([b"", magic]))
-    outcome(head + data.draw(st.binary(max_size=400)), suffix)
+    outcome(head + data.draw(st.binary(max_size=400)), suffix, KIND.get(suffix, "auto"))
 
 
 @pytest.mark.parametrize("suffix", sorted(VALID))
@@ -132,13 +146,16 @@ def test_valid_files_with_other_bytes(suffix: str, data: st.DataObject) -> None:
     content = bytearray(VALID[suffix]())
     for _ in range(data.draw(st.integers(1, 4))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    outcome(bytes(content[: data.draw(st.sampled_from([len(content), len(content) // 2]))]), suffix)
+    held = data.draw(st.sampled_from([len(content), len(content) // 2]))
+    outcome(bytes(content[:held]), suffix, KIND.get(suffix, "auto"))
 
 
 @pytest.mark.parametrize("suffix", sorted(VALID))
 def test_the_valid_files_are_valid(suffix: str, tmp_path: Path) -> None:
     (tmp_path / f"a{suffix}").write_bytes(VALID[suffix]())
-    np.testing.assert_array_equal(read_source(tmp_path / f"a{suffix}").recordings.wrench[0], WRENCH)
+    mapping = Mapping(source_rate=100.0) if suffix in (".ts", ".data") else None  # they hold no times
+    imported = read_source(tmp_path / f"a{suffix}", KIND.get(suffix, "auto"), mapping)
+    np.testing.assert_array_equal(imported.recordings.wrench[0], WRENCH)
 
 
 # --- Huge, and what is no file -------------------------------------------------------------------------------------
@@ -216,6 +233,12 @@ HUGE = {
     "line.csv": lambda: b"t,Fz\n" + b"1" * 50_000_000,
     "noline.csv": lambda: b"x" * 50_000_000,
     "zeros.csv": lambda: bytes(50_000_000),
+    "line.ts": lambda: b"@data\n" + b"1," * 25_000_000,
+    "long.ts": lambda: b"@data\n" + b"1," * 4_000_000 + b"1\n",
+    "dimensions.ts": lambda: b"@data\n" + b"1:" * 4_000_000 + b"1\n",
+    "noline.ts": lambda: b"x" * 50_000_000,
+    "line.data": lambda: b"normal\n" + b"1\t" * 25_000_000,
+    "classes.data": lambda: b"normal\n1 2 3 4 5 6\n" * 200_000,
     "digits.csv": lambda: b"t,Fz\n0,1\n1," + b"9" * 900_000 + b"\n",
 }
 LIMITED = """
@@ -244,7 +267,7 @@ for line in sys.stdin:
     signal.alarm(60)
     before, start = peak(), time.process_time()  # others may keep the machine busy
     try:
-        read_source(Path(line.rstrip()))
+        read_source(path := Path(line.rstrip()), "uci" if path.suffix == ".data" else "auto")
         sentence = "read"
     except InputError as error:
         sentence = str(error)
@@ -287,7 +310,7 @@ def test_a_large_file_is_refused_by_its_size(tmp_path: Path) -> None:
         with path.open("wb") as file:
             file.truncate(2**36)  # takes no room
         with pytest.raises(InputError, match="has 68719476736 bytes; expected at most"):
-            read_source(path)
+            read_source(path, KIND.get(suffix, "auto"))
 
 
 def test_pipes_and_devices_are_no_files(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.importer import read_source
-from rcbht_jax.io.importing.mapping import Mapping, Value, read_mapping, write_mapping
+from rcbht_jax.io.importing.mapping import Mapping, Track, Value, read_mapping, write_mapping
 from rcbht_jax.io.store import read_recordings
 from tests.io.importing.test_importer import DT, noise, write
 
@@ -25,6 +25,7 @@ def test_facts_from_a_table_of_recordings(tmp_path: Path) -> None:
     assert imported.recordings.outcome.tolist() == ["success", "False", "unknown"]
     assert imported.recordings.columns["robot"].tolist() == ["UR5"] * 3
     assert imported.report.warnings == [("runs/c.csv", "facts.json has no row for it.")]
+    assert not any("not read" in text for text in imported.report.remarks)
 
 
 def test_a_table_that_lists_recordings_is_found(tmp_path: Path) -> None:
@@ -128,3 +129,35 @@ def test_outcomes_in_words_that_nobody_stated_are_remarked(tmp_path: Path) -> No
     assert read_source(tmp_path, mapping=mapping).report.remarks == [remark]
     stated = Mapping(columns={"outcome": Value("resultado", words={"éxito": "success", "fallo": "failure"})})
     assert read_source(tmp_path, mapping=stated).report.remarks == []
+
+
+def test_a_recording_without_a_column_that_describes_it_is_imported(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", noise(1), phase="free", ok="1")
+    write(tmp_path / "b.csv", noise(2))
+    columns = {"outcome": Value("ok", words={"1": "success"})}
+    imported = read_source(tmp_path, mapping=Mapping(annotations=(Track("step", "phase"),), columns=columns))
+    recordings = imported.recordings
+    assert recordings.trial.tolist() == ["a", "b"]
+    assert recordings.outcome.tolist() == ["success", "unknown"]
+    assert recordings.annotations.recording.tolist() == [0]
+    assert imported.report.skipped == []
+    assert imported.report.warnings == [
+        ("b.csv", "has no column 'phase', so no annotations step."),
+        ("b.csv", "has no column 'ok', so no column outcome."),
+    ]
+    for wrong in (Mapping(annotations=(Track("step", "fase"),)), Mapping(columns={"outcome": Value("fase")})):
+        with pytest.raises(InputError, match=r"^a\.csv has no column 'fase'; it has "):  # no file has it
+            read_source(tmp_path, mapping=wrong)
+
+
+def test_files_of_annotations_that_a_map_names_are_not_called_unread(tmp_path: Path) -> None:
+    for folder in ("one", "two"):
+        write(tmp_path / folder / "a.csv", noise(ord(folder[0])), phase="free")
+        (tmp_path / folder / "a.ends").write_text("0.1\n0.2\n")
+        (tmp_path / folder / "a.ids").write_text("0\n1\n")
+    (tmp_path / "note.pdf").write_text("not read")
+    imported = read_source(
+        tmp_path, mapping=Mapping(annotations=(Track("step", ends="{stem}.ends", ids="{stem}.ids"),))
+    )
+    assert len(imported.recordings.annotations.of("step").recording) == 4
+    assert [text for text in imported.report.remarks if "not read" in text] == ["1 other file was not read: note.pdf."]

@@ -1,0 +1,50 @@
+"""Classes that occur in one trial only: no fold can both train on them and test them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.learning.tasks import LabelledIntervals
+
+
+def learnable(
+    items: LabelledIntervals, groups: NDArray[Any] | None = None, group: str = "trial"
+) -> tuple[LabelledIntervals, NDArray[np.bool_]]:
+    """The items of classes that occur in two groups or more, as folds need them, and which these are.
+
+    The trials of other classes are counted as left out. If fewer than two classes remain, all items do.
+
+    Args:
+        items: of a task.
+        groups: ``[item]`` that folds do not split; None = the trials.
+        group: what a group is called.
+
+    Example:
+        >>> from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
+        >>> from rcbht_jax.types import Recordings
+        >>> names = ["peg", "peg", "clip", "clip", "plug"]
+        >>> recordings = Recordings.from_arrays(np.zeros((5, 400, 6)), part=names)
+        >>> items, kept = learnable(labelled_intervals(recordings, TaskSpec("part")))
+        >>> items.classes, items.y.tolist(), items.dropped
+        (('clip', 'peg'), [1, 1, 0, 0], {'class in one trial only: plug': 1})
+    """
+    groups = items.trial if groups is None else groups
+    counts = np.array([len(np.unique(groups[items.y == code])) for code in range(len(items.classes))])
+    if (counts > 1).all() or (counts > 1).sum() < 2:
+        return items, np.ones(len(items.y), bool)
+    kept = (counts > 1)[items.y]
+    few = [items.classes[code] for code in np.flatnonzero(counts < 2)]
+    reason = f"class in one {group} only: {', '.join(few[:5])}" + (", ..." if len(few) > 5 else "")
+    dropped = {**items.dropped, reason: len(np.unique(items.trial[~kept]))}
+    chosen = LabelledIntervals(
+        tuple(name for name, count in zip(items.classes, counts.tolist(), strict=True) if count > 1),
+        (np.cumsum(counts > 1) - 1)[items.y[kept]],
+        items.trial[kept],
+        items.session[kept],
+        tuple(part.take(kept) for part in items.intervals),
+        dropped,
+    )
+    return chosen, kept

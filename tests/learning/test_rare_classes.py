@@ -1,0 +1,97 @@
+"""Classes of one or two trials: what cannot be cross-validated is left out and counted, and nothing else is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rcbht_jax as rj
+from rcbht_jax.cli.main import main
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.introspection.training import HeadSpec, train_head
+from rcbht_jax.io.store import write_recordings
+from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, train
+from rcbht_jax.learning.svm import Grid, select
+from rcbht_jax.learning.tasks import TaskSpec
+from rcbht_jax.types import LabelTracks, Recordings
+from tests.support.snaps import with_columns
+
+SPEC = FeatureSpec(("histogram",))
+GRID = Grid(("linear",), (0.1, 1.0))
+PARTS = ["peg"] * 6 + ["clip"] * 6 + ["plug"] * 2 + ["ring"]
+
+
+@pytest.fixture(scope="module")
+def recordings() -> Recordings:
+    """Pushes whose axis tells the part."""
+    wrench = np.random.default_rng(0).normal(size=(len(PARTS), 200, 6)) * 0.01
+    for row, part in enumerate(PARTS):
+        wrench[row, 80:120, ("peg", "clip", "plug", "ring").index(part)] += np.linspace(0, 20, 40)
+    days = ["monday", "tuesday"] * 6 + ["monday"] * 3
+    return Recordings.from_arrays(wrench, 200, part=PARTS, session=days)
+
+
+@pytest.fixture(scope="module")
+def tracks(recordings: Recordings) -> LabelTracks:
+    return rj.encode(recordings.wrench, rate=200)
+
+
+def test_a_class_of_one_trial_is_left_out_of_an_evaluation(recordings: Recordings, tracks: LabelTracks) -> None:
+    result = evaluate(recordings, tracks, TaskSpec("part"), SPEC, EvaluationProtocol(repeats=1, grid=GRID))
+    assert result.items == {"clip": 6, "peg": 6, "plug": 2}
+    assert result.dropped == {"class in one trial only: ring": 1}
+    assert (result.trials, result.tested) == (14, 14)
+    assert result.protocol["folds"] == 2  # of the rarest class, where nobody asks for another number
+    assert np.trace(np.array(result.confusion)) >= 12
+    with pytest.raises(InputError, match="the rarest class has 2 trials, so choose 2 folds"):
+        evaluate(recordings, tracks, TaskSpec("part"), SPEC, EvaluationProtocol(3, 1, grid=GRID))
+
+
+def test_a_class_of_one_day_is_left_out_where_days_are_held_out(recordings: Recordings, tracks: LabelTracks) -> None:
+    protocol = EvaluationProtocol(repeats=1, grid=GRID, group="session")
+    result = evaluate(recordings, tracks, TaskSpec("part"), SPEC, protocol)
+    assert result.dropped == {"class in one session only: plug, ring": 3}
+    assert result.items == {"clip": 6, "peg": 6}
+
+
+def test_a_class_of_one_trial_is_not_learned(recordings: Recordings, tracks: LabelTracks) -> None:
+    model = train(recordings, tracks, TaskSpec("part"), SPEC, GRID)
+    assert model.svm.classes == ("clip", "peg", "plug")
+    assert model.extra["dropped"] == {"class in one trial only: ring": 1}
+    head = train_head(recordings, HeadSpec(TaskSpec("part")), EncoderConfig(dt=recordings.dt), preset())
+    assert head.classes == ("clip", "peg", "plug")
+
+
+def test_info_calls_no_column_a_task_whose_values_hardly_repeat(
+    recordings: Recordings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    onset = [f"{row / 7:.3f}" for row in range(len(PARTS) - 1)] + ["0.000"]
+    write_recordings(tmp_path / "a.zarr", with_columns(recordings, onset=np.array(onset)), {})
+    assert main(["info", str(tmp_path / "a.zarr"), "--json"]) == 0
+    tasks = json.loads(capsys.readouterr().out)["tasks"]
+    assert tasks["part"]["classes"] == {"clip": 6, "peg": 6, "plug": 2}
+    assert "1 left out: class in one trial only: ring." in tasks["part"]["sentences"]
+    sentence = "1 of its 14 classes are in two trials or more; two such classes are needed."
+    assert tasks["onset"] == {"classes": {}, "sentences": [sentence]}
+
+
+def test_two_classes_must_remain(recordings: Recordings, tracks: LabelTracks) -> None:
+    task = TaskSpec("part", classes=("peg", "ring"))
+    with pytest.raises(InputError, match="The rarest class has 1 trial; cross-validation needs two of every class"):
+        evaluate(recordings, tracks, task, SPEC, EvaluationProtocol(grid=GRID))
+
+
+def test_a_class_of_one_trial_has_no_part_in_the_choice_of_parameters() -> None:
+    """As in the training half of two folds, where a class has two trials."""
+    x, y = np.random.default_rng(0).normal(size=(21, 2)), np.array([0] * 10 + [1] + [2] * 10)
+    x[:, 0] += 5 * y
+    rare = select({"noise": x[:, 1:], "signal": x[:, :1]}, y, np.arange(21), GRID, 0)
+    assert rare.features == "signal"
+    with pytest.raises(InputError, match="The rarest class has 1 trial"):
+        select({"": x[:11]}, y[:11], np.arange(11), GRID, 0)
