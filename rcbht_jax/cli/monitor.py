@@ -140,7 +140,7 @@ class MonitorWatch(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         # Standard output belongs to the alarms.
-        print(f"{result['recordings']} recordings, {result['alarms']} with an alarm", file=sys.stderr)
+        print(f"{plural(result['recordings'], 'recording')}, {result['alarms']} with an alarm", file=sys.stderr)
         return ""
 
 

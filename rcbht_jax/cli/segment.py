@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.cells import cell
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     Command,
     Flag,
@@ -95,8 +96,8 @@ class Segment(Command):
     def text(self, result: dict[str, Any]) -> str:
         how = "causal" if result["causal"] else "offline"
         lines = [
-            f"{result['out']}: {result['recordings']} recordings, {result['annotated']} of them annotated with "
-            f"{result['track']} ({', '.join(result['classes'])})"
+            f"{result['out']}: {plural(result['recordings'], 'recording')}, {result['annotated']} of them annotated "
+            f"with {result['track']} ({', '.join(result['classes'])})"
         ]
         names = {"accuracy": "accuracy of samples", "macro_f1": "F1 of samples, mean of classes", "edit": "edit score"}
         for name, value in result["score"].items():

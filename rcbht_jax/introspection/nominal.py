@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.signals import read_signal
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import conformal_threshold
@@ -81,7 +82,9 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         read = [_series(part, self.rate) for part in X]
         series = [part for part, _ in read]
         if len(series) < 3 or len({(part.shape[1], names) for part, names in read}) > 1:
-            raise InputError(f"{len(series)} recordings; it takes three or more nominal ones with the same axes.")
+            raise InputError(
+                f"{plural(len(series), 'recording')}; it takes three or more nominal ones with the same axes."
+            )
         names = np.arange(len(series)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
         if names.shape != (len(series),):
             raise InputError(f"There are {len(names)} groups for {len(series)} recordings; expected one for each.")
@@ -235,7 +238,8 @@ class MonitorStream:
         if names and names != known:
             raise InputError(f"The samples have the axes {', '.join(names)}; the monitor learned {', '.join(known)}.")
         if new.shape[1] != monitor.n_features_in_:
-            raise InputError(f"The samples have {new.shape[1]} axes; the monitor learned {monitor.n_features_in_}.")
+            axes = plural(new.shape[1], "axis", "axes")
+            raise InputError(f"The samples have {axes}; the monitor learned {monitor.n_features_in_}.")
         waiting, step = len(self._samples), monitor.score_step
         joined = np.concatenate([self._samples, new])
         whole = len(joined) // step * step

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.printable import plural
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
@@ -97,7 +98,9 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             raise InputError("The labels in y have other lengths than the recordings; expected a class per sample.")
         classes = np.setdiff1d(np.concatenate(y), [UNKNOWN])
         if len(classes) < 2:
-            raise InputError(f"There are {len(classes)} classes in {len(y)} recordings; two are needed.")
+            raise InputError(
+                f"{plural(len(classes), 'class', 'classes')} in {plural(len(y), 'recording')}; two classes are needed."
+            )
         fitted = clone(self)._fitted(recordings, y, classes)  # a fit that fails leaves what was fitted before
         self.__dict__.update(vars(fitted))
         return self

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, read_bytes
 from rcbht_jax.errors import InputError
 
@@ -143,7 +144,9 @@ def _read_slowly(path: Path, raw: bytes, columns: int) -> Float64[np.ndarray, "r
             continue
         values = [_number(field, f"{path}, line {number}") for field in fields]
         if len(values) != columns:
-            raise InputError(f"{path}, line {number}: {len(values)} columns; expected {columns}. Is the line cut off?")
+            raise InputError(
+                f"{path}, line {number}: {plural(len(values), 'column')}; expected {columns}. Is the line cut off?"
+            )
         rows.append(values)
     return np.array(rows, np.float64)
 
