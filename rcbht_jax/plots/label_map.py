@@ -99,7 +99,7 @@ def label_map(
     figure.suptitle(plain(text), x=_LEFT, y=1 - 0.2 / height, ha="left", va="top", fontsize=13)
     used = {int(code) for code in np.unique(codes)} - {0}
     if used:
-        label_legend(figure, layer, used, (_LEFT, 0.15 / height), 8)
+        label_legend(figure, layer, used, (_LEFT, 0.15 / height), len(used) if len(used) <= 6 else -(-len(used) // 2))
     return figure
 
 

@@ -82,7 +82,7 @@ class Simulate(Command):
         ),
     ] = None
     window: Annotated[int | None, unset(metavar="INT")] = None
-    """Also encode the trials, with this many samples per linear fit, as "rcbht encode" does."""
+    """Also encode the trials, with this many samples per linear fit, as "rcbht encode --robot hiro" does."""
     physical: Annotated[Path | None, unset(metavar="FIT.json"), FIT] = None
     """File of "rcbht fidelity fit" with physical parameters, in place of the preset's."""
     compile_cache: CompileCache = None
