@@ -83,10 +83,12 @@ class MonitorFit(Command):
         }
 
     def text(self, result: dict[str, Any]) -> str:
+        from rcbht_jax.introspection.alarms import rounded_up
+
+        count = f"{plural(result['recordings'], 'nominal recording')} of {plural(result['groups'], 'group')}"
         return (
-            f"{result['monitor']}: {result['recordings']} nominal recordings of {plural(result['groups'], 'group')}; "
-            f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
-            f"the smallest share of false alarms that it can promise is {result['fewest_false_alarms']:.3g}"
+            f"{result['monitor']}: {count}; it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
+            f"the smallest share of false alarms that it can promise is {rounded_up(result['fewest_false_alarms']):g}"
         )
 
 

@@ -99,10 +99,10 @@ class Segment(Command):
             f"{result['out']}: {plural(result['recordings'], 'recording')}, {result['annotated']} of them annotated "
             f"with {result['track']} ({', '.join(result['classes'])})"
         ]
-        names = {"accuracy": "accuracy of samples", "macro_f1": "F1 of samples, mean of classes", "edit": "edit score"}
+        names = {"accuracy": "accuracy", "macro_f1": "macro F1", "edit": "edit score"}  # as the page has them
         for name, value in result["score"].items():
             unit = " s, median" if name == "delay" else ""
-            lines.append(f"  {names.get(name, name):32}{value:.3f}{unit}")
+            lines.append(f"  {names.get(name, name).replace('f1@', 'F1@'):32}{value:.3f}{unit}")
         lines.append(f"  {'most frequent class':32}{result['majority']:.3f}")
         model = [f"{result['model']}: trained on all annotated recordings"] if "model" in result else []
         return "\n".join([*lines, f"{result['protocol']}, {how}", *model])
