@@ -87,7 +87,8 @@ class MonitorFit(Command):
 
         count = f"{plural(result['recordings'], 'nominal recording')} of {plural(result['groups'], 'group')}"
         return (
-            f"{result['monitor']}: {count}; it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
+            f"{result['monitor']}: {count}; "
+            f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
             f"the smallest share of false alarms that it can promise is {rounded_up(result['fewest_false_alarms']):g}"
         )
 
