@@ -99,7 +99,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         classes = np.setdiff1d(np.concatenate(y), [UNKNOWN])
         if len(classes) < 2:
             raise InputError(
-                f"{plural(len(classes), 'class', 'classes')} in {plural(len(y), 'recording')}; two classes are needed."
+                f"{plural(len(classes), 'class', 'classes')} in {plural(len(y), 'recording')}; two are needed."
             )
         fitted = clone(self)._fitted(recordings, y, classes)  # a fit that fails leaves what was fitted before
         self.__dict__.update(vars(fitted))
