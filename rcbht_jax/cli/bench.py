@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import Command, Flag, announce, check_place, option, unset
 from rcbht_jax.errors import InputError
 
@@ -79,8 +80,8 @@ class Bench(Command):
         old = None if self.check is None else latest(read_history(self.check), run)
         if self.check is not None and old is None:
             raise InputError(
-                f"{self.check} has no run of {trials} trials of {self.samples} samples on {device.device_kind}; "
-                f"add one with --history {self.check}."
+                f"{self.check} has no run of {plural(trials, 'trial')} of {self.samples} samples on "
+                f"{device.device_kind}; add one with --history {self.check}."
             )
         if self.history is not None:  # a wrong file is reported before the work
             check_place(self.history, None)
@@ -107,7 +108,7 @@ class Bench(Command):
     def text(self, result: dict[str, Any]) -> str:
         values = {name: (entry["value"], entry["unit"]) for name, entry in result["values"].items()}
         values |= {f"ratio/{name}": (ratio, "x") for name, ratio in result["ratios"].items()}
-        lines = [f"# {result['device']}, {result['trials']} trials of {result['samples']} samples"]
+        lines = [f"# {result['device']}, {plural(result['trials'], 'trial')} of {result['samples']} samples"]
         lines += [f"{name} {value:.6g} {unit}" for name, (value, unit) in values.items()]
         if not any(name.startswith("peer/") for name in values):
             lines.append('# no other representation is installed; pip install "rcbht-jax[bench]"')

@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.devices import wanted
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     Arm,
     Boundaries,
@@ -250,9 +251,8 @@ class Calibrate(RuleCommand):
         names, rows = list(LIMITS), result["limits"]
         if "tolerance" in result:
             names, rows = [*names, TOLERANCE], [[*row, one] for row, one in zip(rows, result["tolerance"], strict=True)]
-        lines = [
-            f"{result['thresholds']}: {result['method']} on {result['trials']} trials in {result['seconds']:.1f} s"
-        ]
+        trials = plural(result["trials"], "trial")
+        lines = [f"{result['thresholds']}: {result['method']} on {trials} in {result['seconds']:.1f} s"]
         if "value" in result:
             lines[0] += f"; objective {result['value']:.3f}, with the initial thresholds {result['preset_value']:.3f}"
         if "of_trials" in result:

@@ -12,7 +12,7 @@ import os
 import sys
 import typing
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -52,6 +52,27 @@ def option(text: str, default: str | None = None, **more: Any) -> Any:
 def unset(**more: Any) -> Any:
     """An option described by the docstring of its field, which shows no default: it has no value."""
     return tyro.conf.arg(help_behavior_hint="", **more)
+
+
+OPTIONAL = tyro.constructors.ConstructorRegistry()
+
+
+@OPTIONAL.primitive_rule
+def _optional(info: tyro.constructors.PrimitiveTypeInfo) -> Any:
+    """An option that may be None is shown as what it takes, and is None only if it is left out."""
+    kinds = [kind for kind in typing.get_args(info.type) if kind is not type(None)]
+    if len(kinds) != 1 or type(None) not in typing.get_args(info.type):
+        return None
+    inner = tyro.constructors.PrimitiveTypeInfo.make(kinds[0], info.markers)
+    spec = tyro.constructors.ConstructorRegistry.get_primitive_spec(inner)
+    if isinstance(spec, tyro.constructors.UnsupportedTypeAnnotationError):
+        return spec
+    words = spec.str_from_instance
+    return replace(
+        spec,
+        is_instance=lambda value: value is None or spec.is_instance(value),
+        str_from_instance=lambda value: [] if value is None else words(value),
+    )
 
 
 # Options that several commands have; one without a text is described by the docstring of its field.

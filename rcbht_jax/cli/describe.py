@@ -28,7 +28,13 @@ class Describe(Command):
     source: SourcePrefix = ""
     task: Annotated[str, option("Track of annotations to name.", "the first, or its corrected variant")] = ""
     snap: SnapSize = ()
-    least: Annotated[float, option("Smallest change to report, as a share of the usual range of its axis.")] = 0.2
+    least: Annotated[
+        float,
+        option(
+            "Smallest change to report, as a share of the usual range of its axis; changes as small as its noise are "
+            "never reported."
+        ),
+    ] = 0.2
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.cli.plot import find_recording

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     ONLINE_MODEL,
     Command,
@@ -67,8 +68,8 @@ class Export(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         return (
-            f"{result['out']}: {result['recordings']} recordings with "
-            f"{result['tracks'] or 'no'} labels as {result['format']}, {result['files']} files, "
+            f"{result['out']}: {plural(result['recordings'], 'recording')} with "
+            f"{result['tracks'] or 'no'} labels as {result['format']}, {plural(result['files'], 'file')}, "
             f"{result['bytes'] / 1e6:.1f} MB; add the licence to its README.md"
         )
 
@@ -147,8 +148,8 @@ class Report(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         return (
-            f"{result['out']}: {result['shown']} of {result['recordings']} recordings, labels "
-            f"{result['tracks']}, {result['results']} results, {result['bytes'] / 1e6:.1f} MB"
+            f"{result['out']}: {result['shown']} of {plural(result['recordings'], 'recording')}, labels "
+            f"{result['tracks']}, {plural(result['results'], 'result')}, {result['bytes'] / 1e6:.1f} MB"
         )
 
 

@@ -36,7 +36,9 @@ class Import(Command):
     map: Annotated[Path | None, option("File that says what the columns mean.", "", metavar="FILE.toml")] = None
     write_map: Annotated[Path | None, option("File to save the meaning of columns in.", "", metavar="FILE.toml")] = None
     rate: Annotated[float | None, option("Samples per second of the store.", "that of most recordings")] = None
-    source_rate: Annotated[float | None, option("Samples per second of files without time stamps.", "")] = None
+    source_rate: Annotated[
+        float | None, option("Samples per second of files without time stamps.", "the rate that a file states")
+    ] = None
     tare: Annotated[float | None, option("Subtract the mean of this many seconds at the beginning.", "none")] = None
     group: Annotated[str, option("Column whose values separate the recordings of one file.", "")] = ""
     topic: Annotated[str, option("Topic of a bag.", "every topic of wrenches")] = ""

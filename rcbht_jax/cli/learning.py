@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from rcbht_jax.learning.wrench_facts import WrenchFacts
     from rcbht_jax.types import Recordings
 
+WIDEST = 100  # columns of a printed table
 CLASSIFIER = MadeBy('"rcbht train STORE.zarr -o {path}"')
 Family = Literal[
     "sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges",
@@ -153,7 +154,7 @@ class Evaluate(_Learning):
         from rcbht_jax.learning.metrics import rule_of_three
 
         items = ", ".join(f"{name} {count}" for name, count in result["items"].items())
-        lines = [f"{result['task']['task']} from {result['tracks']}: {result['trials']} trials; {items}"]
+        lines = [f"{result['task']['task']} from {result['tracks']}: {plural(result['trials'], 'trial')}; {items}"]
         lines += left_out(result["dropped"])
         if result["untrained"]:
             verb = "is" if len(result["untrained"]) == 1 else "are"
@@ -175,7 +176,7 @@ class Evaluate(_Learning):
                 f"folds of a repetition, min / mean / max as in the paper: {low:.3f} / {mean:.3f} / {high:.3f}"
             )
         chosen, count = next(iter(result["chosen"].items()))
-        lines.append(f"chosen most often: {chosen} ({count} of {sum(result['chosen'].values())} folds)")
+        lines.append(f"chosen most often: {chosen} ({count} of {plural(sum(result['chosen'].values()), 'fold')})")
         lines += ["confusion matrix, rows = true class:", *_table(result["classes"], result["confusion"])]
         return "\n".join([*lines, *[f"Confounds: {result['confounds']}"] * bool(result["confounds"])])
 
@@ -214,7 +215,7 @@ class Train(_Learning):
     def text(self, result: dict[str, Any]) -> str:
         learnt = (
             f"{result['model']}: {', '.join(result['classes'])} from {result['items']} sentences of "
-            f"{result['trials']} trials; {result['kernel']} kernel, C = {result['cost']:g}"
+            f"{plural(result['trials'], 'trial')}; {result['kernel']} kernel, C = {result['cost']:g}"
         )
         return "\n".join([learnt, *left_out(result["dropped"])])
 
@@ -284,7 +285,8 @@ class Classify(Command):
         given = self.tracks.split("+") if self.tracks else names
         if len(given) != len(names):
             raise InputError(
-                f"the model reads {len(names)} label tracks ({' + '.join(names)}); --tracks names {len(given)}."
+                f"the model reads {plural(len(names), 'label track')} ({' + '.join(names)}); "
+                f"--tracks names {len(given)}."
             )
         chosen = {name: choose_name(self.store, wanted) for name, wanted in zip(names, given, strict=True)}
         check_encoders(model, {name: read_tracks_attrs(self.store, wanted) for name, wanted in chosen.items()})
@@ -316,11 +318,15 @@ def _interval(score: dict[str, float]) -> str:
 
 
 def _table(classes: Sequence[str], confusion: list[list[int]]) -> list[str]:
-    width = max(max(len(name) for name in classes), 6)
-    head = " " * width + "".join(f"  {name[:8]:>8}" for name in classes)
-    return [head] + [
-        f"{name:{width}}" + "".join(f"  {count:8d}" for count in row)
-        for name, row in zip(classes, confusion, strict=True)
+    """The rows of a confusion matrix; its columns have numbers where their names would make it too wide."""
+    rows, columns, most = list(classes), list(classes), len(str(max(map(max, confusion))))
+    if max(map(len, rows)) + sum(2 + max(len(name), most) for name in columns) > WIDEST:
+        columns = [str(number) for number in range(1, len(columns) + 1)]
+        rows = [f"{number:>{len(columns[-1])}} {name}" for number, name in zip(columns, rows, strict=True)]
+    width, wide = max(map(len, rows)), [max(len(name), most) for name in columns]
+    return [
+        f"{name:{width}}" + "".join(f"  {one:>{size}}" for one, size in zip(cells, wide, strict=True))
+        for name, cells in zip(["", *rows], [columns, *(map(str, row) for row in confusion)], strict=True)
     ]
 
 

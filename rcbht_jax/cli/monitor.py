@@ -83,10 +83,13 @@ class MonitorFit(Command):
         }
 
     def text(self, result: dict[str, Any]) -> str:
+        from rcbht_jax.introspection.alarms import rounded_up
+
+        count = f"{plural(result['recordings'], 'nominal recording')} of {plural(result['groups'], 'group')}"
         return (
-            f"{result['monitor']}: {result['recordings']} nominal recordings of {plural(result['groups'], 'group')}; "
+            f"{result['monitor']}: {count}; "
             f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
-            f"the smallest share of false alarms that it can promise is {result['fewest_false_alarms']:.3g}"
+            f"the smallest share of false alarms that it can promise is {rounded_up(result['fewest_false_alarms']):g}"
         )
 
 
@@ -140,7 +143,7 @@ class MonitorWatch(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         # Standard output belongs to the alarms.
-        print(f"{result['recordings']} recordings, {result['alarms']} with an alarm", file=sys.stderr)
+        print(f"{plural(result['recordings'], 'recording')}, {result['alarms']} with an alarm", file=sys.stderr)
         return ""
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     Arm,
     BeliefRate,
@@ -119,7 +120,8 @@ class PlotMap(Command):
         return {"figure": str(self.out), "tracks": name, "layer": self.layer, "recordings": int(select.sum())}
 
     def text(self, result: dict[str, Any]) -> str:
-        return f"{result['figure']}: {result['layer']} labels {result['tracks']} of {result['recordings']} recordings"
+        count = plural(result["recordings"], "recording")
+        return f"{result['figure']}: {result['layer']} labels {result['tracks']} of {count}"
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.cells import cell
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     Command,
     Flag,
@@ -96,14 +97,15 @@ class Segment(Command):
     def text(self, result: dict[str, Any]) -> str:
         how = "causal" if result["causal"] else "offline"
         lines = [
-            f"{result['out']}: {result['recordings']} recordings, {result['annotated']} of them annotated with "
-            f"{result['track']} ({', '.join(result['classes'])})"
+            f"{result['out']}: {plural(result['recordings'], 'recording')}, {result['annotated']} of them annotated "
+            f"with {result['track']} ({', '.join(result['classes'])})"
         ]
-        names = {"accuracy": "accuracy of samples", "macro_f1": "F1 of samples, mean of classes", "edit": "edit score"}
+        names = {"accuracy": "accuracy", "macro_f1": "macro F1", "edit": "edit score"}  # as the page has them
         for name, value in result["score"].items():
             low, high = result["interval"][name]
             unit = " s, median" if name == "delay" else ""
-            lines.append(f"  {names.get(name, name):32}{value:.3f} ({low:.3f} to {high:.3f}){unit}")
+            shown = names.get(name, name).replace("f1@", "F1@")
+            lines.append(f"  {shown:32}{value:.3f} ({low:.3f} to {high:.3f}){unit}")
         lines.append(f"  {'most frequent class':32}{result['majority']:.3f}")
         model = [f"{result['model']}: trained on all annotated recordings"] if "model" in result else []
         return "\n".join([*lines, f"{result['protocol']}, {how}", *model])

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 
 import tyro
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.cli.command import (
     Arm,
@@ -289,7 +290,9 @@ class Source(RuleCommand):
             recordings = opening.recordings(rate, *(reads[:2] if reads and its else (opening.axes,)))
         if self.axes:
             if len(self.axes) != len(recordings.axes):
-                raise InputError(f"--axes names {len(self.axes)} axes; the stream has {len(recordings.axes)}.")
+                raise InputError(
+                    f"--axes names {plural(len(self.axes), 'axis', 'axes')}; the stream has {len(recordings.axes)}."
+                )
             units = tuple(UNIT_OF.get(axis, "") for axis in self.axes)
             recordings = replace(recordings, axes=distinct(self.axes), units=units)
         if _is_store(path):

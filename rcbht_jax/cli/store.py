@@ -47,7 +47,7 @@ class ImportHiro(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         sets = Counter(name.rsplit("/", 2)[0] for name in result["imported"] if name.count("/") > 1)
-        lines = [f"{len(result['imported'])} recordings in {result['store']}"]
+        lines = [f"{plural(len(result['imported']), 'recording')} in {result['store']}"]
         lines += [f"  {count:5d}  {source}" for source, count in sorted(sets.items())]
         for title, key in (("left out", "skipped"), ("exact copies", "duplicates"), ("warnings", "warnings")):
             if result[key]:
@@ -153,7 +153,7 @@ class Info(Command):
         count = plural(result["recordings"], "recording")
         head = f"{result['store']}: {count} of {axes} at {1 / result['dt']:g} Hz"
         if result["content_sha256"] is None:
-            head += f"\n{result['recordings']} of {result['expected']} recordings are there; still being written"
+            head += f"\n{result['recordings']} of {plural(result['expected'], 'recording')}; still being written"
         elif not result["verified"]:
             head += "\nlarge: checksums not compared, tasks not examined; --check compares the checksums"
         lines = [head, f"created: {result['created']}, by rcbht-jax {result['rcbht_jax_version']}", ""]

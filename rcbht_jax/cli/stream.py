@@ -348,4 +348,4 @@ def _record(mcap: McapWriter, session: Session, message: Message | None, events:
 
 
 def _counts(numbers: dict[str, int]) -> str:
-    return ", ".join(f"{count} {name}" for name, count in numbers.items()) or "nothing"
+    return ", ".join(f"{name} {count}" for name, count in numbers.items()) or "nothing"

@@ -233,3 +233,19 @@ def made_by(config: AnyConfig, limits: AnyLimits) -> dict[str, Any]:
     arrays = {name.removeprefix("limits."): value.tolist() for name, value in limit_arrays(limits).items()}
     thresholds = arrays.pop("gradients" if isinstance(limits, FitLimits) else "limits")
     return {"config": config_fields(config) | arrays, "thresholds": thresholds}
+
+
+def encoder_of(noted: Mapping[str, Any]) -> tuple[AnyConfig, AnyLimits]:
+    """Undo :func:`made_by`.
+
+    Raises:
+        InputError: a value is of another type or out of range.
+        KeyError: one is missing.
+
+    >>> encoder_of(made_by(EncoderConfig(), np.array([[70.0, 46.0, 23.0, 1.0]])))[0] == EncoderConfig()
+    True
+    """
+    own = dict(noted["config"])
+    tolerance = own.pop("tolerance", None)
+    limits = np.asarray(noted["thresholds"], np.float64)
+    return config_from(own), limits if tolerance is None else FitLimits(limits, np.asarray(tolerance, np.float64))

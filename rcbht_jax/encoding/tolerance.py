@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -73,13 +74,34 @@ def by_lane(limits: Array, like: Array) -> Array:
 
 
 @np.errstate(invalid="ignore")  # the encoder refuses what is not finite, in a sentence
+def noise_of(parts: Sequence[Float[np.ndarray, "_time axis"]]) -> Float[np.ndarray, " axis"]:
+    """Standard deviation of the noise of every axis, which is taken to be white.
+
+    It comes from the median of second differences, which straight lines and rare jumps do not change.
+
+    Args:
+        parts: recordings, units of the axes; those of fewer than three samples tell nothing.
+
+    Returns:
+        float64, units of the axes; 0 if no recording tells.
+
+    Example:
+        >>> noise = np.random.default_rng(0).normal(0, 0.5, (10_000, 1))
+        >>> noise_of([np.linspace(0, 100, 10_000)[:, None] + noise]).round(1).tolist()
+        [0.5]
+    """
+    bends = np.concatenate([np.abs(np.diff(np.asarray(part, np.float64), n=2, axis=0)) for part in parts])
+    if not len(bends):
+        return np.zeros(bends.shape[1])
+    return np.asarray(np.median(bends, axis=0)) / (_NORMAL_MAD * _SECOND_DIFFERENCE)
+
+
 def auto_tolerance(
     wrench: Float[np.ndarray, "recording time axis"], length: Int[np.ndarray, " recording"], needed: int
 ) -> Float[np.ndarray, " axis"]:
     """A tolerance for every axis: 1.5 % of its usual range, or more where noise alone would break lines.
 
-    The usual range lies between the 1st and 99th percentile of all samples. The deviation of the noise comes from the
-    median of second differences, which straight lines and rare jumps do not change (white noise is assumed).
+    The usual range lies between the 1st and 99th percentile of all samples; for the noise see :func:`noise_of`.
 
     Args:
         wrench: N and Nm, finite within the lengths.
@@ -99,9 +121,7 @@ def auto_tolerance(
     if not len(values):
         return np.ones(wrench.shape[2])
     low, high = np.percentile(values, USUAL, axis=0)
-    bends = np.concatenate([np.abs(np.diff(part, n=2, axis=0)) for part in parts])
-    noise = np.median(bends, axis=0) / (_NORMAL_MAD * _SECOND_DIFFERENCE) if len(bends) else 0.0
-    tolerance = np.maximum(SHARE * (high - low), (NOISE / needed) ** 0.5 * noise)
+    tolerance = np.maximum(SHARE * (high - low), (NOISE / needed) ** 0.5 * noise_of(parts))
     spare = SHARE * (values.max(axis=0) - values.min(axis=0))  # an axis that changes more rarely than usual
     tolerance = np.where(tolerance > 0, tolerance, spare)
     return np.where(tolerance > 0, tolerance, 1.0)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Level
@@ -28,6 +29,16 @@ def sustained_peak(probability: Float[np.ndarray, " snapshot"], steps: int) -> f
     return float(np.lib.stride_tricks.sliding_window_view(probability, steps).min(1).max())
 
 
+def rounded_up(share: float) -> float:
+    """A share between 0 and 1 in three digits, not below it: what so many trials can promise, they keep.
+
+    >>> rounded_up(1 / 95), rounded_up(0.1)
+    (0.0106, 0.1)
+    """
+    step = 10.0 ** (np.floor(np.log10(share)) - 2)
+    return float(f"{np.ceil(share / step - 1e-9) * step:.3g}")
+
+
 def conformal_threshold(peaks: Float[np.ndarray, " trial"], share: float) -> float:
     """Threshold that a new nominal trial's peak exceeds with a probability of at most ``share``.
 
@@ -45,8 +56,9 @@ def conformal_threshold(peaks: Float[np.ndarray, " trial"], share: float) -> flo
         raise InputError(f"{share:g} false alarms per trial were asked for; expected a number between 0 and 1.")
     rank = int(np.ceil((len(peaks) + 1) * (1 - share) - 1e-9))
     if rank > len(peaks):
+        least = f", only {rounded_up(1 / (len(peaks) + 1)):g} or more" if len(peaks) else ""
         raise InputError(
-            f"{len(peaks)} nominal trials cannot promise {share:g} false alarms per trial; "
+            f"{plural(len(peaks), 'nominal trial')} cannot promise {share:g} false alarms per trial{least}; "
             f"it takes {trials_needed(share)}."
         )
     return float(np.sort(peaks)[rank - 1])

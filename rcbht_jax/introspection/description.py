@@ -18,11 +18,12 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.arrays import encode
-from rcbht_jax.encoding.tolerance import USUAL
+from rcbht_jax.encoding.tolerance import USUAL, noise_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.types import LabelTrack, Recordings
 
+NOISE = 10.0  # standard deviations: the noise of a long recording spans less
 TOGETHER = 0.1  # s between onsets that are reported as one
 PLATEAU = 0.5  # s of a level stretch that divides one rise into two
 SLOWEST_HALF = 1.0  # s between turning points of a ringing at most
@@ -246,7 +247,8 @@ def describe_recording(
     Args:
         recordings: any axes.
         row: which one.
-        share: of an axis's usual range in this recording (1st to 99th percentile), the smallest change to report.
+        share: of an axis's usual range in this recording (1st to 99th percentile), the smallest change to report; not
+            less than what noise alone would change.
         track: of annotations to name; default the first, or its harmonised variant.
         snaps: detector of snaps; default on all axes in N, its smallest fall the smallest change of the
             one that changes most.
@@ -272,7 +274,7 @@ def describe_recording(
         return []
     primitives = encode(wrench, rate=1 / recordings.dt, rule="fit").primitive
     low, high = np.percentile(wrench, USUAL, axis=0)
-    least = np.where(high > low, share * (high - low), np.inf)
+    least = np.where(high > low, np.maximum(share * (high - low), NOISE * noise_of([wrench])), np.inf)
     units = dict(zip(recordings.axes, recordings.units, strict=True))
     sentences = describe(primitives, recordings.axes, units, recordings.dt, least.tolist())
     sentences += _snaps(recordings, wrench, least, snaps)

@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.signals import period, read_parts, read_signal, warn_if_turned, whole_series
 from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
@@ -90,7 +91,9 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         read, axes = read_parts(X, period(self.rate), dtype=np.float64)
         series = [whole_series(part) for part in read]
         if len(series) < 3 or len({part.shape[1] for part in series}) > 1:
-            raise InputError(f"{len(series)} recordings; it takes three or more nominal ones with the same axes.")
+            raise InputError(
+                f"{plural(len(series), 'recording')}; it takes three or more nominal ones with the same axes."
+            )
         warn_if_turned(X, max(map(len, series)), series[0].shape[1], axes)
         given = np.arange(len(series)) if groups is None else np.asarray(groups)
         if given.shape != (len(series),):
@@ -247,7 +250,8 @@ class MonitorStream:
         if names and names != known:
             raise InputError(f"The samples have the axes {', '.join(names)}; the monitor learned {', '.join(known)}.")
         if new.shape[1] != monitor.n_features_in_:
-            raise InputError(f"The samples have {new.shape[1]} axes; the monitor learned {monitor.n_features_in_}.")
+            axes = plural(new.shape[1], "axis", "axes")
+            raise InputError(f"The samples have {axes}; the monitor learned {monitor.n_features_in_}.")
         waiting, step = len(self._samples), monitor.score_step
         joined = np.concatenate([self._samples, new])
         whole = len(joined) // step * step

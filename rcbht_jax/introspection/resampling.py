@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import stamp_before
 from rcbht_jax.io.messages import Sample
@@ -197,7 +198,11 @@ class Resampler:
 
     def finish(self) -> list[Report]:
         """The remaining reports of jitter and bridged readings at the end of a stretch."""
-        off, missing, since = self._off, self._missing, f"{self._readings} readings in {self._last - self._since:.3g} s"
+        off, missing, since = (
+            self._off,
+            self._missing,
+            f"{plural(self._readings, 'reading')} in {self._last - self._since:.3g} s",
+        )
         self._since, self._gaps = self._last, missing > 0
         self._readings = self._off = self._missing = 0
         reports = []

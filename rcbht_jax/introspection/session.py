@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.encoding.stream import MOST_SAMPLES
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, Notice, TrialStarted
@@ -119,7 +120,7 @@ class Session:
     def feed(self, message: Message) -> list[Event]:
         """The events that one message causes, in order."""
         if isinstance(message, Sample) and len(message.wrench) != self._axes:
-            text = f"a reading has {len(message.wrench)} values; there are {self._axes} axes"
+            text = f"a reading has {plural(len(message.wrench), 'value')}; expected {self._axes}, one for each axis"
             message = Malformed(text)
         if not isinstance(message, Malformed):  # its notice counts it
             self.counts[type(message).__name__.lower()] += 1

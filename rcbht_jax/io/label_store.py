@@ -19,7 +19,7 @@ from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store import count_recordings, open_store, recording_rows
-from rcbht_jax.io.store_schema import LABELS
+from rcbht_jax.io.store_schema import HASH, LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.tasks import TrackBatches
 from rcbht_jax.types import LabelTrack, LabelTracks
@@ -84,20 +84,57 @@ def write_batches(
     if folder.exists():
         raise InputError(f"{path} has label tracks {name} already; choose another name.")
     layout = Layout(int(rows[-1]) + 1, min(label_parts.PART, int(rows[-1]) + 1))
-    ends = np.searchsorted(rows, [layout.span(number).stop for number in range(len(layout))]).tolist()
-    sizes = np.diff([0, *ends]).tolist()
     # The draft is outside the store: readers list every folder inside it.
     with atomic_folder(folder, near=path) as draft:
-        for number, batch in enumerate(label_parts.regroup(batches, sizes)):
-            if number == 0:
-                label_parts.create(draft, layout, batch, attrs, created=created)
-            span = layout.span(number)
-            places = rows[ends[number] - sizes[number] : ends[number]] - span.start
-            label_parts.write_part(draft, number, label_parts.spread(batch, places, span.stop - span.start))
-        label_parts.finish(draft)
+        _write_draft(draft, rows, layout, batches, attrs, created)
         if not (path / LABELS / "zarr.json").exists():
             zarr.create_group(path / LABELS, zarr_format=3)
     zarr_io.consolidate(path)
+
+
+def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs: Mapping[str, Any]) -> None:
+    """Write damaged or missing label tracks of a store again, from labels that were made as those were.
+
+    Args:
+        path: an existing store.
+        name: of the label tracks.
+        batches: as for :func:`write_batches`.
+        attrs: of the label tracks, as :func:`read_tracks_attrs` gives them; if they have a checksum, it is compared.
+
+    Raises:
+        InputError: the labels are not those of the checksum; nothing is replaced.
+    """
+    zarr_io.check_writable(path)
+    rows, folder = recording_rows(path), _folder(path, name)
+    layout = Layout(attrs["rows"], attrs["part_rows"])
+    own = {key: value for key, value in attrs.items() if key not in ("created", "rows", "part_rows", HASH)}
+    with atomic_folder(folder, near=path, replace=folder.exists()) as draft:
+        _write_draft(draft, rows, layout, batches, own, attrs["created"])
+        if zarr_io.open_group(draft).attrs[HASH] != attrs.get(HASH, zarr_io.open_group(draft).attrs[HASH]):
+            raise InputError(f"{folder} cannot be made again: the installed versions encode otherwise.")
+        if not (path / LABELS / "zarr.json").exists():
+            zarr.create_group(path / LABELS, zarr_format=3)
+    zarr_io.consolidate(path)
+
+
+def _write_draft(
+    draft: Path,
+    rows: NDArray[np.int64],
+    layout: Layout,
+    batches: Iterable[LabelTracks],
+    attrs: Mapping[str, Any],
+    created: str | None,
+) -> None:
+    """Label tracks in a folder of their own, complete with checksums."""
+    ends = np.searchsorted(rows, [layout.span(number).stop for number in range(len(layout))]).tolist()
+    sizes = np.diff([0, *ends]).tolist()
+    for number, batch in enumerate(label_parts.regroup(batches, sizes)):
+        if number == 0:
+            label_parts.create(draft, layout, batch, attrs, created=created)
+        span = layout.span(number)
+        places = rows[ends[number] - sizes[number] : ends[number]] - span.start
+        label_parts.write_part(draft, number, label_parts.spread(batch, places, span.stop - span.start))
+    label_parts.finish(draft)
 
 
 def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any]]:

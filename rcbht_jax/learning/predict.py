@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.model_io import TrainedModel
@@ -152,7 +153,7 @@ def classify(
     items = unlabelled_intervals(recordings, spec, whole=model.task.get("whole") is True)
     if not len(items.row):
         why = (
-            ", ".join(f"{count} trials: {reason}" for reason, count in items.dropped.items())
+            ", ".join(f"{plural(count, 'trial')}: {reason}" for reason, count in items.dropped.items())
             or "no trial passes the filters"
         )
         raise InputError(f"there is no sentence to classify ({why}).")

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
@@ -168,8 +169,8 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
     classes = tuple(name for name in spec.classes or order if name in present)
     if len(classes) < 2:
         raise InputError(
-            f"the task {spec.task} finds {_listed('class', classes)} in the {len(rows)} trials that pass the filters; "
-            f"it needs two.{_reasons(dropped)}"
+            f"the task {spec.task} finds {_listed('class', classes)} in {plural(len(rows), 'trial')} that passed the "
+            f"filters; it needs two.{_reasons(dropped)}"
         )
     y = np.array([classes.index(name) for name in found.label.tolist()], np.int64)
     first = found.rows[:, 0]

@@ -9,7 +9,11 @@ from matplotlib.figure import Figure
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Event, SubtaskStarted
-from rcbht_jax.plots.canvas import new_figure, plain
+from rcbht_jax.plots.canvas import new_figure, plain, stacked
+
+LETTERS = 150  # of a name of a sub-task, in the width of a panel
+MOST_ROWS = 3  # of names
+ABOVE, LINE = 17.0, 9.0  # points: of the first row of names above the panel, below which its title is; of one row
 
 
 def belief_map(events: Sequence[Event], title: str = "") -> Figure:
@@ -31,7 +35,7 @@ def belief_map(events: Sequence[Event], title: str = "") -> Figure:
         raise InputError("There is no belief among the events: the recording is too short for the first one.")
     heads = list(dict.fromkeys(belief.head for belief in beliefs))
     rows = [len(next(b for b in beliefs if b.head == head).classes) for head in heads]
-    figure = new_figure((9.0, 1.1 + 0.5 * len(heads) + 0.28 * sum(rows)), 110)
+    figure = new_figure((9.0, 1.4 + 0.5 * len(heads) + 0.28 * sum(rows)), 110)
     panels = figure.subplots(len(heads), 1, sharex=True, squeeze=False, height_ratios=rows)[:, 0]
     for panel, head in zip(panels, heads, strict=True):
         of_head = [belief for belief in beliefs if belief.head == head]
@@ -65,8 +69,14 @@ def _mark_starts(figure: Figure, panels: int, events: Sequence[Event]) -> None:
         for start in starts:
             panel.axvline(start.time, color="white", linewidth=1.5)
             panel.axvline(start.time, color="black", linewidth=0.8, linestyle="--" if start.detected else "-")
-    for start in starts:
-        figure.axes[0].annotate(
-            plain(start.label), (start.time, 1.0), (1, 2), xycoords=("data", "axes fraction"),
-            textcoords="offset points", fontsize=7, rotation=20,
-        )  # fmt: skip
+    low, high = figure.axes[0].get_xlim()
+    letter = (high - low) / LETTERS
+    widths = [(len(start.label) + 1) * letter for start in starts]
+    ends = [min(start.time + width, high) for start, width in zip(starts, widths, strict=True)]
+    rows = stacked([(end - width, end) for end, width in zip(ends, widths, strict=True)], MOST_ROWS)
+    for start, end, width, row in zip(starts, ends, widths, rows, strict=True):
+        if row is not None:
+            figure.axes[0].annotate(
+                plain(start.label), (end - width, 1.0), (1, ABOVE + LINE * row), xycoords=("data", "axes fraction"),
+                textcoords="offset points", fontsize=7,
+            )  # fmt: skip

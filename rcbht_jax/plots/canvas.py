@@ -60,6 +60,26 @@ def cut(text: str, letters: int) -> str:
     return text if len(text) <= letters else f"{text[: letters - 1]}…"
 
 
+def stacked(spans: Iterable[tuple[float, float]], most: int) -> list[int | None]:
+    """The lowest row for each text in which it does not overlap those before it; None = in none of the rows.
+
+    Args:
+        spans: left and right end of each text.
+        most: number of rows.
+
+    >>> stacked([(0, 2), (1, 3), (2, 4), (1, 2)], 2)
+    [0, 1, 0, None]
+    """
+    ends: list[float] = []
+    rows: list[int | None] = []
+    for left, right in spans:
+        row = next((row for row, end in enumerate(ends) if end <= left), len(ends))
+        rows.append(row if row < most else None)
+        if row < most:
+            ends[row : row + 1] = [right]
+    return rows
+
+
 def check_rows(recordings: Recordings, tracks: LabelTracks) -> None:
     """Check that the tracks belong to the recordings.
 

@@ -11,6 +11,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS
 from rcbht_jax.plots.canvas import LAYER_TITLES, check_rows, label_legend, new_figure, plain
@@ -92,13 +93,13 @@ def label_map(
         ax.set_title(plain(recordings.axes[axis]), fontsize=12, loc="left", pad=4)
         _separate_sessions(ax, recordings, rows, named=axis < per_column)
         _label_columns(ax, states, axis % per_column == per_column - 1, 90.0 if leaning else 0.0)
-    facts = f"{LAYER_TITLES[layer]} of {len(rows)} recordings"
+    facts = f"{LAYER_TITLES[layer]} of {plural(len(rows), 'recording')}"
     text = f"{title}: {facts.lower()}\n{caption}" if title else f"{facts}\n{caption}"
     height = figure.get_figheight()
     figure.suptitle(plain(text), x=_LEFT, y=1 - 0.2 / height, ha="left", va="top", fontsize=13)
     used = {int(code) for code in np.unique(codes)} - {0}
     if used:
-        label_legend(figure, layer, used, (_LEFT, 0.15 / height), 8)
+        label_legend(figure, layer, used, (_LEFT, 0.15 / height), len(used) if len(used) <= 6 else -(-len(used) // 2))
     return figure
 
 

@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, name
-from rcbht_jax.plots.canvas import check_rows, cut, label_legend, new_figure, plain, text_color
+from rcbht_jax.plots.canvas import check_rows, cut, label_legend, new_figure, plain, stacked, text_color
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 100  # inches, 1600 pixels; six axes are 2000 pixels high
@@ -270,17 +270,11 @@ def _draw_marks(axes: tuple[Axes, ...], marks: list[Mark]) -> None:
 
 def _name_rows(marks: list[Mark], view: _View) -> list[tuple[Mark, bool, int]]:
     """Names of the states: whether they stand right of their line, and the row, one up where they would overlap."""
-    ends: list[float] = []
-    found = []
-    for mark in marks:
-        width = (len(mark.text) * 7.6 + 10) / view.pixels
-        fits = mark.seconds + width < view.stop
-        left = mark.seconds if fits else mark.seconds - width
-        row = next((row for row, end in enumerate(ends) if end <= left), len(ends))
-        if row < MOST_ROWS:
-            ends[row : row + 1] = [left + width]
-            found.append((mark, fits, row))
-    return found
+    widths = [(len(mark.text) * 7.6 + 10) / view.pixels for mark in marks]
+    fits = [mark.seconds + width < view.stop for mark, width in zip(marks, widths, strict=True)]
+    lefts = [mark.seconds - width * (not fit) for mark, width, fit in zip(marks, widths, fits, strict=True)]
+    rows = stacked([(left, left + width) for left, width in zip(lefts, widths, strict=True)], MOST_ROWS)
+    return [(mark, fit, row) for mark, fit, row in zip(marks, fits, rows, strict=True) if row is not None]
 
 
 def _name_marks(ax: Axes, names: list[tuple[Mark, bool, int]]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import Command, Folder, announce, option, unset
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words
 from rcbht_jax.cli.encode import Encode
@@ -69,7 +70,8 @@ class Demo(Command):
         start = time.perf_counter()
         _begin(self.out)
         store = self.out / "trials.zarr"
-        announce(1, STEPS, f"simulate {self.trials} trials of the preset {PRESET} on {os.cpu_count()} cores")
+        cores = plural(os.cpu_count() or 1, "core")
+        announce(1, STEPS, f"simulate {plural(self.trials, 'trial')} of the preset {PRESET} on {cores}")
         simulated = Simulate(store, preset=PRESET, trials=self.trials, seed=self.seed, overwrite=True).run()
         announce(2, STEPS, f"encode them with the streaming encoder, windows of {WINDOW} samples")
         encoded = Encode(store, window=WINDOW).run()
@@ -228,7 +230,7 @@ def _run_recorded(data: Path, out: Path, rule: Literal["fit", "paper"]) -> dict[
     labels = ", ".join(f"{count} {layer}" for layer, count in result["labels"].items())
     lines = [
         f"{TITLE}, {result['seconds']:.0f} s",
-        f"{result['recordings']} recordings imported, {result['left_out']} left out",
+        f"{plural(result['recordings'], 'recording')} imported, {result['left_out']} left out",
         f"labels: {labels}",
         "",
         evaluate.text(scores),

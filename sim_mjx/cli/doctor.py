@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from rcbht_jax.cli.command import STORE, Command, Flag, option, unset
+from rcbht_jax._util.printable import plural
+from rcbht_jax.cli.command import STORE, Command, Flag, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
 TRIALS, SAMPLES, WINDOW = 100, 2000, 5  # of the measurement, as "rcbht bench" makes it
@@ -34,8 +36,9 @@ class Doctor(Command):
     repair: Annotated[
         Flag,
         option(
-            "Simulate a damaged store again from its seed, if the installed versions are those that made it; "
-            'label tracks of "rcbht encode" are lost; the result lists them.'
+            "Encode damaged label tracks again from the stored wrenches; if more is damaged, simulate the store again "
+            'from its seed, if the installed versions are those that made it: label tracks of "rcbht encode" are lost '
+            "then, and the result lists them."
         ),
     ] = False
 
@@ -61,21 +64,46 @@ class Doctor(Command):
         from sim_mjx.validation import health
 
         found = health.check_store(path)
-        repaired, lost = False, list[str]()
-        if self.repair and found.damage:
-            from sim_mjx.synthesis.pipeline import synthesise
-
-            job = health.repair_job(path)
-            lost = health.other_tracks(path, job)
-            synthesise(path, job, overwrite=True)
-            found, repaired = health.check_store(path), True
-        return {"store": str(path), **asdict(found), "repaired": repaired, "lost_tracks": lost}
+        encoded, lost = list[str](), list[str]()
+        repaired = self.repair and bool(found.damage)
+        if repaired and found.tracks:
+            encoded = _encode_again(path, found.tracks)
+        elif repaired:
+            lost = _simulate_again(path)
+        if repaired:
+            found = health.check_store(path)
+        facts = {**asdict(found), "tracks": list(found.tracks)}
+        return {"store": str(path), **facts, "repaired": repaired, "encoded_tracks": encoded, "lost_tracks": lost}
 
     def exit_status(self, result: dict[str, Any]) -> int:
         return 2 if result.get("damage") else 0
 
     def text(self, result: dict[str, Any]) -> str:
         return _store_text(result) if self.store is not None else _machine_text(result)
+
+
+def _encode_again(path: Path, tracks: dict[str, dict[str, Any]]) -> list[str]:
+    """Make damaged label tracks again; their names."""
+    from rcbht_jax.io.store import read_lengths
+    from sim_mjx.validation.label_repair import encode_again
+
+    with progress_bar("encode", "samples", len(tracks) * int(read_lengths(path).sum()), unit_scale=True) as bar:
+        for name, how in tracks.items():
+            encode_again(path, name, how, bar.update)
+    return list(tracks)
+
+
+def _simulate_again(path: Path) -> list[str]:
+    """Make a store again; the names of the label tracks that are lost."""
+    from sim_mjx.cli.simulate import show
+    from sim_mjx.synthesis.pipeline import synthesise
+    from sim_mjx.validation import health
+
+    job = health.repair_job(path)
+    lost = health.other_tracks(path, job)
+    with progress_bar("simulate", "trials", job.trials) as bar:
+        synthesise(path, job, overwrite=True, progress=partial(show, bar))
+    return lost
 
 
 def _slow(devices: list[str], ratio: float) -> list[str]:
@@ -94,8 +122,8 @@ def _machine_text(result: dict[str, Any]) -> str:
     usual = f", usually {USUAL:.2g}" if result["devices"][0].lower().startswith("cpu") else ""
     lines = [
         f"Python {result['python']}; {versions}",
-        f"devices: {', '.join(result['devices'])}; {result['cores']} cores",
-        f"compiled programs: {cache['files']} files, {cache['bytes'] / 2**20:.0f} MB in {cache['folder']}",
+        f"devices: {', '.join(result['devices'])}; {plural(result['cores'], 'core')}",
+        f"compiled programs: {plural(cache['files'], 'file')}, {cache['bytes'] / 2**20:.0f} MB in {cache['folder']}",
         f"disk: {result['free_disk_bytes'] / 2**30:.0f} GB free here",
         f"encoder: {speed['encoder_samples_per_second'] / 1e6:.1f} M samples/s, {speed['encoder_ratio']:.2g} of the "
         f"speed of plain line fits{usual}",
@@ -106,17 +134,21 @@ def _machine_text(result: dict[str, Any]) -> str:
 
 
 def _store_text(result: dict[str, Any]) -> str:
-    lines = [f"{result['store']}: {result['recordings']} recordings"]
+    lines = [f"{result['store']}: {plural(result['recordings'], 'recording')}"]
     lines += [f"damaged: {sentence}" for sentence in result["damage"]] or [
         "every checksum is right, nothing is missing"
     ]
-    if result["repaired"]:
+    if result["encoded_tracks"]:
+        lines.append(f"label tracks were damaged and have been encoded again: {', '.join(result['encoded_tracks'])}")
+    elif result["repaired"]:
         lines.append("it was damaged and has been simulated again")
         if result["lost_tracks"]:
             tracks = ", ".join(result["lost_tracks"])
             lines.append(
                 f'label tracks that its simulation did not make are gone: {tracks}; make them with "rcbht encode"'
             )
+    elif result["tracks"]:
+        lines.append(f'"rcbht doctor {result["store"]} --repair" encodes the labels again from the stored wrenches')
     elif result["damage"] and result["repairable"]:
         lines.append(f'"rcbht doctor {result["store"]} --repair" makes it again from its seed')
     return "\n".join([*lines, *result["notes"]])

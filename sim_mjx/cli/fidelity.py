@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 import rcbht_jax
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import Command, Flag, Folder, MadeBy, announce, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
@@ -218,7 +219,7 @@ def _line(name: str, value: str, limit: str = "", holds: bool | None = None) -> 
 
 
 def _contacts(row: dict[str, Any]) -> str:
-    return f"{row['touched']} of {row['trials']} trials touched"
+    return f"{row['touched']} of {plural(row['trials'], 'trial')} touched"
 
 
 def _solver(name: str, row: dict[str, Any]) -> str:
@@ -246,7 +247,7 @@ def _session(name: str, row: dict[str, Any]) -> list[str]:
         lines.append(_line(name, f"{value}; {row['mated']} of {row['trials']} mated", holds=row["holds"]))
         lines += [_line("", *_check(each, check)) for each, check in row["gate"].items() if not check["holds"]]
     else:
-        value = f"{row['mated']} of {row['trials']} trials mated for a second; the gate needs three"
+        value = f"{row['mated']} of {plural(row['trials'], 'trial')} mated for a second; the gate needs three"
         lines.append(_line(name, value, holds=False))
     if row["onsets"] is not None:
         pairs = zip(row["onsets"], row["recorded_onsets"], strict=True)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
@@ -81,7 +82,7 @@ class Simulate(Command):
         ),
     ] = None
     window: Annotated[int | None, unset(metavar="INT")] = None
-    """Also encode the trials, with this many samples per linear fit, as "rcbht encode" does."""
+    """Also encode the trials, with this many samples per linear fit, as "rcbht encode --robot hiro" does."""
     physical: Annotated[Path | None, unset(metavar="FIT.json"), FIT] = None
     """File of "rcbht fidelity fit" with physical parameters, in place of the preset's."""
     compile_cache: CompileCache = None
@@ -96,7 +97,10 @@ class Simulate(Command):
         ),
     ] = None
     devices: Annotated[str | None, option("GPUs of this machine to use, with a worker process each.", "1")] = None
-    launch: Annotated[Literal["ray", "slurm"] | None, option("Run the workers as Ray tasks or Slurm jobs.", "")] = None
+    launch: Annotated[
+        Literal["ray", "slurm"] | None,
+        option("Run the workers as Ray tasks or Slurm jobs; default processes of this machine.", ""),
+    ] = None
     launch_options: Annotated[
         tuple[str, ...],
         option(
@@ -136,7 +140,7 @@ class Simulate(Command):
                 bar.write(sentence, file=sys.stderr)
 
             def progress(now: SynthesisProgress) -> None:
-                _show(bar, now)
+                show(bar, now)
 
             if self.worker:
                 return be_worker(self, job, progress, notice)
@@ -182,7 +186,7 @@ class Simulate(Command):
 
             return status_text(result) if self.status else worker_text(result)
         done = "with all four tabs seated" if self.assembly == "camera-snap" else "put together"
-        lines = [f"{result['stored']} trials in {result['store']}, {result['seated']} {done}"]
+        lines = [f"{plural(result['stored'], 'trial')} in {result['store']}, {result['seated']} {done}"]
         lines += [f"  {kind:12} {n['trials']:6d}, seated {n['seated']}" for kind, n in result["faults"].items()]
         if result["resumed"]:
             lines.append(f"{result['resumed']} of them were simulated earlier")
@@ -191,7 +195,8 @@ class Simulate(Command):
         return "\n".join(lines)
 
 
-def _show(bar: Any, now: SynthesisProgress) -> None:
+def show(bar: Any, now: SynthesisProgress) -> None:
+    """Bring a progress bar up to date."""
     if now.seconds_left is None:
         bar.initial = bar.n = now.done  # done by an earlier run: no part of the rate
         bar.refresh()

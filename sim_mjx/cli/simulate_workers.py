@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rcbht_jax._util.devices import checked, wanted
 from rcbht_jax._util.optional import require
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ def be_worker(
 def worker_text(result: dict[str, Any]) -> str:
     """The result of :func:`be_worker` for people."""
     rest = "the store is complete" if result["complete"] else "another process completes it"
-    return f"{result['simulated']} trials of {result['store']} simulated here; {rest}"
+    return f"{plural(result['simulated'], 'trial')} of {result['store']} simulated here; {rest}"
 
 
 def status(target: Path) -> dict[str, Any]:
@@ -140,11 +141,11 @@ def status(target: Path) -> dict[str, Any]:
 def status_text(result: dict[str, Any]) -> str:
     """The result of :func:`status` for people."""
     if result["complete"]:
-        return f"{result['store']} is complete: {result['trials']} trials"
+        return f"{result['store']} is complete: {plural(result['trials'], 'trial')}"
     share = 100 * result["done"] / result["trials"]
     lines = [
-        f"{result['store']}: {result['done']} of {result['trials']} trials ({share:.0f} %), "
-        f"{result['shards_done']} of {result['shards']} shards"
+        f"{result['store']}: {result['done']} of {plural(result['trials'], 'trial')} ({share:.0f} %), "
+        f"{result['shards_done']} of {plural(result['shards'], 'shard')}"
     ]
     if result["per_minute"] is not None:
         left = (result["trials"] - result["done"]) / result["per_minute"]

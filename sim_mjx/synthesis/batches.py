@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.types import LabelTracks
 from sim_mjx.assembly.rollout import Rollouts, batch_size
 
@@ -46,7 +47,9 @@ class Halving:
             # outside of the handler, whose traceback would keep the arrays on the device
             self.most = -(-most // 2)
             if self.notice is not None:
-                self.notice(f"The device's memory does not hold {most} trials at once; going on with {self.most}.")
+                self.notice(
+                    f"The device's memory does not hold {plural(most, 'trial')} at once; going on with {self.most}."
+                )
 
 
 def joined(parts: Sequence[tuple[Rollouts, LabelTracks | None]]) -> tuple[Rollouts, LabelTracks | None]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from rcbht_jax._util.atomic import draft_of
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, parts, store_writer
 from rcbht_jax.io import zarr as zarr_io
@@ -25,7 +26,7 @@ from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 from sim_mjx.randomization.trials import Fault
 from sim_mjx.registry import Scenario
 from sim_mjx.synthesis import descriptions, records, shards, tables
-from sim_mjx.synthesis.plan import SynthesisConfig, encoder_config, indices, label_limits, provenance
+from sim_mjx.synthesis.plan import SynthesisConfig, indices, label_attrs, provenance
 from sim_mjx.synthesis.records import Arrays
 
 Drawn = tuple[Any, list[Fault]]  # parameters of a shard's trials, and their faults
@@ -97,7 +98,8 @@ class Draft:
         diverged = np.flatnonzero(lengths[:: len(self.scenario.arms)] == 0).tolist()
         if len(diverged) == self.job.trials:
             raise InputError(
-                f"The physics diverged in all {self.job.trials} trials; nothing to store. Check the distributions."
+                f"The physics diverged in all {plural(self.job.trials, 'trial')}; nothing to store. Check the "
+                "distributions."
             )
         if self.job.window is not None:
             label_parts.finish(self._labels)
@@ -119,13 +121,7 @@ class Draft:
             schema = schema_of(recordings, simulation, layout.rows, layout.part)
             store_writer.create(empty, schema, attrs, CREATED)
             if tracks is not None:
-                config = encoder_config(self.job)
-                how = {  # as "rcbht encode" writes them
-                    "semantics": "online",
-                    "window": config.window,
-                    "config": asdict(config),
-                    "thresholds": label_limits().tolist(),
-                }
+                how = label_attrs(self.job)
                 label_parts.create_in(empty, self._labels.name, layout, tracks, how, created=CREATED)
             descriptions.keep(self.folder, empty)
             empty.rename(self.path)

@@ -18,6 +18,7 @@ import rcbht_jax
 from rcbht_jax._util.digest import content_hash, files_hash
 from rcbht_jax.encoding import thresholds
 from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.rules import made_by
 from rcbht_jax.errors import InputError
 from sim_mjx import engines
 from sim_mjx.assembly.task import CONTROL_PERIOD
@@ -105,6 +106,12 @@ def indices(job: SynthesisConfig, shard: int) -> range:
 def label_limits() -> NDArray[np.float64]:
     """Thresholds that label the trials [6, 4]."""
     return np.asarray(thresholds.preset(ROBOT).limits)
+
+
+def label_attrs(job: SynthesisConfig) -> dict[str, Any]:
+    """How the labels of a job are made, as "rcbht encode" notes it: JSON values."""
+    config = encoder_config(job)
+    return {"semantics": "online", "window": config.window, **made_by(config, label_limits())}
 
 
 def manifest_of(job: SynthesisConfig) -> dict[str, Any]:

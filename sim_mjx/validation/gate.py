@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from sim_mjx.presets.session import GateLimits
 from sim_mjx.validation import signature
@@ -73,7 +74,7 @@ def separability(reference: Given, test: Given) -> float:
 
     if min(len(reference), len(test)) < LEAST:
         raise InputError(
-            f"reference has {len(reference)} trials and test {len(test)}; expected at least {LEAST} of each."
+            f"reference has {plural(len(reference), 'trial')} and test {len(test)}; expected at least {LEAST} of each."
         )
     values = np.concatenate([cells(reference), cells(test)])
     labels = np.repeat([0, 1], [len(reference), len(test)])

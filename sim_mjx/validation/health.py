@@ -16,6 +16,7 @@ from typing import Any
 import jax
 
 from rcbht_jax._util import compile_cache
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.label_store import list_tracks, verify_tracks
@@ -23,6 +24,7 @@ from sim_mjx import engines
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import shards
 from sim_mjx.synthesis.plan import SynthesisConfig, job_of, manifest_of, provenance
+from sim_mjx.validation.label_repair import made_how, simulated_how
 
 PACKAGES = ("rcbht-jax", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "warp-lang", "zarr")
 LITTLE_DISK = 2 * 2**30  # bytes
@@ -38,6 +40,7 @@ class StoreHealth:
     damage: list[str]  # what is damaged or missing, in sentences
     notes: list[str]  # what is no damage, but good to know, in sentences
     repairable: bool  # the installed code makes the same trials from the seed
+    tracks: dict[str, dict[str, Any]]  # how the label tracks are made that alone are damaged; empty = more is damaged
 
 
 def machine(folder: Path) -> dict[str, Any]:
@@ -99,23 +102,36 @@ def check_store(path: Path) -> StoreHealth:
     _read(partial(store.verify, path), damage)
     count = _read(partial(store.count_recordings, path), []) or 0  # damage of the lengths is already reported
     names = _read(partial(list_tracks, path), damage) or []
+    alone, tracks = not damage, dict[str, dict[str, Any] | None]()
     for name in names:
+        before = len(damage)
         _read(partial(verify_tracks, path, name), damage)
+        if len(damage) > before:
+            tracks[name] = made_how(path, name)
     if shards.folder_of(path).is_dir():
         notes.append(f"{shards.folder_of(path)} is of a simulation that goes on, or was interrupted.")
     simulated = attrs.get("simulated")
     if simulated is None:
-        return StoreHealth(count, damage, notes, False)
+        return StoreHealth(count, damage, notes, False, _known(tracks, alone))
     job, difference = _made_by(simulated)
     if job is not None and not damage:
         expected = (job.trials - len(attrs.get("diverged", []))) * len(get_scenario(job.preset).arms)
         if count != expected:
-            damage.append(f"{path} has {count} recordings; its simulation made {expected}.")
-        if job.window is not None and f"online-W{job.window}" not in names:
-            damage.append(f"{path} lacks its labels online-W{job.window}.")
+            damage.append(f"{path} has {plural(count, 'recording')}; its simulation made {expected}.")
+            alone = False
+        name = f"online-W{job.window}"
+        if job.window is not None and name not in names:
+            damage.append(f"{path} lacks its labels {name}.")
+            tracks[name] = None if difference else simulated_how(path, job)
     if difference:
         notes.append(difference)
-    return StoreHealth(count, damage, notes, job is not None and not difference)
+    return StoreHealth(count, damage, notes, job is not None and not difference, _known(tracks, alone))
+
+
+def _known(tracks: dict[str, dict[str, Any] | None], alone: bool) -> dict[str, dict[str, Any]]:
+    """How the damaged label tracks are made, if nothing else is damaged and all of it is known."""
+    known = {name: how for name, how in tracks.items() if how is not None}
+    return known if alone and len(known) == len(tracks) else {}
 
 
 def repair_job(path: Path) -> SynthesisConfig:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyRaised, Belief
-from rcbht_jax.introspection.alarms import Alarm, conformal_threshold, held_out, peaks, sustained_peak
+from rcbht_jax.introspection.alarms import Alarm, conformal_threshold, held_out, peaks, rounded_up, sustained_peak
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.session import Session
@@ -57,6 +57,16 @@ def test_too_few_trials_promise_nothing():
     assert conformal_threshold(np.linspace(0, 1, 49), 0.02) == 1.0
     with pytest.raises(InputError, match="between 0 and 1"):
         conformal_threshold(np.zeros(9), 0.0)
+
+
+@given(st.integers(1, 5000))
+def test_what_is_said_to_be_promised_is_kept(count):
+    """The share is printed in three digits: rounded down, it was refused."""
+    least = float(f"{rounded_up(1 / (count + 1)):g}")
+    assert 1 / (count + 1) <= least * (1 + 1e-9) < 1.011 / (count + 1)
+    assert conformal_threshold(np.zeros(count), least) == 0.0
+    with pytest.raises(InputError, match=f"only {least:g} or more; it takes"):
+        conformal_threshold(np.zeros(count), 0.98 / (count + 1))
 
 
 def test_peaks_are_held_out():

@@ -109,3 +109,14 @@ def test_a_recording_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert not any("off" in row["text"] for row in rows)
     with pytest.raises(InputError, match="between 0 and 1"):
         describe_recording(recordings, 0, 1.5)
+
+
+def test_noise_is_no_change() -> None:
+    """An axis of noise with a little drift, one with a push, and one with a step that stands out from its noise."""
+    time = np.arange(3000) / 200
+    noise = np.random.default_rng(0).normal(0, [0.02, 0.0007, 0.0007], (3000, 3))
+    drift = 0.0007 * np.sin(2 * np.pi * time / 4)
+    signal = np.stack([np.interp(time, [5, 6], [0, 20]), drift, np.interp(time, [9, 9.5], [0, 0.02])], 1)
+    recordings = Recordings.from_arrays([signal + noise], 200.0, axes=["Fz", "Mz", "Mx"], units=["N", "Nm", "Nm"])
+    texts = [text for _, text in describe_recording(recordings, 0)]
+    assert [text.split(" in ")[0] for text in texts] == ["Fz rises 20 N", "Mx rises 0.02 Nm"]

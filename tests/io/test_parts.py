@@ -195,7 +195,7 @@ def test_a_growing_or_large_store_is_described(
     path = begun(tmp_path / "growing.zarr")
     add(path, 1)
     assert main(["info", str(path)]) == 0
-    assert "4 of 11 recordings are there; still being written" in capsys.readouterr().out
+    assert "4 of 11 recordings; still being written" in capsys.readouterr().out
     assert main(["encode", str(path)]) == 2
     assert "still being written: 1 of 3 parts" in capsys.readouterr().err
     assert main(["info", str(parted), "--json"]) == 0

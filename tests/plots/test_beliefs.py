@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -79,3 +80,17 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main([*words, str(tmp_path / "b.gif")]) == 2
     assert main([*words, str(tmp_path / "b.png"), "--starts", "detected"]) == 2
     assert "train-online --detect" in capsys.readouterr().err
+
+
+def test_names_of_sub_tasks_do_not_overlap() -> None:
+    """Neither each other nor the title of the panel, and all of them are in the figure."""
+    beliefs = [Belief(k, k / 10, "states", "a", 0.9, "certain", 0.1, ("a", "b"), (0.9, 0.1)) for k in range(1, 300)]
+    begins = {"search": 0.2, "insertion": 11.8, "mating": 12.2, "a much longer name": 29.7}
+    starts = [SubtaskStarted(round(time * 10), time, 0, False, label) for label, time in begins.items()]
+    figure = belief_map([*beliefs, *starts], "a trial")
+    figure.canvas.draw()
+    panel = figure.axes[0]
+    assert [text.get_text() for text in panel.texts] == list(begins)
+    boxes = [text.get_window_extent() for text in (*panel.texts, panel._left_title)]
+    assert not any(one.overlaps(two) for one, two in itertools.combinations(boxes, 2))
+    assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1 for box in boxes)

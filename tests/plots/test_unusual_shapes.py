@@ -8,7 +8,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from rcbht_jax.labels import COLORS, LLB
+from rcbht_jax.labels import COLORS, LAYER_SIZES, LAYERS, LLB
 from rcbht_jax.plots import label_map, trial_figure
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
@@ -102,3 +102,15 @@ def test_one_sample_and_a_constant_are_seen() -> None:
     (ax,) = figure.axes
     assert ax.get_lines()[0].get_marker() == "o"
     assert ax.get_ylim() == pytest.approx((0.95e30, 1.05e30))
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_the_legend_of_a_map_is_inside(layer: str) -> None:
+    """Of every label that there is."""
+    size = LAYER_SIZES[LAYERS.index(layer)]
+    tracks = words(1, [(code, 10 * code, 10 * code + 10) for code in range(1, size + 1)])
+    figure = label_map(Recordings.from_arrays([np.zeros((200, 1))], 200.0, axes=["Fz"]), tracks, layer)
+    figure.canvas.draw()
+    boxes = [text.get_window_extent() for text in figure.legends[0].get_texts()]
+    assert len(boxes) == size
+    assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes)

@@ -218,7 +218,7 @@ def test_a_store_without_labels_gets_words_on_the_way(tmp_path: Path, capsys: py
     one, out = signals().take(np.array([0])), tmp_path / "r.html"
     write_recordings(tmp_path / "bare.zarr", one, {})
     assert main(["report", str(tmp_path / "bare.zarr"), "-o", str(out)]) == 0
-    assert "1 of 1 recordings, labels online-W5-fit, 0 results" in capsys.readouterr().out
+    assert "1 of 1 recording, labels online-W5-fit, 0 results" in capsys.readouterr().out
     text = out.read_text()
     assert "<p>1 recording of set: 1 success; 3.0 s at 200 Hz; labels online-W5-fit, words by the fit rule" in text
     assert "1 of them is in the browser below" in text

@@ -70,8 +70,9 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
     about = description(data)
     parts = [
         f"{front}# Wrench recordings",
-        f"{len(recordings)} recordings of {len(trials)} {origin} trials, {samples} samples at "
-        f"{1 / recordings.dt:g} Hz ({samples * recordings.dt / 60:.1f} min). A recording is one arm of one trial.",
+        f"{plural(len(recordings), 'recording')} of {plural(len(trials), f'{origin} trial')}, "
+        f"{plural(samples, 'sample')} at {1 / recordings.dt:g} Hz "
+        f"({samples * recordings.dt / 60:.1f} min). A recording is one arm of one trial.",
         "**Licence:** not stated yet; add it here before you share this data. It is the licence of the recordings, not "
         "that of the program that wrote these files.",
         f"## Files\n\n{layout}",

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, read_bytes
 from rcbht_jax.errors import InputError
 
@@ -143,7 +144,7 @@ def _read_slowly(path: Path, raw: bytes, columns: int) -> Float64[np.ndarray, "r
             continue
         values = [_number(field, f"{path}, line {number}") for field in fields]
         if len(values) != columns:
-            where = f"{path}, line {number}: {len(values)} columns; expected {columns}"
+            where = f"{path}, line {number}: {plural(len(values), 'column')}; expected {columns}"
             if len(values) < columns or rows:
                 raise InputError(f"{where}. Is the line cut off?")
             raise InputError(f'{where}, of HIRO; read another table with "rcbht import csv", and a map (--map).')

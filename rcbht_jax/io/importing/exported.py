@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.cells import text_of
 from rcbht_jax._util.optional import require
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, check_declared, check_file, read_object
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -57,7 +58,7 @@ def read_export(folder: Path) -> Recordings:
         else:
             values = [_mcap(folder / f"{number:06d}.mcap", axes) for number in range(count)]
     if not values or any(len(column) != len(values) for column in table.values()):
-        raise InputError(f"{folder} has {len(values)} recordings; its table of trials has another number.")
+        raise InputError(f"{folder} has {plural(len(values), 'recording')}; its table of trials has another number.")
     types = _types(about)
     columns: dict[str, Any] = {name: column for name, column in table.items() if name not in _OURS or name in types}
     for name in _TEXTS:
@@ -179,7 +180,9 @@ def _mcap(path: Path, axes: tuple[str, ...]) -> NDArray[np.float32]:
     [table] = read_bag_tables(path, path.name, "/wrench" if is_wrench(axes) else "/signal")  # as McapWriter has it
     values = [column for key, column in table.columns.items() if key != "stamp"]
     if len(values) != len(axes):
-        raise InputError(f"{path} has {len(values)} numbers in a message for {len(axes)} axes.")
+        raise InputError(
+            f"{path} has {plural(len(values), 'number')} in a message for {plural(len(axes), 'axis', 'axes')}."
+        )
     return np.stack(values, 1).astype(np.float32)
 
 

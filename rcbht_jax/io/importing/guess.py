@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import TIMES, base_and_unit, split_unit
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
@@ -213,7 +214,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
         raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.")
     if len(rest) > MAX_CHANNELS:
         raise InputError(
-            f"{table.name} has {len(rest)} columns of numbers and none is a wrench; choose some with --map."
+            f"{table.name} has {plural(len(rest), 'column')} of numbers and none is a wrench; choose some with --map."
         )
     short = [split_unit(name)[0] for name in rest]
     titles = short if len(set(short)) == len(rest) else rest

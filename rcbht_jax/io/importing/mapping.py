@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.columns import SECONDS
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import MAX_MAP_BYTES, read_bytes
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.conform import checked_rate
@@ -261,7 +262,9 @@ def check(mapping: Mapping) -> Mapping:
     if not 0 <= mapping.tare < np.inf:
         raise InputError(f"the tare lasts {mapping.tare:g} s; expected zero or more seconds.")
     if mapping.bias and mapping.channels and len(mapping.bias) != len(mapping.channels):
-        raise InputError(f"bias has {len(mapping.bias)} values for {len(mapping.channels)} channels.")
+        raise InputError(
+            f"bias has {plural(len(mapping.bias), 'value')} for {plural(len(mapping.channels), 'channel')}."
+        )
     _check_rotation(mapping)
     for track in mapping.annotations:
         if [bool(track.column), bool(track.file), bool(track.ends)].count(True) != 1 or bool(track.ends) != bool(

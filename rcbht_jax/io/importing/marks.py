@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rcbht_jax._util.columns import SECONDS, base_and_unit
-from rcbht_jax._util.printable import spelled
+from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_TEXT_BYTES, check_file, check_inside, read_bytes, read_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import Item
@@ -179,7 +179,9 @@ def track_intervals(
         return [interval for _, interval in rows]
     ends, ids = (_lines(beside(source, file, pattern)) for pattern in (track.ends, track.ids))
     if len(ends) != len(ids):
-        raise InputError(f"{beside(source, file, track.ends)} has {len(ends)} ends for {len(ids)} labels.")
+        raise InputError(
+            f"{beside(source, file, track.ends)} has {plural(len(ends), 'end')} for {plural(len(ids), 'label')}."
+        )
     try:
         times = [0.0, *map(float, ends)]
         labels = [text(float(one)) if not one.isalpha() else one for one in ids]

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
 from rcbht_jax.io.importing.clock import seconds_of
@@ -310,7 +311,7 @@ def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float
     """Bias, tare and rotation."""
     if mapping.bias:
         if len(mapping.bias) != values.shape[1]:
-            raise InputError(f"bias has {len(mapping.bias)} values for {values.shape[1]} channels.")
+            raise InputError(f"bias has {plural(len(mapping.bias), 'value')} for {plural(values.shape[1], 'channel')}.")
         values = values - np.array(mapping.bias)
     if mapping.tare:
         values = values - values[time <= mapping.tare].mean(0)

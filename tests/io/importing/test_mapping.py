@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.guess import guess
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value, check, read_mapping, write_mapping
@@ -62,7 +63,7 @@ def test_a_mapping_comes_back_equal(
         ("channels = 3", "channels is not a list"),
         ("[[channels]]\nname = 'Fz'", "missing or wrong value among name"),
         ("[[channels]]\ncolumn = 'a'\n[[channels]]\ncolumn = 'a'", "two channels have one name"),
-        ("bias = [1]\n[[channels]]\ncolumn = 'a'\n[[channels]]\ncolumn = 'b'", "bias has 1 values for 2 channels"),
+        ("bias = [1]\n[[channels]]\ncolumn = 'a'\n[[channels]]\ncolumn = 'b'", "bias has 1 value for 2 channels"),
         ("rotation = [[1, 0], [0, 1]]", "neither three rows"),
         ("rotation = [[0, 0, 0, 0]]", "neither three rows"),
         ("rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "is not a rotation"),
@@ -110,7 +111,7 @@ def test_a_bias_of_another_length_than_the_guessed_channels_is_refused() -> None
     for bias in ((1.0,), (1.0, 2.0)):
         mapping, _ = guess(Table("a", columns), Mapping(bias=bias))
         [(_, reason)] = records(Table("a", columns), mapping)
-        assert reason == f"bias has {len(bias)} values for 3 channels."
+        assert reason == f"bias has {plural(len(bias), 'value')} for 3 channels."
 
 
 def test_a_reading_that_is_held_is_noted_though_it_is_rotated() -> None:

@@ -101,10 +101,40 @@ def test_damage_is_found_told_and_made_good(
     assert len(found["damage"]) == 1
     assert found["repairable"]
     assert main(["doctor", str(copy)]) == 2
-    assert "--repair" in capsys.readouterr().out
-    if what in ("wrench", "no labels"):
-        assert doctor(capsys, 0, str(copy), "--repair")["repaired"]
+    said = capsys.readouterr().out
+    assert "--repair" in said
+    assert ("from the stored wrenches" in said) == ("labels" in what)
+    if what != "simulation/friction":
+        repaired = doctor(capsys, 0, str(copy), "--repair")
+        assert repaired["repaired"]
+        assert repaired["encoded_tracks"] == (["online-W5"] if "labels" in what else [])
         assert tree(copy) == tree(made)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [("--robot", "auto"), ("--rule", "fit"), ("--window", "10", "--no-gate"), ("--mode", "offline", "--clean")],
+)
+def test_only_the_damaged_labels_are_encoded_again(
+    options: tuple[str, ...], copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["encode", str(copy), "--name", "mine", *options]) == 0
+    before = tree(copy)
+    flip(copy / "labels/mine/primitive/avg")
+    monkeypatch.setattr(plan, "code_hash", lambda: "other")  # whoever simulated the store
+    assert main(["doctor", str(copy), "--repair"]) == 0
+    assert "have been encoded again: mine\n" in capsys.readouterr().out
+    assert tree(copy) == before
+
+
+def test_labels_that_come_out_otherwise_are_not_kept(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for file in (copy / "labels/online-W5/zarr.json", copy / "zarr.json"):  # which holds a copy
+        file.write_text(file.read_text().replace("23.0", "2.0"))
+    flip(copy / "labels/online-W5/llb/t0")
+    before = tree(copy)
+    assert main(["doctor", str(copy), "--repair"]) == 2
+    assert "the installed versions encode otherwise" in capsys.readouterr().err
+    assert tree(copy) == before
 
 
 @pytest.mark.parametrize(

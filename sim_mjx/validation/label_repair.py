@@ -1,0 +1,67 @@
+"""Label tracks of a store encoded again, as they were made, from its wrenches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.rules import encoder_of
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
+from rcbht_jax.io.label_store import read_tracks_attrs, replace_batches
+from rcbht_jax.io.store_schema import HASH
+from rcbht_jax.reference.dataset import encode_dataset
+from rcbht_jax.types import LabelTracks, Recordings
+from sim_mjx.synthesis.draft import CREATED
+from sim_mjx.synthesis.plan import SynthesisConfig, label_attrs
+
+
+def made_how(path: Path, name: str) -> dict[str, Any] | None:
+    """The attributes of damaged label tracks, if they say how to make them again and by which checksum to know them."""
+    try:
+        attrs = read_tracks_attrs(path, name)
+        _encoder(attrs)
+    except (InputError, KeyError, TypeError, ValueError):
+        return None
+    return attrs if {HASH, "rows", "part_rows", "created"} <= set(attrs) else None
+
+
+def simulated_how(path: Path, job: SynthesisConfig) -> dict[str, Any] | None:
+    """The attributes of the label tracks that a simulation makes, for a store that lacks them."""
+    attrs = store.read_attrs(path)
+    if not {"rows", "part_rows"} <= set(attrs):
+        return None
+    return {**label_attrs(job), "rows": attrs["rows"], "part_rows": attrs["part_rows"], "created": CREATED}
+
+
+def encode_again(path: Path, name: str, attrs: dict[str, Any], progress: Callable[[int], object]) -> None:
+    """Encode the recordings of a store again and put the labels in the place of damaged or missing ones.
+
+    Args:
+        path: of the store.
+        name: of the label tracks.
+        attrs: how they were made: of :func:`made_how` or :func:`simulated_how`.
+        progress: called with the number of samples done since the last call.
+
+    Raises:
+        InputError: the installed versions make other labels than those whose checksum is kept.
+    """
+    encode = _encoder(attrs)
+
+    def tracks() -> Iterator[LabelTracks]:
+        for part in store.read_batches(path):
+            yield encode(part)
+            progress(int(part.length.sum()))
+
+    replace_batches(path, name, tracks(), attrs)
+
+
+def _encoder(attrs: dict[str, Any]) -> Callable[[Recordings], LabelTracks]:
+    """What made labels of these attributes."""
+    if attrs["semantics"] == "offline":
+        return partial(encode_dataset, **attrs["config"])
+    config, limits = encoder_of(attrs)
+    return lambda part: encode_batch(config, limits, part.wrench, part.length)
