@@ -179,6 +179,30 @@ def whole_series(series: NDArray[np.float64], least: int = 1) -> NDArray[np.floa
     return series
 
 
+def block_means(series: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    """Means ``[block, axis]`` of successive ``step`` samples; an incomplete last block counts only if it is alone.
+
+    >>> block_means(np.arange(5.0)[:, None], 2)[:, 0].tolist()
+    [0.5, 2.5]
+    """
+    if 0 < len(series) < step:
+        return series.mean(0, keepdims=True)
+    return series[: len(series) // step * step].reshape(-1, step, series.shape[1]).mean(1)
+
+
+def moving_mean(values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Mean of the last ``count`` values, zeros before the first; summed in the same order wherever a value is.
+
+    >>> moving_mean(np.array([2.0, 4.0, 6.0]), 2).tolist()
+    [1.0, 3.0, 5.0]
+    """
+    padded = np.concatenate([np.zeros(count - 1), values])
+    total = np.zeros(len(values))
+    for shift in range(count):
+        total += padded[shift : shift + len(values)]
+    return total / count
+
+
 def columns_for(what: str, needed: Sequence[str], period: float, axes: Sequence[str], dt: float) -> list[int]:
     """Columns of a stream with these axes and ``dt`` s between samples that a reader of it needs.
 

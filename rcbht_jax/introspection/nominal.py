@@ -21,7 +21,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import plural
-from rcbht_jax._util.signals import period, read_parts, read_signal, warn_if_turned, whole_series
+from rcbht_jax._util.signals import (
+    block_means,
+    moving_mean,
+    period,
+    read_parts,
+    read_signal,
+    warn_if_turned,
+    whole_series,
+)
 from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import conformal_threshold
@@ -100,7 +108,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
             raise InputError(f"Groups have the shape {given.shape}; expected one for each of {len(series)} recordings.")
         names = np.unique(given, return_inverse=True)[1]
         names = names if len(np.unique(names)) > 1 else np.arange(len(series))
-        parts = [_blocks(part, self.score_step) for part in series]
+        parts = [block_means(part, self.score_step) for part in series]
         self._prepare(parts, names)
         if self.calibration == "split":
             train = np.sort(np.random.default_rng(self.random_state).permutation(len(parts))[: (len(parts) + 1) // 2])
@@ -178,7 +186,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         return peaks
 
     def _peak(self, model: Any, part: Float[np.ndarray, "time channel"]) -> float:
-        return float(_moving_mean(self._surprise(model, part), self._count(self.memory)).max())
+        return float(moving_mean(self._surprise(model, part), self._count(self.memory)).max())
 
     def _surprise(self, model: Any, part: Float[np.ndarray, "time channel"]) -> Float[np.ndarray, " time"]:
         time = np.arange(len(part))
@@ -256,7 +264,7 @@ class MonitorStream:
         joined = np.concatenate([self._samples, new])
         whole = len(joined) // step * step
         self._samples = joined[whole:]
-        means = [self._last, *self._advance(_blocks(joined[:whole], step))] if whole else [self._last]
+        means = [self._last, *self._advance(block_means(joined[:whole], step))] if whole else [self._last]
         self._last = float(means[-1])
         return np.array(means, np.float64)[(waiting + 1 + np.arange(len(new))) // step]
 
@@ -272,7 +280,7 @@ class MonitorStream:
         joined = np.concatenate([self._recent, raw])
         self._recent = joined[max(len(joined) - count + 1, 0) :]
         self._time += len(part)
-        return _moving_mean(joined, count)[kept:]
+        return moving_mean(joined, count)[kept:]
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -386,19 +394,3 @@ class NominalMonitor(Monitor):
         distance = nearest(distances(model, described, time), model.neighbours)
         ratio = distance / model.reference[np.minimum(time, len(model.reference) - 1)]
         return np.log1p(ratio**2 / FREEDOM).mean(1)
-
-
-def _blocks(series: Float[np.ndarray, "time axis"], step: int) -> Float[np.ndarray, "_ axis"]:
-    """Means of successive ``step`` samples; an incomplete block at the end counts only if it is the only one."""
-    if 0 < len(series) < step:
-        return series.mean(0, keepdims=True)
-    return series[: len(series) // step * step].reshape(-1, step, series.shape[1]).mean(1)
-
-
-def _moving_mean(values: Float[np.ndarray, " time"], count: int) -> Float[np.ndarray, " time"]:
-    """Mean of the last ``count`` values, zeros before the first; summed in the same order wherever a value is."""
-    padded = np.concatenate([np.zeros(count - 1), values])
-    total = np.zeros(len(values))
-    for shift in range(count):
-        total += padded[shift : shift + len(values)]
-    return total / count
