@@ -60,8 +60,8 @@ def read_npz(path: Path, name: str) -> Iterator[Table]:
 
     Fields of structured arrays are arrays of their own.
 
-    >>> np.savez("/tmp/a.npz", t=np.arange(9) * 0.01, wrench=np.zeros((9, 6)))
-    >>> [list(table.columns)[:2] for table in read_npz(Path("/tmp/a.npz"), "a.npz")]
+    >>> np.savez("a.npz", t=np.arange(9) * 0.01, wrench=np.zeros((9, 6)))
+    >>> [list(table.columns)[:2] for table in read_npz(Path("a.npz"), "a.npz")]
     [['t', 'wrench_0']]
 
     Raises:
@@ -281,8 +281,8 @@ def read_matlab(path: Path, name: str) -> Iterator[Table]:
     """Tables of a MATLAB file: of version 7.3 as HDF5, of earlier ones by their arrays and structures.
 
     >>> from scipy.io import savemat
-    >>> savemat("/tmp/a.mat", {"t": np.arange(9) * 0.01, "F": np.zeros((9, 3))})
-    >>> [list(table.columns) for table in read_matlab(Path("/tmp/a.mat"), "a.mat")]
+    >>> savemat("a.mat", {"t": np.arange(9) * 0.01, "F": np.zeros((9, 3))})
+    >>> [list(table.columns) for table in read_matlab(Path("a.mat"), "a.mat")]
     [['t', 'F_0', 'F_1', 'F_2']]
 
     Raises:
@@ -295,8 +295,8 @@ def matlab_tables(path: Path, name: str) -> Iterator[Table]:
     """As :func:`read_matlab`, in this process, which a damaged file can crash.
 
     >>> from scipy.io import savemat
-    >>> savemat("/tmp/a.mat", {"t": np.arange(9) * 0.01, "F": np.zeros((9, 3))})
-    >>> [table.name for table in matlab_tables(Path("/tmp/a.mat"), "a.mat")]
+    >>> savemat("a.mat", {"t": np.arange(9) * 0.01, "F": np.zeros((9, 3))})
+    >>> [table.name for table in matlab_tables(Path("a.mat"), "a.mat")]
     ['a.mat']
 
     Raises:

@@ -19,8 +19,8 @@ COLUMNS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")  # in the order of the donors' no
 def read_blocks(path: Path, name: str) -> Iterator[Table]:
     """A table of each block: rows of six numbers, and the line before them as its class; the file states no rate.
 
-    >>> _ = Path("/tmp/lp.data").write_text("normal\\n\\t1\\t2\\t3\\t4\\t5\\t6\\n\\t1\\t2\\t3\\t4\\t5\\t7\\n\\n")
-    >>> [(table.facts["class"], table.columns["Tz"].tolist()) for table in read_blocks(Path("/tmp/lp.data"), "lp.data")]
+    >>> _ = Path("lp.data").write_text("normal\\n\\t1\\t2\\t3\\t4\\t5\\t6\\n\\t1\\t2\\t3\\t4\\t5\\t7\\n\\n")
+    >>> [(table.facts["class"], table.columns["Tz"].tolist()) for table in read_blocks(Path("lp.data"), "lp.data")]
     [('normal', [6.0, 7.0])]
 
     Raises:

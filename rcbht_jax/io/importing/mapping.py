@@ -136,8 +136,8 @@ def read_mapping(path: Path) -> Mapping:
 def write_mapping(path: Path, mapping: Mapping) -> None:
     """Write a mapping file that :func:`read_mapping` reads back equal.
 
-    >>> write_mapping(Path("/tmp/mine.toml"), Mapping((Channel("Fz", unit="N"),), time="t"))
-    >>> read_mapping(Path("/tmp/mine.toml")).channels[0].unit
+    >>> write_mapping(Path("mine.toml"), Mapping((Channel("Fz", unit="N"),), time="t"))
+    >>> read_mapping(Path("mine.toml")).channels[0].unit
     'N'
 
     Raises:

@@ -34,9 +34,9 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     their place. Empty cells are missing values. A file that is not UTF-8 is read as Windows-1252, which spreadsheets
     write in Western Europe.
 
-    >>> Path("/tmp/a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
+    >>> Path("a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
-    >>> [table] = read_csv(Path("/tmp/a.csv"), "a.csv")
+    >>> [table] = read_csv(Path("a.csv"), "a.csv")
     >>> {key: values.tolist() for key, values in table.columns.items()}
     {'t': [0.0, 0.1], 'Fz': [1.5, 2.0], 'phase': ['free', 'touch']}
 

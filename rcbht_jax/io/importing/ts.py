@@ -23,8 +23,8 @@ def read_ts(path: Path, name: str) -> Iterator[Table]:
     """A table of each case, with columns dim_0, dim_1, ... and its class or target; the file states no rate.
 
     >>> text = "@problemName pokes\\n@classLabel true soft hard\\n@data\\n1,2,3:0,?,0:soft\\n"
-    >>> _ = Path("/tmp/pokes.ts").write_text(text)
-    >>> [table] = read_ts(Path("/tmp/pokes.ts"), "pokes.ts")
+    >>> _ = Path("pokes.ts").write_text(text)
+    >>> [table] = read_ts(Path("pokes.ts"), "pokes.ts")
     >>> {key: values.tolist() for key, values in table.columns.items()}, table.facts
     ({'dim_0': [1.0, 2.0, 3.0], 'dim_1': [0.0, nan, 0.0]}, {'class': 'soft'})
 
