@@ -15,6 +15,7 @@ from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
 
 RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
+MANY = 24  # axes: as of four wrenches; a short recording of fewer is no cause for doubt
 LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would be read as a steep line
 
 
@@ -152,12 +153,12 @@ def in_precision(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
 
 
 def warn_if_turned(recordings: Any, samples: int, axes: int, names: tuple[str, ...] | None = None) -> None:
-    """Warn of recordings with more axes than samples, where no names say which is which: they may be ``[axis, time]``.
+    """Warn of many axes with fewer samples, where no names say which is which: recordings may be ``[axis, time]``.
 
     >>> warn_if_turned(np.zeros((600, 6)), 600, 6)
     """
     one = recordings[0] if isinstance(recordings, list | tuple) else recordings
-    if not (names or is_xarray(one)) and 0 < samples < axes:
+    if not (names or is_xarray(one)) and 0 < samples < axes and axes > MANY:
         given = f"There are {axes} axes and only {samples} samples"
         warnings.warn(f"{given}; recordings are [time, axis], so turn those that are [axis, time].", stacklevel=3)
 

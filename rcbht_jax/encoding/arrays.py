@@ -73,7 +73,7 @@ def encode(
             rate, window or rule that contradicts the config.
 
     Warns:
-        UserWarning: more axes than samples, and no names that say which is which: ``[axis, time]`` must be turned.
+        UserWarning: many axes, fewer samples, and no names that say which is which: ``[axis, time]`` must be turned.
 
     Source:
         Rojas et al., "Online Robot Introspection via Wrench-based Action Grammars", section III.

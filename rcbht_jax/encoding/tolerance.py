@@ -73,7 +73,6 @@ def by_lane(limits: Array, like: Array) -> Array:
     return jnp.moveaxis(wide, -1, 0)
 
 
-@np.errstate(invalid="ignore")  # the encoder refuses what is not finite, in a sentence
 def noise_of(parts: Sequence[Float[np.ndarray, "_time axis"]]) -> Float[np.ndarray, " axis"]:
     """Standard deviation of the noise of every axis, which is taken to be white.
 
@@ -96,6 +95,7 @@ def noise_of(parts: Sequence[Float[np.ndarray, "_time axis"]]) -> Float[np.ndarr
     return np.asarray(np.median(bends, axis=0)) / (_NORMAL_MAD * _SECOND_DIFFERENCE)
 
 
+@np.errstate(invalid="ignore")  # the encoder refuses what is not finite, in a sentence
 def auto_tolerance(
     wrench: Float[np.ndarray, "recording time axis"], length: Int[np.ndarray, " recording"], needed: int
 ) -> Float[np.ndarray, " axis"]:
