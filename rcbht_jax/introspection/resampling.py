@@ -140,12 +140,13 @@ class Resampler:
         position = (time - self._origin) / self._dt
         nearest = round(position)
         on = abs(position - nearest) < ON_GRID
-        samples = self._means(time, value) if self._faster else self._points(value, step, nearest if on else position)
+        means = self._means(time, value)  # always, so that the first one that is used is of a whole period
+        samples = means if self._faster else self._points(value, step, nearest if on else position)
         if on and len(samples) and not self._faster:
             samples[-1] = value
         self._last, self._value, self._skipped = time, value, 0
         self._index += len(samples)
-        reports = self._reports(step, position - nearest) + self._measure(time, position)
+        reports = self._reports(step, position - nearest) + self._measure(time)
         stamp = stamp_before(self._origin, -self._index, self._dt)
         return Resampled(samples.astype(np.float32), stamp, reports=reports)
 
@@ -169,7 +170,7 @@ class Resampler:
         self._summed += len(areas) - 1
         return areas[max(first, 0) : -1]
 
-    def _measure(self, time: float, position: float) -> list[Report]:
+    def _measure(self, time: float) -> list[Report]:
         """Whether the source has more readings than the grid; reported when it is found."""
         if self._faster:
             return []
@@ -180,8 +181,7 @@ class Resampler:
         self._counted, self._first = 0, time
         if period > FASTER * self._dt:
             return []
-        self._faster, self._off, self._summed = True, 0, math.floor(position + 0.5)
-        self._area = self._value * (position + 0.5 - self._summed)
+        self._faster, self._off = True, 0
         text = f"readings come at {1 / period:.4g} Hz; a sample is their mean over a period of {1 / self._dt:.4g} Hz"
         return [Report("faster", text)]
 

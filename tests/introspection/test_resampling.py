@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from rcbht_jax.errors import InputError
@@ -44,6 +44,8 @@ def test_regular_readings_pass_unchanged(start, values):
 
 
 @given(st.lists(st.floats(-0.45, 0.45), min_size=10, max_size=60), st.floats(0.5, 4))
+@example([0.0] * 60, 0.875)  # a faster source is noticed in the middle of a period
+@example([0.0, 0.4] * 40, 0.6)
 def test_a_straight_line_stays_straight_whatever_the_clock(off, pace):
     """Jitter and another sampling rate do not bend a ramp, and every grid time has one sample."""
     stamps = (np.arange(len(off)) + np.array(off)) * DT * pace

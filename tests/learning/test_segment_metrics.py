@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from sklearn.metrics import accuracy_score, f1_score
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.learning import segment_metrics
 from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.segment_metrics import (
     OVERLAPS,
-    RESAMPLES,
     Segments,
     edit_distance,
     segmentation_interval,
@@ -104,7 +104,8 @@ def test_samples_without_annotation_count_nowhere():
         segmentation_score([truth], [first[:3]], 1)
 
 
-def test_intervals_are_percentiles_of_scores_of_drawn_groups():
+def test_intervals_are_percentiles_of_scores_of_drawn_groups(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(segment_metrics, "RESAMPLES", 50)
     rng = np.random.default_rng(3)
     truth = [rng.integers(-1, 3, 40) for _ in range(6)]
     guess = [
@@ -112,7 +113,7 @@ def test_intervals_are_percentiles_of_scores_of_drawn_groups():
     ]
     groups = np.array(["a", "b", "b", "c", "d", "d"])
     interval = segmentation_interval(truth, guess, 0.5, groups, seed=7)
-    draws = np.random.default_rng(7).multinomial(4, np.full(4, 1 / 4), RESAMPLES)
+    draws = np.random.default_rng(7).multinomial(4, np.full(4, 1 / 4), 50)
     scores = []
     for draw in draws:
         rows = [i for i, group in enumerate(groups) for _ in range(draw["abcd".index(group)])]
