@@ -100,7 +100,7 @@ class Segment(Command):
             f"{result['out']}: {plural(result['recordings'], 'recording')}, {result['annotated']} of them annotated "
             f"with {result['track']} ({', '.join(result['classes'])})"
         ]
-        names = {"accuracy": "accuracy", "macro_f1": "macro F1", "edit": "edit score"}  # as the page has them
+        names = {"macro_f1": "macro F1", "edit": "edit score"}  # as the page has them
         for name, value in result["score"].items():
             low, high = result["interval"][name]
             unit = " s, median" if name == "delay" else ""

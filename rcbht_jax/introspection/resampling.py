@@ -198,11 +198,8 @@ class Resampler:
 
     def finish(self) -> list[Report]:
         """The remaining reports of jitter and bridged readings at the end of a stretch."""
-        off, missing, since = (
-            self._off,
-            self._missing,
-            f"{plural(self._readings, 'reading')} in {self._last - self._since:.3g} s",
-        )
+        off, missing = self._off, self._missing
+        since = f"{plural(self._readings, 'reading')} in {self._last - self._since:.3g} s"
         self._since, self._gaps = self._last, missing > 0
         self._readings = self._off = self._missing = 0
         reports = []

@@ -135,10 +135,10 @@ class SnapDetector:
         return found
 
 
-def _sizes(axes: int, *sizes: Any) -> SnapSizes:
+def _sizes(axes: int, smallest: Any, largest: Any, load: Any) -> SnapSizes:
     """Sizes ``[axis]``, checked: the smallest and largest fall, and both ends of the load."""
     try:
-        values = (*sizes[:2], *sizes[2])
+        values = (smallest, largest, *load)
         least, most, low, high = (np.broadcast_to(np.asarray(value, np.float64), (axes,)) for value in values)
     except (ValueError, TypeError):
         raise InputError(f"least, most and load must be numbers, or have one for each of {axes} axes.") from None

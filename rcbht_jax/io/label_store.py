@@ -110,7 +110,7 @@ def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs
     own = {key: value for key, value in attrs.items() if key not in ("created", "rows", "part_rows", HASH)}
     with atomic_folder(folder, near=path, replace=folder.exists()) as draft:
         _write_draft(draft, rows, layout, batches, own, attrs["created"])
-        if zarr_io.open_group(draft).attrs[HASH] != attrs.get(HASH, zarr_io.open_group(draft).attrs[HASH]):
+        if HASH in attrs and zarr_io.open_group(draft).attrs[HASH] != attrs[HASH]:
             raise InputError(f"{folder} cannot be made again: the installed versions encode otherwise.")
         if not (path / LABELS / "zarr.json").exists():
             zarr.create_group(path / LABELS, zarr_format=3)
