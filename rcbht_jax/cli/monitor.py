@@ -151,6 +151,8 @@ class MonitorWatch(Command):
 class MonitorEvaluate(Command):
     """Measure a monitor on unseen groups: each is held out in turn, and nominal recordings of the others train.
 
+    Many groups are held out several at a time.
+
     Example: rcbht monitor evaluate kitting.zarr --where skill=7 --group session --onset anomaly_rel --false-alarms 0.1
     """
 
@@ -160,6 +162,7 @@ class MonitorEvaluate(Command):
     nominal: str = "success"
     """Outcome of nominal recordings; all others count as anomalous."""
     group: Group = "session"
+    folds: Annotated[int, option("Parts into which the groups are distributed; 0 = one part per group.")] = 10
     onset: Annotated[str, option("Column with the seconds after which the anomaly began, for the delay.", "")] = ""
     false_alarms: FalseAlarms = 0.05
     score_rate: ScoreRate = 20.0
@@ -167,14 +170,14 @@ class MonitorEvaluate(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.alarms import trials_needed
-        from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, thresholds
+        from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, parts, thresholds
 
         recordings = _read(self.store, self.where)
         series = _series(recordings)
         groups, nominal = recordings.column(self.group), _nominal(recordings, self.nominal)
         monitor = _monitor(recordings, self.score_rate, self.levels)
-        with progress_bar("evaluate", "groups", len(np.unique(groups))) as bar:
-            watched = hold_out(monitor, series, nominal, groups, bar.update)
+        with progress_bar("evaluate", "parts", len(np.unique(parts(groups, self.folds)))) as bar:
+            watched = hold_out(monitor, series, nominal, groups, bar.update, self.folds)
         onset = np.array(list(map(number_of, recordings.column(self.onset).tolist()))) if self.onset else None
         limits = thresholds(watched, self.false_alarms)
         result = judge(watched, limits, onset)

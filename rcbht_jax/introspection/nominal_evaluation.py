@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
@@ -56,6 +56,7 @@ def hold_out(
     nominal: Bool[np.ndarray, " recording"],
     groups: Shaped[np.ndarray, " recording"],
     progress: Callable[[int], Any] | None = None,
+    folds: int = 0,
 ) -> Watched:
     """Score every group by a monitor that learns from the nominal recordings of all others.
 
@@ -64,31 +65,47 @@ def hold_out(
         series: recordings ``[time, axis]`` of one skill.
         nominal: which of them are nominal, and train.
         groups: day or session of each.
-        progress: called with 1 after each group.
+        progress: called with 1 after each part.
+        folds: parts into which the groups are distributed, if there are more; the groups of a part are held out
+            together. 0 = each group is a part.
 
     Raises:
-        InputError: no group can be held out.
+        InputError: no group can be held out, or a negative number of folds.
     """
     scores = [np.zeros(0)] * len(series)
-    usual, calibration = np.full(len(series), np.nan), {}
-    for group in np.unique(groups):
-        train = np.flatnonzero(nominal & (groups != group)).tolist()
-        test = np.flatnonzero(groups == group).tolist()
+    usual = np.full(len(series), np.nan)
+    calibration: dict[str, NDArray[np.float64]] = {}
+    part = parts(groups, folds)
+    for held in range(part.max() + 1):
+        train = np.flatnonzero(nominal & (part != held)).tolist()
+        test = np.flatnonzero(part == held).tolist()
         if len(train) >= FEWEST:
             fitted = clone(monitor).fit([series[row] for row in train], groups=groups[train])
             for row in test:
                 scores[row] = fitted.scores(series[row])
             usual[test] = np.median([len(series[row]) for row in train])
-            calibration[str(group)] = fitted.peaks_
+            calibration |= {str(group): fitted.peaks_ for group in np.unique(groups[test])}
         if progress is not None:
             progress(1)
     if not calibration:
         found = plural(len(np.unique(groups[nominal])), "group")
         raise InputError(
-            f"Each group of recordings is scored by a monitor of the others, for which {FEWEST} nominal ones must "
+            f"Each part of the recordings is scored by a monitor of the others, for which {FEWEST} nominal ones must "
             f"remain; the {int(nominal.sum())} nominal recordings are of {found}. Choose other groups (--group)."
         )
     return Watched(tuple(scores), nominal, groups, usual, calibration, float(monitor.rate))
+
+
+def parts(groups: Shaped[np.ndarray, " recording"], folds: int) -> Int[np.ndarray, " recording"]:
+    """The part of each recording, in which its group is held out: 0 to ``folds`` - 1, or fewer.
+
+    >>> parts(np.array(["Mon", "Tue", "Wed", "Mon"]), 2)
+    array([0, 1, 0, 0])
+    """
+    if folds < 0:
+        raise InputError(f"There are {folds} folds; expected 0 or more.")
+    numbers = np.unique(groups, return_inverse=True)[1]
+    return numbers % folds if folds else numbers
 
 
 def auroc(nominal: Bool[np.ndarray, " recording"], peak: Float[np.ndarray, " recording"]) -> float | None:

@@ -221,6 +221,18 @@ def test_every_group_is_scored_without_itself() -> None:
         hold_out(NominalMonitor(), series, nominal, np.zeros(12))
 
 
+def test_many_groups_are_held_out_several_at_a_time() -> None:
+    series, groups, nominal = pushes(12, 0), np.arange(12) // 2, np.ones(12, bool)
+    watched = hold_out(NominalMonitor(), series, nominal, groups, folds=2)
+    teach = np.flatnonzero(groups % 2 == 1)
+    alone = NominalMonitor().fit([series[row] for row in teach], groups=groups[teach])
+    for row in np.flatnonzero(groups % 2 == 0):  # groups 0, 2 and 4
+        np.testing.assert_array_equal(watched.scores[row], alone.scores(series[row]))
+        np.testing.assert_array_equal(watched.calibration[str(groups[row])], alone.peaks_)
+    with pytest.raises(InputError, match="-1 folds; expected 0 or more"):
+        hold_out(NominalMonitor(), series, nominal, groups, folds=-1)
+
+
 def test_a_fit_that_fails_changes_no_score() -> None:
     monitor, new = NominalMonitor(rate=20).fit(pushes(6, 0)), pushes(1, 1)[0]
     before = monitor.scores(new)
