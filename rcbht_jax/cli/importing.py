@@ -139,6 +139,7 @@ ImportMatlab = _command("matlab", "MATLAB files", "runs runs.zarr")
 ImportMcap = _command("mcap", "MCAP files", "run.mcap run.zarr --topic /wrench")
 ImportBag = _command("bag", "bags of ROS 1 and ROS 2", "bags bags.zarr")
 ImportLerobot = _command("lerobot", "LeRobot data sets of versions 2 and 3", "pusht pusht.zarr")
+ImportJsonl = _command("jsonl", "JSON lines (.jsonl, .ndjson), such as a robot streams,", "readings.jsonl runs.zarr")
 ImportTs = _command("ts", "files of aeon and sktime (.ts)", "failures.ts failures.zarr --source-rate 50")
 ImportUci = _command(
     "uci", 'the files of the UCI set "Robot Execution Failures"', "lp1.data lp1.zarr --source-rate 47.619"

@@ -13,9 +13,10 @@ from rcbht_jax.errors import InputError
 SUFFIXES = {
     ".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".pq": "parquet", ".npz": "npz", ".npy": "npz", ".h5": "hdf5",
     ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab", ".mcap": "mcap", ".bag": "bag", ".db3": "bag", ".ts": "ts",
+    ".jsonl": "jsonl", ".ndjson": "jsonl",
 }  # fmt: skip
 TEXTS = (".txt", ".dat", ".data", ".log", ".lvm", ".asc")  # where "csv" or "uci" is asked for
-KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot", "ts", "uci")
+KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot", "ts", "uci", "jsonl")
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from rcbht_jax.io.importing.constants import constants_of, describe
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
+from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Lacks, Record, Row, bounded, records
@@ -150,6 +151,7 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
     readers = {
         "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
         "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
+        "jsonl": read_json_lines,
     }  # fmt: skip
     return readers[item.kind](item.path, item.name)
 

@@ -101,6 +101,11 @@ def uci() -> bytes:
     return f"collision_in_tool\n{rows}\n\n".encode()
 
 
+def jsonl() -> bytes:
+    rows = zip(TIME.tolist(), WRENCH.tolist(), strict=True)
+    return "".join(f'{{"time": {t}, "wrench": {row}, "who": "ann"}}\n' for t, row in rows).encode()
+
+
 def mcap() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         with McapWriter(Path(folder) / "a.mcap") as writer:
@@ -111,7 +116,7 @@ def mcap() -> bytes:
 
 VALID = {
     ".mcap": mcap, ".csv": csv, ".npz": npz, ".parquet": parquet, ".mat": matlab, ".bag": bag, ".h5": hdf5, ".ts": ts,
-    ".data": uci,
+    ".data": uci, ".jsonl": jsonl,
 }  # fmt: skip
 KIND = {".data": "uci"}  # of suffixes that state none
 SUFFIXES = sorted([*VALID, ".npy", ".db3", ".tsv"])

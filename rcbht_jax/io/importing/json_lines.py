@@ -1,0 +1,144 @@
+"""JSON lines: an object per sample, as ``rcbht stream -`` reads them, or with any other fields."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTES, check_file, parse_json
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.record import MAX_GROUPS
+from rcbht_jax.io.importing.table import Table
+
+PHASE = "phase"  # column of the numbers of sub-tasks, where lines state their beginnings
+# Units of the readings of a stream, and of a ROS wrench.
+UNITS = {f"wrench_{axis}": "N" if axis < 3 else "Nm" for axis in range(6)} | {
+    f"wrench.{part}.{axis}": unit for part, unit in (("force", "N"), ("torque", "Nm")) for axis in "xyz"
+}
+
+
+def read_json_lines(path: Path, name: str) -> Iterator[Table]:
+    """The tables of a file of JSON lines: a row per object.
+
+    Fields of objects within objects are columns ``name.field``, elements of lists of numbers ``name_0``, ``name_1``,
+    ...; null and a field that is not there are missing values. As in a stream (:mod:`rcbht_jax.io.messages`),
+    ``{"reset": true}`` begins a table of its own, and ``{"begin": true}`` a sub-task: their numbers are the column
+    ``phase``.
+
+    >>> text = '{"time": 0, "wrench": [0.5, 2]}\\n{"begin": true}\\n{"time": 0.1, "wrench": [null, 3]}\\n'
+    >>> _ = Path("run.jsonl").write_text(text)
+    >>> [table] = read_json_lines(Path("run.jsonl"), "run.jsonl")
+    >>> {key: values.tolist() for key, values in table.columns.items()}
+    {'time': [0.0, 0.1], 'wrench_0': [0.5, nan], 'wrench_1': [2.0, 3.0], 'phase': ['', '1']}
+
+    Raises:
+        InputError: not a regular file, too large, a line that is no object of JSON, events that ``rcbht stream`` wrote,
+            text in a column of numbers, or too many columns; the sentence names the line.
+    """
+    check_file(path, MAX_TEXT_BYTES)
+    parts = [_Rows()]
+    try:
+        with path.open("rb") as file:
+            for number, line in enumerate(iter(lambda: file.readline(MAX_TABLE_LINE), b""), 1):
+                try:
+                    if line.strip():
+                        _add(parts, _object(line))
+                except ValueError as error:
+                    raise InputError(f"{path}, line {number}: {error}.") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    parts = [rows for rows in parts if rows.count]
+    if not parts:
+        raise InputError(f"{path} has no line with a number or a text.")
+    for place, rows in enumerate(parts):
+        part = str(place) if len(parts) > 1 else ""
+        units = UNITS if "wrench_6" not in rows.values else {}
+        of = f"{name}#{part}" if part else name
+        yield Table(of, rows.columns, units=units, others=tuple(sorted(rows.others)), part=part)
+
+
+@dataclass
+class _Rows:
+    """Rows of one table so far; a number takes 8 bytes."""
+
+    count: int = 0
+    values: dict[str, array[float] | list[str]] = field(default_factory=dict)
+    others: set[str] = field(default_factory=set)  # fields that cannot be columns
+    begun: int = 0  # sub-tasks
+
+    def add(self, row: Mapping[str, float | str]) -> None:
+        """Add values by their columns; the other columns miss one."""
+        for key, value in row.items():
+            if key not in self.values:
+                self.values[key] = [""] * self.count if isinstance(value, str) else array("d", [np.nan]) * self.count
+            column = self.values[key]
+            if isinstance(column, list) != isinstance(value, str):
+                kinds = ("a text", "a number") if isinstance(value, str) else ("a number", "a text")
+                raise ValueError(f"{key} is {kinds[0]}; before, it was {kinds[1]}")
+            column.append(value)  # type: ignore[arg-type]  # its kind was compared above
+        self.count += 1
+        for column in self.values.values():
+            if len(column) < self.count:
+                column.append(np.nan) if isinstance(column, array) else column.append("")
+        if len(self.values) > MAX_COLUMNS:
+            raise ValueError(f"there are more than {MAX_COLUMNS} columns")
+
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        return {key: np.array(values) for key, values in self.values.items()}
+
+
+def _object(line: bytes) -> dict[str, Any]:
+    if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
+        raise ValueError(f"it has more than {MAX_TABLE_LINE} bytes")
+    value = parse_json(line.removeprefix(b"\xef\xbb\xbf"), finite=False)
+    if not isinstance(value, dict):
+        raise ValueError("it is no object; expected {...}")
+    if isinstance(value.get("event"), str) and "wrench" not in value:
+        raise ValueError("it is an event that rcbht stream wrote; the readings are in the file that it read")
+    return value
+
+
+def _add(parts: list[_Rows], value: dict[str, Any]) -> None:
+    """Add a line to the last table, or begin one."""
+    flags = [key for key in ("reset", "begin") if isinstance(value.get(key), bool)]
+    if value.get("reset") is True and parts[-1].count:
+        if len(parts) == MAX_GROUPS:
+            raise ValueError(f"there are more than {MAX_GROUPS} recordings; split the file")
+        parts.append(_Rows())
+    now = parts[-1]
+    now.begun += value.get("begin") is True
+    row: dict[str, float | str] = {}
+    for key, one in value.items():
+        if key not in flags:
+            _flatten(key, one, row, now.others)
+    if row:
+        now.add(row | ({PHASE: str(now.begun)} if now.begun and PHASE not in row else {}))
+
+
+def _flatten(name: str, value: Any, row: dict[str, float | str], others: set[str]) -> None:
+    """Add the columns of a field to those of its row."""
+    if isinstance(value, dict):
+        for key, one in value.items():
+            _flatten(f"{name}.{key}", one, row, others)
+    elif isinstance(value, list) and all(map(_is_number, value)):
+        row.update({f"{name}_{place}": one for place, one in enumerate(value) if one is not None})
+    elif isinstance(value, list):
+        others.add(name)
+    elif isinstance(value, bool):
+        row[name] = str(value).lower()
+    elif value is not None:
+        row[name] = value
+    if len(row) > MAX_COLUMNS:
+        raise ValueError(f"there are more than {MAX_COLUMNS} columns")
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a number or null."""
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
