@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -16,6 +16,7 @@ from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore,
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
+    from rcbht_jax.cli.encode import Encode
     from sim_mjx.synthesis.workers import SynthesisProgress
 
 FIT = MadeBy('"rcbht fidelity fit HIRO.zarr -o {path}"')
@@ -82,7 +83,8 @@ class Simulate(Command):
         ),
     ] = None
     window: Annotated[int | None, unset(metavar="INT")] = None
-    """Also encode the trials, with this many samples per linear fit, as "rcbht encode --robot hiro" does."""
+    """Also encode the trials, with this many samples per linear fit: the camera snap during the simulation, as "rcbht
+    encode --robot hiro" does, other assemblies afterwards, as "rcbht encode" does."""
     physical: Annotated[Path | None, unset(metavar="FIT.json"), FIT] = None
     """File of "rcbht fidelity fit" with physical parameters, in place of the preset's."""
     compile_cache: CompileCache = None
@@ -127,7 +129,9 @@ class Simulate(Command):
         if self.status:
             return status(self.out)
         name, spec = self._chosen()
-        job = SynthesisConfig(name, self.trials, self.seed, self.engine, self.shard, spec, self.window)
+        encode = self._encode_afterwards()
+        command = self if encode is None else replace(self, window=None)
+        job = SynthesisConfig(name, self.trials, self.seed, self.engine, self.shard, spec, command.window)
         if self.engine != "native":  # whose controllers compile in seconds
             compile_cache.use(self.compile_cache)
             os.environ.setdefault(*launch.AS_NEEDED)  # read when JAX first asks for a device
@@ -144,11 +148,13 @@ class Simulate(Command):
 
             if self.worker:
                 return be_worker(self, job, progress, notice)
-            others = helpers(self, notice)
+            others = helpers(command, notice)
             report = synthesise(
                 self.out, job, overwrite=self.overwrite, progress=progress, notice=notice, helpers=others,
                 lanes=self.lanes,
             )  # fmt: skip
+        if encode is not None:
+            encode.run()
         return {
             "store": str(self.out),
             "stored": report.stored,
@@ -159,6 +165,27 @@ class Simulate(Command):
             "seconds": time.perf_counter() - start,
             "notices": notices,
         }
+
+    def _encode_afterwards(self) -> Encode | None:
+        """The command that labels trials which HIRO's thresholds do not fit; None = nothing to do afterwards.
+
+        Raises:
+            InputError: a window that cannot be, or this is one worker of several.
+        """
+        from rcbht_jax.cli.encode import Encode
+        from rcbht_jax.encoding.rules import config_of
+        from sim_mjx.assembly.task import CONTROL_PERIOD
+        from sim_mjx.registry import SNAP
+
+        if self.window is None or self.assembly == SNAP:
+            return None
+        config_of("paper", self.window, CONTROL_PERIOD)  # refused before the simulation
+        if self.worker:
+            raise InputError(
+                "The thresholds of this assembly come from all trials: leave --window out here, and encode the store "
+                f"when it is complete: rcbht encode {self.out} --window {self.window}."
+            )
+        return Encode(store=self.out, window=self.window)
 
     def _chosen(self) -> tuple[str, Any]:
         """Name of what is simulated, and its distributions.

@@ -43,14 +43,15 @@ class SynthesisConfig:
     engine: str = "native"
     shard: int = 256  # trials per shard
     spec: Any = field(default_factory=DomainRandomization)  # or the assembly's own distributions
-    window: int | None = None  # samples per window of the labels; None = no labels
+    window: int | None = None  # samples per window of the labels, which have HIRO's thresholds; None = no labels
 
 
 def check(job: SynthesisConfig) -> Scenario:
     """The scenario of a job that can be simulated.
 
     Raises:
-        InputError: unknown preset or engine, a count below one, a bad seed or distribution.
+        InputError: unknown preset or engine, a count below one, a bad seed or distribution, or labels of an assembly
+            that HIRO's thresholds do not fit.
     """
     for name, value in (("number of trials", job.trials), ("shard's number of trials", job.shard)):
         if value < 1:
@@ -61,6 +62,11 @@ def check(job: SynthesisConfig) -> Scenario:
     if job.window is not None:
         encoder_config(job)
     scenario = get_scenario(job.preset)
+    if job.window is not None and not scenario.recorded:
+        raise InputError(
+            f"Labels of a simulation have HIRO's thresholds, which do not fit {job.preset}; leave the window out, and "
+            "encode the store."
+        )
     scenario.draw(job.seed, 0, job.spec)
     return scenario
 

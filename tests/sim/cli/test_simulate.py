@@ -12,10 +12,14 @@ import pytest
 
 from rcbht_jax._util import compile_cache
 from rcbht_jax.cli import main
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.label_store import list_tracks, read_tracks_attrs
 from rcbht_jax.io.store import read_recordings
 from sim_mjx.synthesis import launch, pipeline
 from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.pipeline import SynthesisReport
+from sim_mjx.synthesis.plan import SynthesisConfig
 from tests.support.fake_simulation import tree
 
 SHORT = ["--preset", "C", "--trials", "6", "--seed", "3", "--shard", "2", "--max-seconds", "0.1"]
@@ -48,6 +52,35 @@ def test_interrupted_and_called_again_it_gives_the_same_store(
     assert recordings.length.tolist() == [21] * 6  # 0.1 s and the sample at time zero
     assert main.main(["info", str(two)]) == 0
     assert "SIM_MJX_C" in capsys.readouterr().out
+
+
+def test_other_assemblies_are_encoded_with_thresholds_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "pegs.zarr"
+    words = [
+        "simulate",
+        str(store),
+        "--assembly",
+        "peg-in-hole",
+        "--trials",
+        "2",
+        "--max-seconds",
+        "1",
+        "--window",
+        "5",
+    ]
+    assert main.main(words) == 0
+    assert list_tracks(store) == ["online-W5"]
+    limits = read_tracks_attrs(store, "online-W5")["thresholds"]
+    assert main.main(["encode", str(store), "--window", "5", "--robot", "auto"]) == 0
+    assert limits == read_tracks_attrs(store, "online-W5-auto")["thresholds"]
+    assert limits != preset("hiro").limits.tolist()
+    capsys.readouterr()
+    assert main.main([*words, "--worker"]) == 2
+    assert "encode the store when it is complete" in capsys.readouterr().err
+    with pytest.raises(InputError, match="which do not fit peg-in-hole@panda"):
+        pipeline.synthesise(tmp_path / "b.zarr", SynthesisConfig("peg-in-hole@panda", 2, window=5))
 
 
 @pytest.mark.parametrize(
