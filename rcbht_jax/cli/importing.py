@@ -35,6 +35,9 @@ class Import(Command):
     out: OutStore
     map: Annotated[Path | None, option("File that says what the columns mean.", "", metavar="FILE.toml")] = None
     write_map: Annotated[Path | None, option("File to save the meaning of columns in.", "", metavar="FILE.toml")] = None
+    files: Annotated[
+        str, option("Pattern of the files that are recordings, such as *_ft.csv.", "all of the kind", metavar="PATTERN")
+    ] = ""
     rate: Annotated[float | None, option("Samples per second of the store.", "that of most recordings")] = None
     source_rate: Annotated[
         float | None, option("Samples per second of files without time stamps.", "the rate that a file states")
@@ -85,6 +88,8 @@ class Import(Command):
         mapping = read_mapping(self.map) if self.map else Mapping()
         given = {name: getattr(self, name) for name in ("rate", "source_rate", "tare", "group", "topic")}
         mapping = replace(mapping, **{name: value for name, value in given.items() if value not in (None, "")})
+        if self.files:
+            mapping = replace(mapping, files=(self.files,))
         if self.labels:
             mapping = replace(mapping, annotations=(Track(self.labels, self.labels),))
         if self.outcome:

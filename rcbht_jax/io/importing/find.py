@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import MAX_FILES
@@ -81,6 +81,27 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
         texts = any(Path(name).suffix.lower() in TEXTS for name in others) and kind == "auto"
         raise InputError(f"{source} holds no file {what}; it holds {held}.{text if texts else known}")
     return sorted(items, key=lambda item: _natural(item.name)), others
+
+
+def chosen(
+    source: Path, items: list[Item], others: list[str], patterns: tuple[str, ...]
+) -> tuple[list[Item], list[str]]:
+    """Of what :func:`find` found, what a pattern matches, and the names of all else; without patterns all.
+
+    >>> items = [Item(name, Path(name), "csv") for name in ("a/ft.csv", "a/joints.csv")]
+    >>> [item.name for item in chosen(Path("."), items, [], ("ft.csv",))[0]]
+    ['a/ft.csv']
+
+    Raises:
+        InputError: no pattern matches a file.
+    """
+    if not patterns:
+        return items, others
+    read = [item for item in items if any(PurePosixPath(item.name).match(pattern) for pattern in patterns)]
+    if not read:
+        held = ", ".join(item.name for item in items[:5])
+        raise InputError(f"{source} holds no file like {' or '.join(patterns)}; it holds {held}.")
+    return read, others + [item.name for item in items if item not in read]
 
 
 def _whole(folder: Path) -> str:

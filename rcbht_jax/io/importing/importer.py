@@ -25,7 +25,7 @@ from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.blocks import read_blocks
 from rcbht_jax.io.importing.constants import constants_of, describe
 from rcbht_jax.io.importing.exported import read_export
-from rcbht_jax.io.importing.find import Item, find
+from rcbht_jax.io.importing.find import Item, chosen, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
@@ -76,7 +76,7 @@ def read_source(
         InputError: the source holds no usable recording, the mapping contradicts itself, or a package is missing.
     """
     base = check(mapping or Mapping())
-    items, others = find(source, kind)
+    items, others = chosen(source, *find(source, kind), base.files)
     if items[0].kind == "export" and len(items) == 1:
         if base != Mapping():
             raise InputError(

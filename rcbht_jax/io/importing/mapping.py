@@ -34,16 +34,22 @@ class Channel:
 
 @dataclass(frozen=True)
 class Track:
-    """Where a track of annotations comes from: a column, a table of intervals, or lists of ends and labels."""
+    """Where a track of annotations comes from: a column, a table of intervals, or lists of times and labels.
+
+    In the name of a file, "{stem}" is the name of the recording's file without suffix, in the same folder, and
+    "{folder}" the folder of that file.
+    """
 
     track: str
     column: str = ""  # of the recording: an interval for every stretch of one value
-    file: str = ""  # CSV with label, start and perhaps end, track, recording; "{stem}" = name of the recording's file
-    ends: str = ""  # text file of the ends of successive intervals, s; "{stem}" as above
+    file: str = ""  # CSV with label, start and perhaps end, track, recording
+    ends: str = ""  # text file of the ends of successive intervals, s
     ids: str = ""  # text file of their labels
     clock: str = "start"  # times count from the recording's first sample; "stamps" = they are on its clock
     words: AnyMapping[str, str] = field(default_factory=dict)  # label in the file -> label
     ignore: tuple[str, ...] = ()  # labels that mean that nothing was marked
+    starts: str = ""  # text file of the starts of successive intervals, s; one more may end the last
+    labels: tuple[str, ...] = ()  # of those intervals, in their order
 
 
 @dataclass(frozen=True)
@@ -82,6 +88,7 @@ class Mapping:
     bias: tuple[float, ...] = ()  # per channel, subtracted
     rotation: tuple[tuple[float, ...], ...] = ()  # 3x3, applied to forces and moments; or one row x, y, z, w
     rate: float | None = None  # samples per second of the store
+    files: tuple[str, ...] = ()  # patterns such as "*_ft.csv" of the files that are recordings; none = all
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -267,10 +274,12 @@ def check(mapping: Mapping) -> Mapping:
         )
     _check_rotation(mapping)
     for track in mapping.annotations:
-        if [bool(track.column), bool(track.file), bool(track.ends)].count(True) != 1 or bool(track.ends) != bool(
-            track.ids
-        ):
-            raise InputError(f"track {track.track} needs a column, a file, or ends and ids; one of them.")
+        sources = [bool(name) for name in (track.column, track.file, track.ends, track.starts)]
+        pairs = [(track.ends, track.ids), (track.starts, track.labels)]
+        if sources.count(True) != 1 or any(bool(times) != bool(labels) for times, labels in pairs):
+            raise InputError(
+                f"track {track.track} needs a column, a file, ends and ids, or starts and labels; one of them."
+            )
         if track.clock not in ("start", "stamps"):
             raise InputError(f"the clock of track {track.track} is {track.clock!r}; expected start or stamps.")
     for name, value in mapping.columns.items():

@@ -117,7 +117,7 @@ class Names:
 
 
 def beside(source: Path, file: Path, pattern: str) -> Path:
-    """The file that a pattern names for a recording: "{stem}" is its file without suffix, in the same folder.
+    """The file that a pattern names for a recording, as :class:`~rcbht_jax.io.importing.mapping.Track` explains.
 
     Args:
         source: a file or a folder.
@@ -128,10 +128,16 @@ def beside(source: Path, file: Path, pattern: str) -> Path:
         InputError: the file lies outside the source.
     """
     folder = source if source.is_dir() else source.parent
-    path = folder / file.parent / pattern.replace("{stem}", file.stem) if "{stem}" in pattern else folder / pattern
+    path = folder / _named(PurePosixPath(file.as_posix()), pattern)
     if not path.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"{pattern} is outside the source; expected a file in it.")
     return path
+
+
+def _named(file: PurePosixPath, pattern: str) -> PurePosixPath:
+    """The file that a pattern names for a recording's file, both relative to the source."""
+    filled = pattern.replace("{stem}", file.stem).replace("{folder}", str(file.parent))
+    return file.parent / filled if "{stem}" in pattern and "{folder}" not in pattern else PurePosixPath(filled)
 
 
 def described_by(mapping: Mapping, items: Iterable[Item]) -> set[str]:
@@ -141,12 +147,10 @@ def described_by(mapping: Mapping, items: Iterable[Item]) -> set[str]:
     ...              [Item("day1/a.npz", Path("runs/day1/a.npz"), "npz")]) == {"day1/a.ends", "day1/a.ids"}
     True
     """
-    patterns = {one for track in mapping.annotations for one in (track.file, track.ends, track.ids)}
+    patterns = {one for track in mapping.annotations for one in (track.file, track.ends, track.ids, track.starts)}
     paths = [PurePosixPath(item.name) for item in items if item.name]
-    own = {
-        str(path.with_name(one.replace("{stem}", path.stem))) for one in patterns if "{stem}" in one for path in paths
-    }
-    return {one for one in (*own, *patterns, mapping.table) if one and "{stem}" not in one}
+    named = {str(_named(path, one)) for one in patterns - {""} for path in paths}
+    return named | ({mapping.table} - {""})
 
 
 def track_intervals(
@@ -177,6 +181,8 @@ def track_intervals(
             warnings += [row for row in ambiguities if row not in warnings]  # the file may be read for every recording
             rows = [(word, interval) for word, interval in rows if meant[word] == {place}]
         return [interval for _, interval in rows]
+    if track.starts:
+        return _successive(beside(source, file, track.starts), track)
     ends, ids = (_lines(beside(source, file, pattern)) for pattern in (track.ends, track.ids))
     if len(ends) != len(ids):
         raise InputError(
@@ -190,6 +196,20 @@ def track_intervals(
     words = [track.words.get(label, label) for label in labels]
     spans = zip(words, times[:-1], times[1:], strict=True)
     return [(track.track, label, start, end) for label, start, end in spans if label not in track.ignore]
+
+
+def _successive(path: Path, track: Track) -> list[Interval]:
+    """Intervals of the labels of a track from a file of their starts; fewer starts are of the first labels, the last of
+    which lasts until the end of the recording."""
+    starts = _lines(path)
+    if not 1 <= len(starts) <= len(track.labels) + 1:
+        raise InputError(f"{path} has {plural(len(starts), 'start')} for {plural(len(track.labels), 'label')}.")
+    try:
+        times = list(map(float, starts))
+    except ValueError:
+        raise InputError(f"{path} holds a word that is not a number.") from None
+    spans = zip(track.labels, times, [*times[1:], np.inf], strict=False)
+    return [(track.track, track.words.get(label, label), start, end) for label, start, end in spans]
 
 
 def _lines(path: Path) -> list[str]:

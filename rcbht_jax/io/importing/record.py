@@ -332,7 +332,8 @@ def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float
 def bounded(record: Record) -> tuple[Record, list[str]]:
     """The recording without its impossible intervals, and what was wrong with them.
 
-    An interval that begins after the end, or whose start is missing, is left out; the others stay.
+    An interval that begins after the end, or whose start is missing, is left out; the others stay. An infinite end is
+    that of the recording.
     """
     last = record.end
     kept, problems = [], []
@@ -346,5 +347,5 @@ def bounded(record: Record) -> tuple[Record, list[str]]:
             problems.append(f"{track} {label!r} ends before it begins ({end:.6g} < {start:.6g} s); its end is unknown.")
             kept.append((track, label, start, float("nan")))
         else:
-            kept.append((track, label, start, end if np.isfinite(end) else float("nan")))
+            kept.append((track, label, start, last if end == np.inf else end))
     return replace(record, intervals=kept), problems

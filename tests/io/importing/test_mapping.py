@@ -67,7 +67,7 @@ def test_a_mapping_comes_back_equal(
         ("rotation = [[1, 0], [0, 1]]", "neither three rows"),
         ("rotation = [[0, 0, 0, 0]]", "neither three rows"),
         ("rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "is not a rotation"),
-        ("[[annotations]]\ntrack = 'a'", "needs a column, a file, or ends and ids"),
+        ("[[annotations]]\ntrack = 'a'", "needs a column, a file, ends and ids, or starts"),
         ("[[annotations]]\ntrack = 'a'\ncolumn = 'b'\nclock = 'sun'", "expected start or stamps"),
         ("[columns.outcome]", "needs a column, a table, a value or a folder"),
         ("[columns.outcome]\ntable = 'x'", "the mapping names none"),
