@@ -25,14 +25,12 @@ import tyro
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from experiments._lib.benchmarks import REAL, SIM1, of_sources, rounded
+from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.tasks import states
 from experiments.calibration.methods import WORDS
 from experiments.classification.sim_to_real_sets import make, store_of
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.kernels import cost_scores, predict_kernel, rank_kernel
@@ -66,8 +64,7 @@ def candidates_of(count: int) -> tuple[Floats, Floats]:
 
 def words(recordings: Recordings, items: LabelledIntervals, limits: Floats) -> NDArray[np.float32]:
     """Features ``[candidate, item, feature]``."""
-    config = EncoderConfig(5, recordings.dt)
-    tracks = (encode_batch(config, GradientThresholds(one), recordings.wrench, recordings.length) for one in limits)
+    tracks = (published_words(recordings, limits=one) for one in limits)
     return np.stack([extract_features(track, items, WORDS).values.astype(np.float32) for track in tracks])
 
 
