@@ -27,7 +27,8 @@ from experiments.classification.grammar import ENCODERS, RANKS
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import ALL, LEVELS, RICHER
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.svm import Split, Weight, fewest_groups, grouped_folds, predictions, select
+from rcbht_jax.learning.class_groups import fewest_groups
+from rcbht_jax.learning.svm import Split, Weight, grouped_folds, predictions, select
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import repeated_folds
 from rcbht_jax.types import LabelTracks
