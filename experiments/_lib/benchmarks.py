@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -100,6 +101,12 @@ BENCHMARKS = {
     "REAL merged states, B to A": _across("merged", "B", "A"),
     "failure types": Benchmark(failure_types(sources=(FAILURES,))),
 }
+
+
+def mistakes(classes: tuple[str, ...], y: NDArray[np.int64], predicted: NDArray[np.int64]) -> dict[str, int]:
+    """How often which class was taken for which other one."""
+    wrong = zip(y[y != predicted].tolist(), predicted[y != predicted].tolist(), strict=True)
+    return dict(Counter(f"{classes[true]} as {classes[answer]}" for true, answer in wrong))
 
 
 def recorded() -> Recordings:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.tasks import states
-from experiments.calibration.near_preset import Near
+from experiments.calibration.near_preset import Near, between
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.features.recipes import ALL, PLAIN, RICHER
 from rcbht_jax.io.store import read_recordings
@@ -153,10 +153,7 @@ class Experiment:
 
     def transfer(self, one: str, other: str, spec: str, method: str) -> dict[str, Any]:
         """Train on one session of the recorded trials, test on the other."""
-        _, items, _ = self.of(REAL)
-        train, test = (np.flatnonzero(items.session == session) for session in (one, other))
-        learner = self.learners(REAL, spec).learner(method)
-        scores = validation.holdout_score(learner, items.y, items.trial, (train, test), SEED)
+        scores = between(self.learners(REAL, spec).learner(method), self.of(REAL)[1], one, other)
         return {
             "accuracy": rounded(scores.summary()["accuracy"]),
             "chosen": self.about["bank"][scores.chosen["candidates"][0]],
