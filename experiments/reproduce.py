@@ -23,14 +23,14 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Lock
-from typing import IO, Any
+from typing import IO
 
 from tqdm import tqdm
 
 import rcbht_jax
 from experiments._lib import agreement
 from experiments._lib.catalogue import DATA, EXPERIMENTS, EXTERNAL, GOLDEN, MODEL, SHARED, STORE, Experiment
-from experiments._lib.results_io import COMMITTED, RESULTS, machine
+from experiments._lib.results_io import COMMITTED, RESULTS, machine, record_of
 from rcbht_jax._util.atomic import atomic_write
 
 RCBHT = ("-c", "import sys; from rcbht_jax.cli.main import main; sys.exit(main(sys.argv[1:]))")
@@ -82,13 +82,6 @@ class Spent:
     minutes: float  # of the clock
     cpu_minutes: float  # of all its threads, and of the processes that it waited for
     memory_gb: float  # at most
-
-
-def record_of(name: str, folder: Path) -> dict[str, Any]:
-    """A result file as it is, or nothing."""
-    path = folder / f"{name}.json"
-    record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    return record
 
 
 def lacking(experiment: Experiment, peers: Path | None) -> str:
@@ -161,7 +154,7 @@ def note(form: Form, spent: Spent) -> None:
         **{name: round(value, 2) for name, value in asdict(spent).items()},
     }
     with _writing:
-        known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"experiments": {}}
+        known = record_of("reproduce", form.work) or {"experiments": {}}
         known |= {"rcbht_jax_version": rcbht_jax.__version__, "machine": machine()}
         known["experiments"][form.experiment.name] = entry
         with atomic_write(path) as draft:

@@ -10,13 +10,18 @@ _ABOUT = ("second", "minute", "time", "libraries", "complete")  # keys whose val
 
 def numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
     """Every number of a result, with its place."""
-    if isinstance(value, dict | list):
-        parts = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, part in parts:
-            if not any(word in str(key) for word in _ABOUT):
-                yield from numbers(part, f"{place} > {key}" if place else str(key))
-    elif isinstance(value, int | float):
+    for key, within, part in _parts(value, place):
+        if not any(word in key for word in _ABOUT):
+            yield from numbers(part, within)
+    if isinstance(value, int | float):
         yield place, float(value)
+
+
+def _parts(value: Any, place: str) -> Iterator[tuple[str, str, Any]]:
+    """Key, place and content of every part of an object or a list; none of anything else."""
+    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in pairs:
+        yield str(key), f"{place} > {key}" if place else str(key), part
 
 
 def intervals(value: Any, place: str = "") -> Iterator[tuple[str, float, float, float]]:
@@ -26,10 +31,8 @@ def intervals(value: Any, place: str = "") -> Iterator[tuple[str, float, float, 
         ends = value["interval"] if "interval" in value else [value.get("low"), value.get("high")]
         if score is not None and isinstance(ends, list) and all(isinstance(end, int | float) for end in ends):
             yield place, float(score), float(ends[0]), float(ends[1])
-    if isinstance(value, dict | list):
-        parts = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, part in parts:
-            yield from intervals(part, f"{place} > {key}" if place else str(key))
+    for _, within, part in _parts(value, place):
+        yield from intervals(part, within)
 
 
 def largest_difference(first: Any, second: Any) -> tuple[float, str]:

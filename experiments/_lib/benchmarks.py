@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +15,11 @@ from experiments._lib.catalogue import DATA
 from experiments._lib.tasks import failure_types, states
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics, validation
-from rcbht_jax.learning.svm import Split
+from rcbht_jax.learning.svm import Grid, Split
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 
@@ -100,6 +103,12 @@ BENCHMARKS = {
 }
 
 
+def mistakes(classes: tuple[str, ...], y: NDArray[np.int64], predicted: NDArray[np.int64]) -> dict[str, int]:
+    """How often which class was taken for which other one."""
+    wrong = zip(y[y != predicted].tolist(), predicted[y != predicted].tolist(), strict=True)
+    return dict(Counter(f"{classes[true]} as {classes[answer]}" for true, answer in wrong))
+
+
 def recorded() -> Recordings:
     """The authors' trials, from the folder that RCBHT_DATA names."""
     return read_hiro(DATA)[0]
@@ -110,9 +119,19 @@ def of_sources(recordings: Recordings, sources: tuple[str, ...]) -> Recordings:
     return recordings.take(np.isin(recordings.source, sources))
 
 
-def published_words(recordings: Recordings) -> LabelTracks:
-    """Labels by the published rule, window 5, with the preset's thresholds."""
-    return encode_batch(EncoderConfig(dt=recordings.dt), preset(), recordings.wrench, recordings.length)
+def published_words(
+    recordings: Recordings, window: int = 5, scale: float | Floats = 1.0, limits: Floats | None = None
+) -> LabelTracks:
+    """Labels by the published rule.
+
+    Args:
+        recordings: one data set.
+        window: samples.
+        scale: factor on the limits, ``[6, 1]`` where axes differ.
+        limits: gradient limits ``[6, 4]``, N/s and Nm/s; None = the preset's.
+    """
+    thresholds = GradientThresholds(np.asarray(preset().limits if limits is None else limits) * scale)
+    return encode_batch(EncoderConfig(window, recordings.dt), thresholds, recordings.wrench, recordings.length)
 
 
 def segments(recordings: Recordings, items: LabelledIntervals) -> list[Floats]:
@@ -122,6 +141,15 @@ def segments(recordings: Recordings, items: LabelledIntervals) -> list[Floats]:
         for i in items.intervals
     ]
     return [np.concatenate(parts, 1).astype(np.float64) for parts in zip(*arms, strict=True)]
+
+
+def svm_on(
+    features: Mapping[str, Features], spec: FeatureSpec, items: LabelledIntervals, grid: Grid
+) -> validation.Estimator:
+    """A nested SVM on one of several matrices of features, which inner folds choose, with the weights of families."""
+    matrices = {name: one.values for name, one in features.items()}
+    weights = {name: one.weights(spec) for name, one in features.items()}
+    return validation.nested_svm(matrices, items.y, items.trial, grid, weights)
 
 
 def items_of(recordings: Recordings, benchmark: Benchmark) -> LabelledIntervals:

@@ -11,7 +11,7 @@ import tyro
 from tqdm import tqdm
 
 import rcbht_jax
-from experiments._lib.results_io import RESULTS, write_result
+from experiments._lib.results_io import record_of, write_result
 
 Only = Annotated[tuple[str, ...], tyro.conf.arg(help="Make the rows whose names contain one of these.")]
 ALL_ROWS = ("",)
@@ -30,8 +30,7 @@ class Rows:
     def __init__(self, name: str, command: str, about: Mapping[str, Any], seed: int) -> None:
         self.name, self.command, self.about, self.seed = name, command, dict(about), seed
         self.done: dict[str, Any] = {}
-        path = RESULTS / f"{name}.json"
-        record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        record = record_of(name)
         result = dict(record.get("result", {}))
         rows = result.pop("rows", {})
         result.pop("complete", None)

@@ -10,9 +10,8 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from experiments._lib.piecewise import Floats, Ints
-from experiments._lib.word_stability import Words
+from experiments._lib.word_stability import Words, named
 from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.labels import Primitive
 
 Track = Literal["none", "at rest", "median"]
 MEMORY = 1.0  # s, over which noise is averaged
@@ -121,9 +120,6 @@ def words_of(
     for axis, starts in enumerate(found):
         start = np.array(starts)
         stop = np.append(start[1:], len(y))
-        slope, n = sums.line(start, stop, np.full_like(start, axis))[0], stop - start
-        rank = np.maximum((np.abs(slope / dt)[:, None] < limits[axis]).sum(1), 1)  # 1 big, 2 medium, 3 small
-        label = np.where(slope > 0, Primitive.BPOS, Primitive.BNEG) + rank - 1
-        level = (slope * slope * (n * n - 1.0) / 12 <= tolerance[axis] ** 2) | (rank == limits.shape[1])
-        out.append(Words(np.where(level, Primitive.CONS, label).astype(np.int64), start * dt, stop * dt))
+        slope, _ = sums.line(start, stop, np.full_like(start, axis))
+        out.append(named(slope, start, stop, dt, limits[axis], tolerance[axis] ** 2))
     return out

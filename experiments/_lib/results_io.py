@@ -7,6 +7,7 @@ import math
 import os
 import platform
 from collections import Counter
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,20 @@ def committed(name: str) -> Any:
     """The numbers of a committed result, without the record of how they were made."""
     record = json.loads((COMMITTED / f"{name}.json").read_text(encoding="utf-8"))
     return record.get("result", record)
+
+
+def record_of(name: str, folder: Path | None = None) -> dict[str, Any]:
+    """A result file of a folder, ``RESULTS`` by default, as it is; nothing if there is none."""
+    path = (folder or RESULTS) / f"{name}.json"
+    record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return record
+
+
+def parts_of(name: str, command: str, parts: Iterable[str]) -> dict[str, Any]:
+    """Those parts of a result that are there already, made by the same command."""
+    record = record_of(name)
+    result = record["result"] if record.get("command") == command else {}
+    return {part: result[part] for part in parts if part in result}
 
 
 def machine() -> str:

@@ -126,8 +126,13 @@ def best_lines(y: Floats, pieces: int, dt: float, limits: Floats, tolerance: flo
     """
     edges = np.concatenate([[0], left_over(bottom_up(y), pieces), [len(y)]]).astype(np.int64)
     start, stop = edges[:-1], edges[1:]
-    slope, n = Sums(y).line(start, stop)[1], stop - start
+    return named(Sums(y).line(start, stop)[1], start, stop, dt, limits, tolerance * tolerance)
+
+
+def named(slope: Floats, start: Ints, stop: Ints, dt: float, limits: Floats, tolerated: float) -> Words:
+    """Words of lines of one axis; a line whose values vary by less than ``tolerated`` (squared) is constant."""
+    n = stop - start
     rank = np.maximum((np.abs(slope / dt)[:, None] < limits).sum(1), 1)  # 1 big, 2 medium, 3 small, 4 constant
     label = np.where(slope > 0, Primitive.BPOS, Primitive.BNEG) + rank - 1
-    level = (slope * slope * (n * n - 1.0) / 12 <= tolerance * tolerance) | (rank == len(limits))
+    level = (slope * slope * (n * n - 1.0) / 12 <= tolerated) | (rank == len(limits))
     return Words(np.where(level, Primitive.CONS, label).astype(np.int64), start * dt, stop * dt)

@@ -23,13 +23,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.benchmarks import REAL, SIM1, of_sources, rounded
+from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.tasks import states
-from experiments.calibration.near_preset import Near
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from experiments.calibration.near_preset import Near, between
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.features.recipes import ALL, PLAIN, RICHER
 from rcbht_jax.io.store import read_recordings
@@ -79,12 +76,8 @@ class Bank(Near):
 
 def labelled(recordings: Recordings) -> list[LabelTracks]:
     """The labels that each member of the bank gives."""
-    tracks = []
-    for window, forces, moments in BANK:
-        limits = np.asarray(preset().limits) * np.repeat([forces, moments], 3)[:, None]
-        config = EncoderConfig(window, recordings.dt)
-        tracks.append(encode_batch(config, GradientThresholds(limits), recordings.wrench, recordings.length))
-    return tracks
+    scales = [(window, np.repeat([forces, moments], 3)[:, None]) for window, forces, moments in BANK]
+    return [published_words(recordings, window, scale) for window, scale in scales]
 
 
 def bank(recordings: Recordings, items: LabelledIntervals, tracks: list[LabelTracks], spec: FeatureSpec) -> Bank:
@@ -160,10 +153,7 @@ class Experiment:
 
     def transfer(self, one: str, other: str, spec: str, method: str) -> dict[str, Any]:
         """Train on one session of the recorded trials, test on the other."""
-        _, items, _ = self.of(REAL)
-        train, test = (np.flatnonzero(items.session == session) for session in (one, other))
-        learner = self.learners(REAL, spec).learner(method)
-        scores = validation.holdout_score(learner, items.y, items.trial, (train, test), SEED)
+        scores = between(self.learners(REAL, spec).learner(method), self.of(REAL)[1], one, other)
         return {
             "accuracy": rounded(scores.summary()["accuracy"]),
             "chosen": self.about["bank"][scores.chosen["candidates"][0]],

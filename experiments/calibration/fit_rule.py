@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from experiments._lib.benchmarks import BENCHMARKS, REAL, items_of, of_sources, recorded
+from experiments._lib.benchmarks import BENCHMARKS, REAL, items_of, of_sources, recorded, svm_on
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import FIT_RULE
 from experiments.classification.grammar import RANKS
@@ -34,7 +34,6 @@ from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import PLAIN
 from rcbht_jax.labels import Primitive
-from rcbht_jax.learning import validation
 from rcbht_jax.learning.tasks import extract_features, labelled_intervals
 from rcbht_jax.types import Recordings
 
@@ -122,10 +121,7 @@ class Experiment:
         limits, data = self.limits(method), self.recordings
         tracks = encode_batch(self.config, limits, data.wrench, data.length)
         features = extract_features({"W5": tracks}, items, WORDS)
-        learner = validation.nested_svm(
-            {"x": features.values}, items.y, items.trial, RANKS, {"x": features.weights(WORDS)}
-        )
-        return BENCHMARKS[benchmark].score(learner, items, 1, self.seed)
+        return BENCHMARKS[benchmark].score(svm_on({"x": features}, WORDS, items, RANKS), items, 1, self.seed)
 
     def about(self) -> dict[str, Any]:
         return {

@@ -6,7 +6,6 @@ Thresholds are chosen on the training side of every split; results are added tas
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import FAILURES, REAL, SIM1, of_sources, rounded
-from experiments._lib.results_io import RESULTS, write_result
+from experiments._lib.results_io import record_of, write_result
 from experiments._lib.tasks import failure_types, states
 from experiments._lib.thresholds import trained_thresholds
 from rcbht_jax.calibration import contextual
@@ -162,9 +161,8 @@ def main(
     repeats: int = 3,
 ) -> None:
     recordings = read_recordings(store)
-    path = RESULTS / "calibration.json"
     for task in tasks:
-        known = json.loads(path.read_text())["result"] if path.exists() else {}
+        known = record_of("calibration").get("result", {})
         scores = run(task, recordings, candidates, repeats)
         command = "python -m experiments.calibration.methods STORE.zarr"
         write_result("calibration", command, known | {task: scores}, seed=SEED)

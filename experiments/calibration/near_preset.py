@@ -25,14 +25,12 @@ import tyro
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from experiments._lib.benchmarks import REAL, SIM1, of_sources, rounded
+from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.tasks import states
 from experiments.calibration.methods import WORDS
 from experiments.classification.sim_to_real_sets import make, store_of
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.kernels import cost_scores, predict_kernel, rank_kernel
@@ -66,8 +64,7 @@ def candidates_of(count: int) -> tuple[Floats, Floats]:
 
 def words(recordings: Recordings, items: LabelledIntervals, limits: Floats) -> NDArray[np.float32]:
     """Features ``[candidate, item, feature]``."""
-    config = EncoderConfig(5, recordings.dt)
-    tracks = (encode_batch(config, GradientThresholds(one), recordings.wrench, recordings.length) for one in limits)
+    tracks = (published_words(recordings, limits=one) for one in limits)
     return np.stack([extract_features(track, items, WORDS).values.astype(np.float32) for track in tracks])
 
 
@@ -169,54 +166,62 @@ class Near:
         return cost_scores(part, self.y[train], self.groups[train], COSTS, INNER, INNER_REPEATS, seed)
 
 
+class Experiment:
+    """The sets of the store, read and labelled once."""
+
+    def __init__(self, store: Path, simulated: Path | None, candidates: int, repeats: int) -> None:
+        self._everything, self._simulated, self._repeats = read_recordings(store), simulated, repeats
+        self._limits, self._distance = candidates_of(candidates)
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def transfers(self) -> dict[tuple[str, str], Floats]:
+        return simulated_transfer(self._simulated, self._limits)
+
+    @cache  # noqa: B019
+    def of(self, source: str) -> tuple[Near, LabelledIntervals]:
+        recordings = of_sources(self._everything, (source,))
+        items = labelled_intervals(recordings, states())
+        return Near(words(recordings, items, self._limits), items.y, items.trial, self._distance), items
+
+    def learner(self, source: str, method: str, preset_of_test: str) -> validation.Estimator:
+        """A learner on a set; candidates are not ranked on trials of the preset that the tested session gave."""
+        learners, _ = self.of(source)
+        if method.startswith("simulated"):
+            pairs = [value for pair, value in self.transfers().items() if preset_of_test not in pair]
+            learners.ranked[method] = np.asarray(np.mean(pairs, axis=0), np.float64)
+        return learners.learner(method)
+
+    def sim1(self, method: str) -> dict[str, Any]:
+        _, items = self.of(SIM1)
+        splits = validation.repeated_folds(items.y, items.trial, 5, self._repeats, SEED)
+        scores = validation.cross_validate(self.learner(SIM1, method, "openhrp"), items.y, splits, SEED)
+        chosen = [choice["candidates"][0] for repeat in scores.chosen for choice in repeat]
+        return {"accuracy": rounded(scores.summary()["accuracy"]), "chosen": chosen}
+
+    def transfer(self, one: str, other: str, method: str) -> dict[str, Any]:
+        scores = between(self.learner(REAL, method, other), self.of(REAL)[1], one, other)
+        return {"accuracy": rounded(scores.summary()["accuracy"]), "chosen": scores.chosen["candidates"][:1]}
+
+
+def between(learner: validation.Estimator, items: LabelledIntervals, one: str, other: str) -> validation.HoldoutScore:
+    """Train on one session of the recorded trials, test on the other."""
+    split = np.flatnonzero(items.session == one), np.flatnonzero(items.session == other)
+    return validation.holdout_score(learner, items.y, items.trial, split, SEED)
+
+
 def main(
     store: tyro.conf.Positional[Path],
     simulated: Annotated[Path | None, tyro.conf.arg(help="Folder of simulated sets; missing ones are made.")] = None,
     candidates: int = 64,
     repeats: Annotated[int, tyro.conf.arg(help="Of the five outer folds of SIM1.")] = 3,
 ) -> None:
-    recorded = read_recordings(store)
-    limits, distance = candidates_of(candidates)
-    known: dict[str, tuple[Near, LabelledIntervals]] = {}
-
-    @cache
-    def transfers() -> dict[tuple[str, str], Floats]:
-        return simulated_transfer(simulated, limits)
-
-    def without(preset_of_test: str) -> Floats:
-        pairs = [value for pair, value in transfers().items() if preset_of_test not in pair]
-        return np.asarray(np.mean(pairs, axis=0), np.float64)
-
-    def near(source: str) -> tuple[Near, LabelledIntervals]:
-        if source not in known:
-            recordings = of_sources(recorded, (source,))
-            items = labelled_intervals(recordings, states())
-            known[source] = Near(words(recordings, items, limits), items.y, items.trial, distance), items
-        return known[source]
-
-    def sim1(method: str) -> dict[str, Any]:
-        learners, items = near(SIM1)
-        if method.startswith("simulated"):
-            learners.ranked[method] = without("openhrp")
-        splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
-        scores = validation.cross_validate(learners.learner(method), items.y, splits, SEED)
-        chosen = [choice["candidates"][0] for repeat in scores.chosen for choice in repeat]
-        return {"accuracy": rounded(scores.summary()["accuracy"]), "chosen": chosen}
-
-    def transfer(one: str, other: str, method: str) -> dict[str, Any]:
-        learners, items = near(REAL)
-        if method.startswith("simulated"):
-            learners.ranked[method] = without(other)
-        train, test = (np.flatnonzero(items.session == session) for session in (one, other))
-        scores = validation.holdout_score(learners.learner(method), items.y, items.trial, (train, test), SEED)
-        return {"accuracy": rounded(scores.summary()["accuracy"]), "chosen": scores.chosen["candidates"][:1]}
-
+    experiment = Experiment(store, simulated, candidates, repeats)
     wanted: dict[str, Callable[[], Any]] = {}
     methods = (*METHODS, *(("simulated, best", "simulated, average") if simulated else ()))
     for method in methods:
-        wanted[f"REAL A -> B | {method}"] = partial(transfer, "A", "B", method)
-        wanted[f"REAL B -> A | {method}"] = partial(transfer, "B", "A", method)
-    wanted |= {f"SIM1 | {method}": partial(sim1, method) for method in methods}
+        wanted[f"REAL A -> B | {method}"] = partial(experiment.transfer, "A", "B", method)
+        wanted[f"REAL B -> A | {method}"] = partial(experiment.transfer, "B", "A", method)
+    wanted |= {f"SIM1 | {method}": partial(experiment.sim1, method) for method in methods}
     about = {
         "features": "words, scaled by ranks; states, harmonised",
         "candidates": candidates, "repeats": repeats, "octaves": OCTAVES, "costs": COSTS,

@@ -17,14 +17,12 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from experiments._lib.benchmarks import FAILURES, of_sources
+from experiments._lib.benchmarks import FAILURES, of_sources, published_words
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.results_io import committed
 from experiments._lib.tasks import failure_types
 from experiments.calibration.methods import WORDS, folds
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
@@ -47,11 +45,10 @@ def main(
         limits |= {f"{simulated}, {name}": np.array(device[name]["limits"]) for name in ("search", "gradient")}
     recordings = of_sources(read_recordings(store), (FAILURES,))
     items = labelled_intervals(recordings, failure_types())
-    config, measure = EncoderConfig(5, recordings.dt), folds(repeats)
+    measure = folds(repeats)
 
     def row(which: np.ndarray, ranks: bool) -> dict[str, Any]:
-        tracks = encode_batch(config, GradientThresholds(which), recordings.wrench, recordings.length)
-        x = extract_features(tracks, items, WORDS).values
+        x = extract_features(published_words(recordings, limits=which), items, WORDS).values
         grid = Grid(kernels=("linear", "rbf"), costs=COSTS, scalings=(True,), ranks=ranks)
         return measure(validation.nested_svm({"": x}, items.y, items.trial, grid), items)
 

@@ -20,18 +20,16 @@ from typing import Any
 import numpy as np
 import tyro
 
-from experiments._lib.benchmarks import BENCHMARKS, REAL, SIM1, items_of, of_sources, recorded
+from experiments._lib.benchmarks import BENCHMARKS, REAL, SIM1, items_of, of_sources, published_words, recorded, svm_on
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import FIT_RULE, THREE, WEIGHED, WINDOW, tolerances
 from experiments.classification.grammar import DEVIATION, RANKS, counted
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import PLAIN, RICHER
-from rcbht_jax.learning import validation
 from rcbht_jax.learning.tasks import LabelledIntervals, extract_features
 from rcbht_jax.types import LabelTracks
 
@@ -95,9 +93,9 @@ class Experiment:
     @cache  # noqa: B019 (one object lives as long as the program)
     def tracks(self, rule: str, scale: float, factor: float) -> LabelTracks:
         data = self.recordings
-        limits = np.asarray(preset().limits) * scale
         if rule == "paper":
-            return encode_batch(EncoderConfig(WINDOW, data.dt), GradientThresholds(limits), data.wrench, data.length)
+            return published_words(data, WINDOW, scale)
+        limits = np.asarray(preset().limits) * scale
         tolerance = factor * np.array([self.tolerance[source] for source in data.source.tolist()])
         wide = np.broadcast_to(limits, (len(data), *limits.shape))
         return encode_batch(FitConfig(WINDOW, data.dt), FitLimits(wide, tolerance), data.wrench, data.length)
@@ -115,10 +113,7 @@ class Experiment:
             )
             for scale in sentence.scales
         }  # fmt: skip
-        weights = {key: x.weights(sentence.spec) for key, x in features.items()}
-        matrices = {key: x.values for key, x in features.items()}
-        grid = RANKS if sentence.ranks else DEVIATION
-        learner = counted(validation.nested_svm(matrices, items.y, items.trial, grid, weights), chosen)
+        learner = counted(svm_on(features, sentence.spec, items, RANKS if sentence.ranks else DEVIATION), chosen)
         score = BENCHMARKS[benchmark].score(learner, items, self.repeats, self.seed)
         return {**score, "repeats": self.repeats, "chosen": dict(chosen.most_common())}
 

@@ -19,18 +19,16 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, recorded, rounded
+from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, published_words, recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import by_trial, with_width
 from experiments._lib.tasks import failure_types, states
 from experiments.classification.grammar import ENCODERS, RANKS
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import ALL, LEVELS, RICHER
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.svm import Split, Weight, fewest_groups, grouped_folds, predictions, select
+from rcbht_jax.learning.class_groups import fewest_groups
+from rcbht_jax.learning.svm import Split, Weight, grouped_folds, predictions, select
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import repeated_folds
 from rcbht_jax.types import LabelTracks
@@ -72,10 +70,7 @@ class Experiment:
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def tracks(self, encoder: str) -> LabelTracks:
-        window, scale = ENCODERS[encoder]
-        limits = GradientThresholds(np.asarray(preset().limits) * scale)
-        trials = self.recordings
-        return encode_batch(EncoderConfig(window, trials.dt), limits, trials.wrench, trials.length)
+        return published_words(self.recordings, *ENCODERS[encoder])
 
     @cache  # noqa: B019
     def items(self, task: str) -> LabelledIntervals:

@@ -22,13 +22,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, recorded
+from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, published_words, recorded, svm_on
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.tasks import failure_types
 from experiments._lib.zero_shot_set import TARE_SECONDS
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.features.recipes import ALL, LEVELS, PLAIN, RICHER
 from rcbht_jax.io.tare import tare
@@ -96,10 +93,8 @@ class Experiment:
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def tracks(self, encoder: str, tared: bool) -> LabelTracks:
-        window, scale = ENCODERS[encoder]
         data = tare(self.recordings, round(TARE_SECONDS / self.recordings.dt)) if tared else self.recordings
-        limits = GradientThresholds(np.asarray(preset().limits) * scale)
-        return encode_batch(EncoderConfig(window, data.dt), limits, data.wrench, data.length)
+        return published_words(data, *ENCODERS[encoder])
 
     @cache  # noqa: B019
     def items(self, benchmark: str) -> LabelledIntervals:
@@ -122,9 +117,7 @@ class Experiment:
             method = METHODS[name]
             features = self.candidates(benchmark, method)
             columns = {key: len(x.names) for key, x in features.items()}
-            weights = {key: x.weights(method.spec) for key, x in features.items()}
-            matrices = {key: x.values for key, x in features.items()}
-            learner = counted(validation.nested_svm(matrices, items.y, items.trial, method.grid, weights), chosen)
+            learner = counted(svm_on(features, method.spec, items, method.grid), chosen)
         repeats = fewer_repeats(benchmark, self.repeats)
         score = self.benchmarks[benchmark].score(learner, items, repeats, self.seed)
         return {**score, "repeats": repeats, "columns": columns, "chosen": dict(chosen.most_common())}

@@ -16,7 +16,6 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -28,7 +27,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import raw_learners
-from experiments._lib.benchmarks import recorded, rounded, segments
+from experiments._lib.benchmarks import mistakes, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import learned_tolerance
 from experiments._lib.intervals import bootstrap
@@ -233,12 +232,8 @@ def scored(pool: Pool, test: Ints, predicted: Ints) -> dict[str, Any]:
     """Accuracy with its interval by resampling trials, and the confusion of classes."""
     right = pool.y[test] == predicted
     low, high = bootstrap(right, pool.trial[test], SEED)
-    wrong = Counter(
-        f"{pool.classes[true]} as {pool.classes[answer]}"
-        for true, answer in zip(pool.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)
-    )
-    count = len(np.unique(pool.trial[test]))
-    return {"accuracy": float(right.mean()), "interval": [low, high], "trials": count, "wrong": dict(wrong)}
+    count, wrong = len(np.unique(pool.trial[test])), mistakes(pool.classes, pool.y[test], predicted)
+    return {"accuracy": float(right.mean()), "interval": [low, high], "trials": count, "wrong": wrong}
 
 
 def about(experiment: Experiment) -> dict[str, Any]:

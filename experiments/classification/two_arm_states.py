@@ -9,13 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 from experiments._lib import tasks
-from experiments._lib.benchmarks import SIM2, rounded
+from experiments._lib.benchmarks import SIM2, published_words, rounded
 from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import write_result
 from experiments.classification.two_arm import as_recordings, simulated
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset as thresholds
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import LEVELS, PLAIN
 from rcbht_jax.io.hiro.importer import read_hiro
@@ -23,7 +20,6 @@ from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import TaskSpec
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.presets import TWO_ARM
 from sim_mjx.randomization.trials import DomainRandomization
 
@@ -42,11 +38,10 @@ KINDS = {
 
 def states(recorded: Recordings, sets: dict[str, Recordings]) -> dict[str, Any]:
     """Accuracy on four states from both arms' grammars; recorded boundaries, SVM, window 5."""
-    config = EncoderConfig(window=5, dt=CONTROL_PERIOD)
     out: dict[str, Any] = {}
     for name, simulated_set in sets.items():
         both = Recordings.join([recorded, simulated_set])
-        tracks = encode_batch(config, thresholds(), both.wrench, both.length)
+        tracks = published_words(both)
         forth = {"train_on": (name,), "test_on": ("SIM2",)}
         back = {"train_on": ("SIM2",), "test_on": (name,)}
         ways: dict[str, tuple[TaskSpec, dict[str, Any]]] = {

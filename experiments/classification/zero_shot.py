@@ -12,7 +12,6 @@ Finished rows are stored; the same command resumes an interrupted run.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import asdict, replace
 from functools import cache, partial
 from pathlib import Path
@@ -23,7 +22,7 @@ import tyro
 
 from experiments._lib import frozen
 from experiments._lib import raw_learners as raw
-from experiments._lib.benchmarks import rounded, segments
+from experiments._lib.benchmarks import mistakes, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import by_trial
 from experiments._lib.tasks import states
@@ -80,12 +79,9 @@ class Experiment:
             mine = np.isin(items.session[test], sessions)
             tested = len(np.unique(items.trial[test][mine]))
             out["+".join(sessions)] = by_trial(float(right[mine].mean()), tested) | {"trials": tested}
-        wrong = Counter(
-            f"{items.classes[true]} as {items.classes[guess]}"
-            for true, guess in zip(items.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)
-        )
+        wrong = mistakes(items.classes, items.y[test], predicted)
         chosen = {key: choice[key] for key in ("features", "kernel", "cost") if key in choice}
-        return rounded(out) | {"wrong": dict(wrong), "chosen": chosen, "method": self.method.sha256}
+        return rounded(out) | {"wrong": wrong, "chosen": chosen, "method": self.method.sha256}
 
 
 def main(folder: tyro.conf.Positional[Path], only: Only = ALL_ROWS) -> None:

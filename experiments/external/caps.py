@@ -29,7 +29,7 @@ from experiments.external.change_points import DETECTORS, ORACLE
 from rcbht_jax.features.trailing import trailing_statistics, with_norms
 from rcbht_jax.introspection.segmentation import Protocol, Segmentation, segment
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
-from rcbht_jax.learning.segment_metrics import segmentation_interval, segmentation_score
+from rcbht_jax.learning.segment_metrics import score_and_interval
 from rcbht_jax.types import Recordings
 
 WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s, of the peer
@@ -88,9 +88,8 @@ class Experiment:
 
 def _scored(truth: list[Any], predicted: list[Any], dt: float, groups: NDArray[Any]) -> dict[str, Any]:
     """Scores, and their intervals from runs drawn with replacement, as of Segmentation."""
-    interval = segmentation_interval(truth, predicted, dt, groups)
-    score = segmentation_score(truth, predicted, dt).to_json()
-    return rounded({"score": score, "interval": {name: list(ends) for name, ends in interval.items()}})
+    score, interval = score_and_interval(truth, predicted, dt, groups)
+    return rounded({"score": score.to_json(), "interval": {name: list(ends) for name, ends in interval.items()}})
 
 
 def _by_run(found: Segmentation) -> dict[str, float]:

@@ -10,12 +10,9 @@ import json
 
 import numpy as np
 
-from experiments._lib.benchmarks import recorded, rounded
+from experiments._lib.benchmarks import published_words, recorded, rounded
 from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.labels import AXES, LAYERS, MC
 from rcbht_jax.types import LabelTrack, LabelTracks
 
@@ -47,8 +44,7 @@ def main() -> None:
     tables = {source: reference(source) for source in np.unique(recordings.source)}
     result = {}
     for window in WINDOWS:
-        config = EncoderConfig(window=window, dt=recordings.dt)
-        tracks = encode_batch(config, preset(), recordings.wrench, recordings.length)
+        tracks = published_words(recordings, window)
         shares: dict[str, list[list[list[float]]]] = {}
         for row, source in enumerate(recordings.source):
             table, ids = tables[source]

@@ -28,7 +28,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.faulty_stream import HERTZ, readings
-from experiments._lib.results_io import RESULTS, write_result
+from experiments._lib.results_io import parts_of, write_result
 from experiments.online.stream_speed import fuzz_stream, megabytes
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -207,7 +207,8 @@ def main(
     )
 
     def keep(part: str, value: dict[str, Any], show: bool = False) -> None:
-        done = {**measured(command), part: {"load of the machine, processes": round(os.getloadavg()[0], 1), **value}}
+        done = parts_of("endurance", command, PARTS)
+        done[part] = {"load of the machine, processes": round(os.getloadavg()[0], 1), **value}
         about = {"window, samples": WINDOW, "readings per second": HERTZ, "hours asked for": hours}
         write_result("endurance", command, {**about, **done}, seed, show)
 
@@ -223,14 +224,6 @@ def main(
             if day.done % HOUR == 0:
                 keep("stream", day.result())
         keep("stream", day.result(), show=True)
-
-
-def measured(command: str) -> dict[str, Any]:
-    """Parts that are there already, of the same command."""
-    path = RESULTS / "endurance.json"
-    record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    same = record.get("command") == command
-    return {part: record["result"][part] for part in PARTS if part in record["result"]} if same else {}
 
 
 if __name__ == "__main__":

@@ -72,10 +72,15 @@ class Trials:
 
 def spec_of(kind: str, grade: int) -> DomainRandomization:
     """The distributions of one kind and grade."""
-    if kind == NOMINAL:
+    values = {} if kind == NOMINAL else GRADES[kind][grade][1]
+    return drawn_from(kind, {name: (value, value) for name, value in values.items()})
+
+
+def drawn_from(fault: str, ranges: dict[str, Any]) -> DomainRandomization:
+    """The distributions of a fault, or of nominal trials."""
+    if fault == NOMINAL:
         return DomainRandomization(nominal_share=1.0, logs_on=TAIL)
-    values: dict[str, Any] = {name: (value, value) for name, value in GRADES[kind][grade][1].items()}
-    return replace(DomainRandomization(nominal_share=0.0, faults=(kind,), logs_on=TAIL), **values)
+    return replace(DomainRandomization(nominal_share=0.0, faults=(fault,), logs_on=TAIL), **ranges)
 
 
 def batches(nominal: tuple[int, ...], per_kind: int) -> list[tuple[str, int, int]]:
@@ -106,10 +111,8 @@ def trials(
         tqdm(batches(nominal, per_kind), desc=f"simulate {preset}", file=sys.stderr, disable=None)
     ):
         path = folder / f"{preset}-{kind}-{grade}-{count}-{1000 * seed + number}.zarr"
-        if not path.exists():
-            job = SynthesisConfig(preset, count, 1000 * seed + number, engine, _SHARD, spec_of(kind, grade))
-            synthesise(path, job)
-        lots.append(_lot(path, preset, kind, grade))
+        job = SynthesisConfig(preset, count, 1000 * seed + number, engine, _SHARD, spec_of(kind, grade))
+        lots.append(_lot(path, job, kind, grade))
     columns = {field.name: [getattr(lot, field.name) for lot in lots] for field in fields(Trials)}
     recordings = Recordings.join(columns.pop("recordings"))
     return Trials(recordings, **{name: np.concatenate(parts) for name, parts in columns.items()})
@@ -121,24 +124,26 @@ def missing_tab(truth: dict[str, NDArray[np.generic]]) -> NDArray[np.str_]:
     return np.array(TABS)[gone.argmax(1)]
 
 
-def _lot(path: Path, preset: str, kind: str, grade: int) -> Trials:
-    """One store."""
-    recordings, truth = read_recordings(path), read_simulation(path)
+def made(path: Path, job: SynthesisConfig) -> tuple[Recordings, dict[str, NDArray[Any]], NDArray[np.float64]]:
+    """A store, simulated if it is not there: its trials, what was drawn for them, and the ends of their mating (s).
+
+    Where mating was not reached, its end is the planned one.
+    """
+    if not path.exists():
+        synthesise(path, job)
+    recordings, truth, session = read_recordings(path), read_simulation(path), preset_of(job.preset)
     recordings = replace(recordings, trial=np.char.add(f"{path.stem}-", recordings.trial.astype(str)))
+    planned = truth["way_time"][:, -1] + session.mating_begins - session.task.way_time[-1]
+    mating = recordings.starts(RECORDED)[:, 3]
+    return recordings, truth, np.where(np.isfinite(mating), mating, planned) + session.task.mating_time
+
+
+def _lot(path: Path, job: SynthesisConfig, kind: str, grade: int) -> Trials:
+    """One store."""
+    recordings, truth, end = made(path, job)
     touched = np.isfinite(recordings.starts(RECORDED)[:, 1])
     if kind == "moved-part" and GRADES[kind][grade][1]["moved_by"] > 0.02:
         touched &= False  # the part stands beyond the reach of the hand's
     cause = np.char.add(f"{kind} ", missing_tab(truth)) if kind == "missing-tab" else np.full(len(recordings), kind)
-    session = preset_of(preset)
-    mating = truth["way_time"][:, -1] + session.mating_begins - session.task.way_time[-1]
-    mating = np.where(np.isfinite(recordings.starts(RECORDED)[:, 3]), recordings.starts(RECORDED)[:, 3], mating)
-    grades = np.full(len(recordings), grade)
-    return Trials(
-        recordings,
-        np.full(len(recordings), kind),
-        grades,
-        touched,
-        cause,
-        truth["stop"],
-        mating + session.task.mating_time,
-    )
+    count = len(recordings)
+    return Trials(recordings, np.full(count, kind), np.full(count, grade), touched, cause, truth["stop"], end)

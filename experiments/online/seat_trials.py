@@ -11,21 +11,16 @@ the planned end of nearly all: neither the length of a record nor what follows c
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments.online.fault_trials import TAIL
+from experiments.online.fault_trials import drawn_from, made
 from rcbht_jax.introspection.fault_monitor import NOMINAL
-from rcbht_jax.io.store import read_recordings, read_simulation
-from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
-from sim_mjx.presets import preset as preset_of
-from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
 
 Ranges = dict[str, tuple[float, float]]
@@ -72,13 +67,6 @@ def sets(session: str, per_kind: int) -> list[tuple[str, str, Ranges, int]]:
     return [(NOMINAL, NOMINAL, {}, per_kind), *touching, *apart]
 
 
-def spec_of(fault: str, ranges: Ranges) -> DomainRandomization:
-    """The distributions of a kind of fault."""
-    if fault == NOMINAL:
-        return DomainRandomization(nominal_share=1.0, logs_on=TAIL)
-    return replace(DomainRandomization(nominal_share=0.0, faults=(fault,), logs_on=TAIL), **ranges)
-
-
 def seat_trials(folder: Path, session: str, per_kind: int, seed: int) -> SeatTrials:
     """Simulate what is not in the folder yet, and read it all; an interrupted run goes on.
 
@@ -94,25 +82,14 @@ def seat_trials(folder: Path, session: str, per_kind: int, seed: int) -> SeatTri
         tqdm(sets(session, per_kind), desc=f"simulate {session}", file=sys.stderr, disable=None)
     ):
         path = folder / f"seat-{session}-{name.replace(' ', '-')}-{fault}-{count}-{1000 * seed + number}.zarr"
-        if not path.exists():
-            job = SynthesisConfig(session, count, 1000 * seed + number, shard=SHARD, spec=spec_of(fault, ranges))
-            synthesise(path, job)
-        lots.append(_lot(path, session, name))
+        job = SynthesisConfig(session, count, 1000 * seed + number, shard=SHARD, spec=drawn_from(fault, ranges))
+        lots.append(_lot(path, job, name))
     columns = {name: np.concatenate([getattr(lot, name) for lot in lots]) for name in ("kind", "failed", "early")}
     return SeatTrials(Recordings.join([lot.recordings for lot in lots]), LENGTH[session], **columns)
 
 
-def _lot(path: Path, session: str, kind: str) -> SeatTrials:
+def _lot(path: Path, job: SynthesisConfig, kind: str) -> SeatTrials:
     """One store."""
-    whole, truth, preset = read_recordings(path), read_simulation(path), preset_of(session)
-    whole = replace(whole, trial=np.char.add(f"{path.stem}-", whole.trial.astype(str)))
-    planned = truth["way_time"][:, -1] + preset.mating_begins - preset.task.way_time[-1]
-    mated = whole.starts(RECORDED)[:, 3]
-    end = np.where(np.isfinite(mated), mated, planned) + preset.task.mating_time
-    return SeatTrials(
-        whole,
-        LENGTH[session],
-        np.full(len(whole), kind),
-        np.asarray(whole.outcome == "failure"),
-        end - LENGTH[session],
-    )
+    whole, _, end = made(path, job)
+    seconds, failed = LENGTH[job.preset], np.asarray(whole.outcome == "failure")
+    return SeatTrials(whole, seconds, np.full(len(whole), kind), failed, end - seconds)

@@ -32,7 +32,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.catalogue import DATA
-from experiments._lib.results_io import RESULTS, write_result
+from experiments._lib.results_io import parts_of, write_result
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
 from rcbht_jax.introspection.session import Session
@@ -210,21 +210,14 @@ def main(
     about = {"kernel": head.spec.kernel, "features": head.center.size, "support vectors": len(head.support)}
     sizes = f"--pushes {pushes} --samples {samples} --messages {messages} --requests {requests}"
     command = f"python -m experiments.online.stream_speed MODEL {sizes} --seed {seed}"
-    done = measured(command, about)
+    done = parts_of("stream_speed", command, ("model", *PARTS))
+    if done.pop("model", None) != about:
+        done = {}
     for part in parts:
         busy = round(os.getloadavg()[0], 1)
         done[part] = {"load of the machine before, processes": busy, **work[part]()}
         result = {"model": about, "complete": set(done) == set(PARTS), **done}
         write_result("stream_speed", command, result, seed, show=part == parts[-1])
-
-
-def measured(command: str, model: dict[str, Any]) -> dict[str, Any]:
-    """Parts that are there already, of the same command and model."""
-    path = RESULTS / "stream_speed.json"
-    record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    if record.get("command") != command or record["result"]["model"] != model:
-        return {}
-    return {part: record["result"][part] for part in PARTS if part in record["result"]}
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import tyro
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from experiments._lib.benchmarks import recorded
 from experiments._lib.results_io import write_result
 from experiments.simulation.fidelity_gate import row
 from experiments.simulation.joint_fit import SEEN
-from experiments.simulation.snap_needs import CELLS, REAR, SESSION, passes, summary
+from experiments.simulation.snap_needs import CELLS, LONGEST, REAR, SESSION, compared, passes
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts
@@ -40,7 +39,6 @@ from sim_mjx.validation.replay import Recorder, find_snaps
 
 IMPRATIOS = (1.0, 3.0, 10.0, 30.0)
 OVERLAPS = (0.8, 0.85, 0.9, 0.95)  # mm, of the rear hooks; the last is the preset's
-LONGEST = 12.0  # s of mating
 AT_ONCE = -0.1  # s from the start of mating, when a push may already let hooks go
 GIVES, HOLDS = 0.95, 0.99  # impedance of the rear lips' contacts, in place of 0.9805
 MEASURES = ("coverage", "W1/sd", "DTW/sd", "wrong signs", "snaps")  # of the gate
@@ -87,14 +85,8 @@ def candidates() -> dict[str, SessionPreset]:
 
 def sweep(impratio: float, cells: tuple[tuple[int, int], ...]) -> dict[str, Any]:
     """Passes of the rear hooks on a few placements, overlap by overlap."""
-    each = [sessions.trials_of(changed(impratio, overlap), placements=cells, longest=LONGEST) for overlap in OVERLAPS]
-    batch = jax.tree.map(lambda *leaves: np.concatenate(leaves), *each)
-    scene = changed(impratio).scene()
-    recorder = Recorder(scene, len(batch.command_delay))
-    run = native.simulate(scene, batch, watch=recorder.watch)
-    passed = [passes(run, recorder, at) for at in range(len(run.length))]
-    count = len(cells)
-    return {f"{overlap:g}": summary(passed[at * count : (at + 1) * count]) for at, overlap in enumerate(OVERLAPS)}
+    presets = {f"{overlap:g}": changed(impratio, overlap) for overlap in OVERLAPS}
+    return compared(changed(impratio).scene(), presets, cells)
 
 
 def last_snaps(found: dict[int, list[snaps.Snap]], mating: NDArray[np.float64]) -> list[float]:

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from experiments._lib.results_io import write_result
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.presets import HOOKED
+from sim_mjx.presets.session import SessionPreset
 from sim_mjx.synthesis.passes import passes_of
 from sim_mjx.validation import sessions, snaps
 from sim_mjx.validation.replay import Recorder, raw_force
@@ -63,16 +65,19 @@ def summary(rows: list[list[float] | None]) -> dict[str, Any]:
     return {"trials": len(rows), "seated": len(measured), "fall of 7 N in mating": int(falls.sum()), **medians}
 
 
-def main(trials: int = len(CELLS)) -> None:
-    changed, cells = variants(SESSION.parts), CELLS[:trials]
-    drawn = [sessions.trials_of(replace(SESSION, parts=parts), placements=cells, longest=LONGEST)
-             for parts in changed.values()]  # fmt: skip
+def compared(scene: Scene, presets: dict[str, SessionPreset], cells: tuple[tuple[int, int], ...]) -> dict[str, Any]:
+    """Summaries of the trials of presets on the same placements, simulated together."""
+    drawn = [sessions.trials_of(preset, placements=cells, longest=LONGEST) for preset in presets.values()]
     batch = jax.tree.map(lambda *leaves: np.concatenate(leaves), *drawn)
-    scene = SESSION.scene()
-    recorder = Recorder(scene, len(cells) * len(changed))
+    recorder = Recorder(scene, len(cells) * len(presets))
     run = native.simulate(scene, batch, watch=recorder.watch)
     rows = [passes(run, recorder, row) for row in range(len(run.length))]
-    result = {name: summary(rows[i * len(cells) : (i + 1) * len(cells)]) for i, name in enumerate(changed)}
+    return {name: summary(rows[i * len(cells) : (i + 1) * len(cells)]) for i, name in enumerate(presets)}
+
+
+def main(trials: int = len(CELLS)) -> None:
+    changed = {name: replace(SESSION, parts=parts) for name, parts in variants(SESSION.parts).items()}
+    result = compared(SESSION.scene(), changed, CELLS[:trials])
     write_result("snap_needs", "python -m experiments.simulation.snap_needs", {"rows": result}, seed=0)
 
 

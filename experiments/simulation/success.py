@@ -7,7 +7,6 @@ Simulates with the native engine. The recorded snaps are measured on the authors
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +18,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from experiments._lib.catalogue import DATA
-from experiments._lib.results_io import RESULTS, pictures, write_result
+from experiments._lib.results_io import pictures, record_of, write_result
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.plots import save
@@ -145,8 +144,7 @@ PARTS: dict[str, Callable[[], dict[str, Any]]] = {"rates": rates, "map": mapped,
 
 
 def main(parts: tyro.conf.Positional[tuple[str, ...]] = tuple(PARTS)) -> None:
-    path = RESULTS / "sim_success.json"
-    result = json.loads(path.read_text())["result"] if path.exists() else {}
+    result = record_of("sim_success").get("result", {})
     for name in parts:
         result[name] = PARTS[name]()
         write_result("sim_success", "python -m experiments.simulation.success", result, seed=SEED)

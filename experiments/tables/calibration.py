@@ -6,14 +6,14 @@ import statistics
 from typing import Any
 
 from experiments._lib.intervals import by_trial, tested
-from experiments.tables.cells import NONE, markdown, score, table
+from experiments.tables.cells import NONE, Lines, score, table
 
 # Beginning of a title -> benchmark of the headline whose trials were tested, of what is tested once.
 SPLITS = {"REAL A -> B": "REAL states, A to B", "REAL B -> A": "REAL states, B to A", "SIM1 -> REAL": "REAL states"}
 
 
 @table("calibration", "calibration", "headline")
-def calibration(result: dict[str, Any], headline: dict[str, Any]) -> str:
+def calibration(result: dict[str, Any], headline: dict[str, Any]) -> Lines:
     """Thresholds by each method, words alone; the best of a line in bold."""
     methods = {
         "preset": "preset", "context": "context", "search, best": "search, best",
@@ -27,47 +27,46 @@ def calibration(result: dict[str, Any], headline: dict[str, Any]) -> str:
         "SIM1 -> REAL, merged": result["sim1-to-real"]["SIM1 -> A+B, merged"],
         f"failure type, {len(failures['classes'])} classes, 5 folds": failures,
     }
-    lines = []
+    yield ("", *methods.values())
     for title, row in rows.items():
         found = {key: row[key]["words"]["accuracy"] for key in methods if key in row}
         best = max(value["mean"] for value in found.values())
         cells = {key: _of(value, title, headline) for key, value in found.items()}
         cells = {key: f"**{cell}**" if found[key]["mean"] == best else cell for key, cell in cells.items()}
-        lines.append((title, *(cells.get(key, "not run") for key in methods)))
-    return markdown(("", *methods.values()), lines)
+        yield (title, *(cells.get(key, "not run") for key in methods))
 
 
 @table("calibration-near", "calibration_near", "headline")
-def calibration_near(result: dict[str, Any], headline: dict[str, Any]) -> str:
+def calibration_near(result: dict[str, Any], headline: dict[str, Any]) -> Lines:
     """Thresholds near the preset: chosen, shrunk, averaged."""
     rows = result["rows"]
     sets = ("SIM1", "REAL A -> B", "REAL B -> A")
     methods = list(dict.fromkeys(name.split(" | ")[1] for name in rows))
-    lines = [(method, *(_of(rows[f"{of} | {method}"]["accuracy"], of, headline) for of in sets)) for method in methods]
-    return markdown(("", *sets), lines)
+    yield ("", *sets)
+    for method in methods:
+        yield (method, *(_of(rows[f"{of} | {method}"]["accuracy"], of, headline) for of in sets))
 
 
 @table("calibration-bank", "calibration_bank", "headline")
-def calibration_bank(result: dict[str, Any], headline: dict[str, Any]) -> str:
+def calibration_bank(result: dict[str, Any], headline: dict[str, Any]) -> Lines:
     """Kernels of many thresholds and windows: one chosen, several averaged."""
     rows = result["rows"]
     sets = ("REAL A -> B", "REAL B -> A")
-    lines = []
+    yield ("", "SIM1", "gain over the preset", *sets)
     for spec, method in dict.fromkeys(tuple(name.split(" | ")[::2]) for name in rows):
         here = rows[f"{spec} | SIM1 | {method}"]
         gain = NONE
         if method != "preset":
             gain = f"{here['gain']['mean']:+.3f} ({here['gain']['low']:+.3f} to {here['gain']['high']:+.3f})"
         there = [_of(rows[f"{spec} | {of} | {method}"]["accuracy"], of, headline) for of in sets]
-        lines.append((f"{spec}: {method}", score(here["accuracy"]), gain, *there))
-    return markdown(("", "SIM1", "gain over the preset", *sets), lines)
+        yield (f"{spec}: {method}", score(here["accuracy"]), gain, *there)
 
 
 @table("fit-calibration", "fit_calibration")
-def fit_calibration(result: dict[str, Any]) -> str:
+def fit_calibration(result: dict[str, Any]) -> Lines:
     """Limits and tolerances of the fit rule by each method, on the session that chose them and on the other one."""
     rows, sets = result["rows"], list(result["benchmarks"])
-    lines = []
+    yield ("", "primitives", "rest that is constant, worst axis", "fit, session A", *sets)
     for name, limits in rows.items():
         kind, method = name.split(" | ")
         if kind != "limits":
@@ -75,12 +74,11 @@ def fit_calibration(result: dict[str, Any]) -> str:
         scores = (score(rows.get(f"{one} | {method}", {}).get("accuracy")) for one in sets)
         rest = limits["share of rest that is constant, worst axis"]
         words = f"{limits['primitives per trial']:.0f}"
-        lines.append((method, words, f"{rest:.3f}", f"{limits['fit inside']:.3f}", *scores))
-    return markdown(("", "primitives", "rest that is constant, worst axis", "fit, session A", *sets), lines)
+        yield (method, words, f"{rest:.3f}", f"{limits['fit inside']:.3f}", *scores)
 
 
 @table("calibration-time", "calibration_curves")
-def calibration_time(result: dict[str, Any]) -> str:
+def calibration_time(result: dict[str, Any]) -> Lines:
     """Objective over processor seconds on the seeds that all methods have; effect of training on held-out trials."""
     rows = result["rows"]
     methods = {
@@ -89,7 +87,8 @@ def calibration_time(result: dict[str, Any]) -> str:
     }  # fmt: skip
     runs = {m: [row for name, row in rows.items() if name.split(" | ")[0] == m] for m in methods}
     common = min(len(seeds) for seeds in runs.values())
-    lines = []
+    falls = ("own held-out loss decreases", "log-loss of hard labels decreases")
+    yield ("", "evaluations", "best objective", "reached after", *falls)
     for method, title in methods.items():
         curves = [row["curve (seconds, objective, held-out accuracy, held-out log-loss)"] for row in runs[method]]
         best = statistics.median(curve[-1][1] for curve in curves[:common])
@@ -98,9 +97,7 @@ def calibration_time(result: dict[str, Any]) -> str:
         ends = [row.get("held-out accuracy and log-loss at the end", (0, 0))[1] for row in runs[method]]
         own = _share([loss[1] < loss[0] for loss in trained if loss])
         hard = _share([end < c[0][3] for end, c, loss in zip(ends, curves, trained, strict=True) if loss])
-        lines.append((title, f"{runs[method][0]['evaluations']}", f"{best:.2f}", f"{taken:.1f} s", own, hard))
-    falls = ("own held-out loss decreases", "log-loss of hard labels decreases")
-    return markdown(("", "evaluations", "best objective", "reached after", *falls), lines)
+        yield title, f"{runs[method][0]['evaluations']}", f"{best:.2f}", f"{taken:.1f} s", own, hard
 
 
 def _share(true: list[bool]) -> str:
@@ -111,19 +108,17 @@ def _share(true: list[bool]) -> str:
     "calibration-simulated", "calibration_device_warp_failure_type_openhrp",
     "calibration_device_warp_failure_type_hooked_b", "calibration_transfer",
 )  # fmt: skip
-def calibration_simulated(openhrp: dict[str, Any], hooked: dict[str, Any], transfer: dict[str, Any]) -> str:
+def calibration_simulated(openhrp: dict[str, Any], hooked: dict[str, Any], transfer: dict[str, Any]) -> Lines:
     """Thresholds chosen on simulated failures: on other simulated ones of each preset, and on the authors'."""
     presets, authors = {"openhrp": openhrp["svm"], "hooked-B": hooked["svm"]}, transfer["rows"]
-    lines = []
+    yield ("", *(f"held-out trials of {place}" for place in presets), "the authors' failures, ranks", "deviation")
     for name in ("preset", *(f"{place}, {method}" for place in presets for method in ("search", "gradient"))):
         place, _, method = name.rpartition(", ")
         own = [score(scores[method]) if place in ("", one) else NONE for one, scores in presets.items()]
         of_authors = [score(authors[f"{name} | {scaled}"]["accuracy"]) for scaled in ("ranks", "deviation")]
-        lines.append((name, *own, *of_authors))
+        yield (name, *own, *of_authors)
     durations = [score(scores["duration alone"]) for scores in presets.values()]
-    lines.append(("duration alone", *durations, score(authors["duration alone"]["accuracy"]), NONE))
-    held_out = (f"held-out trials of {place}" for place in presets)
-    return markdown(("", *held_out, "the authors' failures, ranks", "deviation"), lines)
+    yield ("duration alone", *durations, score(authors["duration alone"]["accuracy"]), NONE)
 
 
 def _of(accuracy: dict[str, float], title: str, headline: dict[str, Any]) -> str:

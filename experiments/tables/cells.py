@@ -9,35 +9,36 @@ from typing import Any
 from experiments._lib.results_io import committed
 
 NONE = "–"
+Lines = Iterable[Sequence[str]]  # of a table, the first one its head
 
 
 @dataclass(frozen=True)
 class Table:
     """A table of the documentation, and the committed results that its numbers come from."""
 
-    draw: Callable[..., str]  # takes the results in the order of ``reads``
+    draw: Callable[..., Lines]  # takes the results in the order of ``reads``
     reads: tuple[str, ...]
     links: bool = False  # draw also takes ``way``, the path from its page to the results
 
     def __call__(self, way: str) -> str:
         results = [committed(name) for name in self.reads]
-        return self.draw(*results, way=way) if self.links else self.draw(*results)
+        return markdown(*(self.draw(*results, way=way) if self.links else self.draw(*results)))
 
 
 TABLES: dict[str, Table] = {}
 
 
-def table(name: str, *reads: str, links: bool = False) -> Callable[[Callable[..., str]], Callable[..., str]]:
+def table(name: str, *reads: str, links: bool = False) -> Callable[[Callable[..., Lines]], Callable[..., Lines]]:
     """Register a function that draws a table, by name."""
 
-    def register(draw: Callable[..., str]) -> Callable[..., str]:
+    def register(draw: Callable[..., Lines]) -> Callable[..., Lines]:
         TABLES[name] = Table(draw, reads, links)
         return draw
 
     return register
 
 
-def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def markdown(head: Sequence[str], *rows: Sequence[str]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import NONE, markdown, table
+from experiments.tables.cells import NONE, Lines, table
 
 WORDS_SAME = "same primitive / composition / behaviour, % of time"
 DEVICES = ("engines_gpu", "engines")
@@ -26,66 +26,61 @@ MOTIONS = ("free", "contact")
 
 
 @table("parity", *DEVICES)
-def parity(gpu: Result, cpu: Result) -> str:
+def parity(gpu: Result, cpu: Result) -> Lines:
     """The device engines against C MuJoCo."""
-    lines = []
+    head = ("engine", "trials", "largest difference until contact", "median force difference after it", WORDS_SAME)
+    yield (*head, "same state, % of time", "same outcome, % of trials")
     for engine, measured in _runs(gpu, cpu, "parity").items():
         wrench = [measured[f"{what}_until_contact"] for what in ("force", "moment")]
         words = " / ".join(f"{100 * share:.1f}" for share in measured["labels"].values())
         contact = f"{wrench[0]:.3f} N, {wrench[1]:.4f} Nm"
         rest = (f"{measured['force_after_contact']:.3f} N", words, f"{100 * measured['states']:.2f}")
-        lines.append((engine, str(measured["trials"]), contact, *rest, f"{100 * measured['same_outcome']:.1f}"))
-    head = ("engine", "trials", "largest difference until contact", "median force difference after it", WORDS_SAME)
-    return markdown((*head, "same state, % of time", "same outcome, % of trials"), lines)
+        yield (engine, str(measured["trials"]), contact, *rest, f"{100 * measured['same_outcome']:.1f}")
 
 
 @table("parity-floor", "parity_floor")
-def parity_floor(result: Result) -> str:
+def parity_floor(result: Result) -> Lines:
     """C MuJoCo against itself after minimal changes."""
-    lines = []
+    yield "change", "largest difference until contact", WORDS_SAME
     for change, measured in result["rows"].items():
         words = " / ".join(f"{100 * share:.1f}" for share in measured["labels"].values())
-        lines.append((change, f"{measured['force_until_contact']:.3f} N", words))
-    return markdown(("change", "largest difference until contact", WORDS_SAME), lines)
+        yield change, f"{measured['force_until_contact']:.3f} N", words
 
 
 @table("hook-forces", "hook_bench")
-def hook_forces(result: Result) -> str:
+def hook_forces(result: Result) -> Lines:
     """Snap hooks on the bench: measured mating and separation forces, and those of the formulas."""
-    lines = []
+    yield "", "press, N", "formula for one tab", "pull, N", "formula for one tab "
     for name, row in result["parts"].items():
         theory = (row["mating force of a tab"], row["separation force of a tab"])
-        lines.append((name, *(f"{force:.2f}" for force in (row["press"], theory[0], row["pull"], theory[1]))))
-    return markdown(("", "press, N", "formula for one tab", "pull, N", "formula for one tab "), lines)
+        yield (name, *(f"{force:.2f}" for force in (row["press"], theory[0], row["pull"], theory[1])))
 
 
 @table("snap-needs", "snap_needs")
-def snap_needs(result: Result) -> str:
+def snap_needs(result: Result) -> Lines:
     """Passes of the rear hooks of hooked-B, with one thing changed at a time."""
     medians = ("s after mating began", "release, N", "fall, N")
-    lines = []
+    yield ("", "trials", "seated", "fall of 7 N in mating", *medians)
     for name, row in result["rows"].items():
         cells = (f"{row[key]:.2f}" if key in row else "–" for key in medians)
-        lines.append((name, str(row["trials"]), str(row["seated"]), str(row["fall of 7 N in mating"]), *cells))
-    return markdown(("", "trials", "seated", "fall of 7 N in mating", *medians), lines)
+        yield (name, str(row["trials"]), str(row["seated"]), str(row["fall of 7 N in mating"]), *cells)
 
 
 @table("driven-fit", "driven_fit")
-def driven_fit(result: Result) -> str:
+def driven_fit(result: Result) -> Lines:
     """Share of recorded wrenches that parts explain along the recorded motion, before and after the fit."""
-    lines = []
+    yield "", "trials", "not explained", "Fx", "Fy", "Fz", "My"
     for name, fitted in result["scores"]["fitted"].items():
         before = result["scores"]["presets"][name]
         pairs = [
             f"{one['explained'][axis]:.2f} → {two['explained'][axis]:.2f}"
             for one, two, axis in ((before, fitted, at) for at in (0, 1, 2, 4))
         ]
-        lines.append((name, str(fitted["trials"]), f"{before['loss']:.2f} → {fitted['loss']:.2f}", *pairs))
-    return markdown(("", "trials", "not explained", "Fx", "Fy", "Fz", "My"), lines)
+        yield (name, str(fitted["trials"]), f"{before['loss']:.2f} → {fitted['loss']:.2f}", *pairs)
 
 
 @table("driven-starts", "driven_starts", "driven_starts_mating", "driven_starts_loads")
-def driven_starts(*searches: Result) -> str:
+def driven_starts(*searches: Result) -> Lines:
     """Share of session B's wrenches that parts explain along its motion, and the place of their load at mating."""
     best = "from many starts"
     rows = [
@@ -93,15 +88,14 @@ def driven_starts(*searches: Result) -> str:
         ("16 s", searches[1], {"presets": "presets", best: "best of 14 starts"}),
         ("16 s", searches[2], {best: "best of 14 starts, loads counted"}),
     ]
-    lines = [("recorded", *[NONE] * 6, *_loads(searches[0]["loads"]["recorded"]))]
+    yield "", "mating", "not explained, seen", "not seen", "Fx", "Fz", "My", "load, mm forward", "moves forward"
+    yield ("recorded", *[NONE] * 6, *_loads(searches[0]["loads"]["recorded"]))
     for mating, result, names in rows:
         for name, title in names.items():
             scores = result["scores"][name]
             left = [f"{scores[part]['loss']:.2f}" for part in ("seen", "held")]
             axes = [f"{scores['held']['explained'][axis]:.2f}" for axis in (0, 2, 4)]
-            lines.append((title, mating, *left, *axes, *_loads(result["loads"][name])))
-    head = ("", "mating", "not explained, seen", "not seen", "Fx", "Fz", "My", "load, mm forward", "moves forward")
-    return markdown(head, lines)
+            yield (title, mating, *left, *axes, *_loads(result["loads"][name]))
 
 
 def _loads(load: Result) -> tuple[str, str]:
@@ -109,13 +103,12 @@ def _loads(load: Result) -> tuple[str, str]:
 
 
 @table("snap-creep", "snap_creep")
-def snap_creep(result: Result) -> str:
+def snap_creep(result: Result) -> Lines:
     """Time until the rear hooks of hooked-B pass, by the creep of contacts and by their overlap."""
     overlaps = tuple(next(iter(result["sweep"].values())))
-    lines = []
+    yield ("`impratio`", *(f"{overlap} mm" for overlap in overlaps))
     for impratio, row in result["sweep"].items():
-        lines.append((impratio, *(_waits(row[overlap]) for overlap in overlaps)))
-    return markdown(("`impratio`", *(f"{overlap} mm" for overlap in overlaps)), lines)
+        yield (impratio, *(_waits(row[overlap]) for overlap in overlaps))
 
 
 def _waits(row: Result) -> str:
@@ -124,16 +117,15 @@ def _waits(row: Result) -> str:
 
 
 @table("snap-holds", "snap_creep")
-def snap_holds(result: Result) -> str:
+def snap_holds(result: Result) -> Lines:
     """Gate, outcomes and last snaps of hooked-B with contacts that creep less, means over seeds."""
     measures = ("coverage", "W1/sd", "DTW/sd", "snaps")
-    head = ("", *measures, "lowest and highest share of snaps", "outcomes as recorded", "last snap, s, quartiles")
-    lines = []
+    yield ("", *measures, "lowest and highest share of snaps", "outcomes as recorded", "last snap, s, quartiles")
     for name, row in result["gate"].items():
         means = [f"{row[each]['mean']:.3f}" for each in measures]
         ends = f"{row['snaps']['lowest']:.2f}, {row['snaps']['highest']:.2f}"
-        lines.append((name, *means, ends, f"{row['outcomes as recorded']['mean']:.2f}", _quartiles(row)))
-    return markdown(head, [*lines, ("recorded", *[NONE] * 6, _quartiles(result["recorded"]))])
+        yield (name, *means, ends, f"{row['outcomes as recorded']['mean']:.2f}", _quartiles(row))
+    yield ("recorded", *[NONE] * 6, _quartiles(result["recorded"]))
 
 
 def _quartiles(row: Result) -> str:
@@ -144,34 +136,29 @@ GATE = ("coverage", "W1/sd", "DTW/sd", "AUC", "spread", "first impact", "snaps")
 
 
 @table("gate", "fidelity_gate")
-def fidelity_gate(result: Result) -> str:
+def fidelity_gate(result: Result) -> Lines:
     """Measures of the gate for presets, null models and recordings; those beyond their limits are in bold."""
-    lines = []
+    yield ("", *GATE[:4], "wrong signs", *GATE[4:], "passes", "passed the former gate")
     for session, rows in result["rows"].items():
         for name, row in rows.items():
             cells = [_measure(row["checks"].get(each)) for each in GATE]
             signs = row["checks"]["wrong signs"]
             cells.insert(4, str(int(signs["value"])) if signs["holds"] else f"**{int(signs['value'])}**")
             verdicts = ("yes" if row[each] else "no" for each in ("passes", "passed before"))
-            lines.append((f"{session}: {name}", *cells, *verdicts))
-    return markdown(("", *GATE[:4], "wrong signs", *GATE[4:], "passes", "passed the former gate"), lines)
+            yield (f"{session}: {name}", *cells, *verdicts)
 
 
 @table("separability", "separability")
-def separability(result: Result) -> str:
+def separability(result: Result) -> Lines:
     """AUC between the halves of a session's recordings, one of them moved."""
     rows = result["recordings"]
     forces = list(next(iter(rows.values()))["moved by N"])
-    lines = [
-        (
-            name, f"{result['asked'][name]:.2f}", f"{row['spread of forces, N, least, median, most'][1]:.2f}",
-            f"{row['not moved']:.2f}", *(f"{row['moved by N'][force]:.2f}" for force in forces),
-            *(f"{area:.2f}" for area in row["moved by sd"].values()),
-        )
-        for name, row in rows.items()
-    ]  # fmt: skip
     shares = [f"{share} sd" for share in next(iter(rows.values()))["moved by sd"]]
-    return markdown(("", "asked", "sd, N, median", "not moved", *(f"{force} N" for force in forces), *shares), lines)
+    yield ("", "asked", "sd, N, median", "not moved", *(f"{force} N" for force in forces), *shares)
+    for name, row in rows.items():
+        areas = (row["not moved"], *(row["moved by N"][force] for force in forces), *row["moved by sd"].values())
+        values = (result["asked"][name], row["spread of forces, N, least, median, most"][1], *areas)
+        yield (name, *(f"{value:.2f}" for value in values))
 
 
 def _measure(check: Result | None) -> str:
@@ -187,71 +174,65 @@ SYNTHESIS = (  # measures and their digits
 
 
 @table("solver", *DEVICES)
-def solver(gpu: Result, cpu: Result) -> str:
+def solver(gpu: Result, cpu: Result) -> Lines:
     """Effect of the number of iterations of the device engines' solver."""
-    lines = []
+    yield "engine", "iterations / line search", "median force difference", "99 %", "million steps per second"
     for engine, rows in _runs(gpu, cpu, "solver").items():
         for row in sorted(rows, key=lambda row: -row["steps_per_s"]):
             middle, most = (row[f"{what}_force_difference_after_contact"] for what in ("median", "p99"))
             limits = "/".join(str(limit) for limit in row["solver"])
-            lines.append((engine, limits, f"{middle:.4f} N", f"{most:.2f} N", f"{row['steps_per_s'] / 1e6:.2f}"))
-    head = ("engine", "iterations / line search", "median force difference", "99 %", "million steps per second")
-    return markdown(head, lines)
+            yield engine, limits, f"{middle:.4f} N", f"{most:.2f} N", f"{row['steps_per_s'] / 1e6:.2f}"
 
 
 @table("speed", *DEVICES)
-def speed(gpu: Result, cpu: Result) -> str:
+def speed(gpu: Result, cpu: Result) -> Lines:
     """Physics steps per second with everything inside, by engine and batch."""
-    lines = []
+    yield "engine", "trials at once", "million steps per second", "compilation, s", "memory, GB"
     for kind in ("speed", "sweep"):
         for engine, measured in _runs(gpu, cpu, kind).items():
             for run in measured if isinstance(measured, list) else [measured]:
                 millions, memory = run["steps_per_s"] / 1e6, run["memory_peak_GB"]
-                lines.append(
-                    (engine, f"{run['batch']:,}", f"{millions:.2f}", f"{run['compile_s']:.0f}", f"{memory:.1f}")
-                )
-    return markdown(("engine", "trials at once", "million steps per second", "compilation, s", "memory, GB"), lines)
+                yield engine, f"{run['batch']:,}", f"{millions:.2f}", f"{run['compile_s']:.0f}", f"{memory:.1f}"
 
 
 @table("synthesis", "simulate_gpu")
-def synthesis(result: Result) -> str:
+def synthesis(result: Result) -> Lines:
     """Stores of labelled trials from GPUs, from the command to the last byte."""
-    lines = []
+    yield "", "GPU", "seconds", "trials a second", "lanes busy", "host memory, GB", "with writers, GB", "store, GB"
     for name, row in result["rows"].items():
         rest = [f"{row[key]:.{digits}f}" if key in row else "–" for key, digits in SYNTHESIS]
-        lines.append((name, row["card"], f"{row['seconds']:.0f}", f"{row['trials'] / row['seconds']:.0f}", *rest))
-    head = ("", "GPU", "seconds", "trials a second", "lanes busy", "host memory, GB", "with writers, GB", "store, GB")
-    return markdown(head, lines)
+        yield (name, row["card"], f"{row['seconds']:.0f}", f"{row['trials'] / row['seconds']:.0f}", *rest)
 
 
 @table("native-cores", "native_cores")
-def native_cores(result: Result) -> str:
+def native_cores(result: Result) -> Lines:
     """The native engine on many cores, by processes and their threads."""
     keys = (
         ("processes", ",d"), ("threads", ",d"), ("trials", ",d"), ("seconds", ".2f"), ("processor_seconds", ".2f"),
         ("trials_of_15_s_per_minute", ",.0f"),
     )  # fmt: skip
-    lines = [tuple(format(row[key], form) for key, form in keys) for row in result["rows"]]
-    head = ("processes", "threads of each", "trials", "seconds", "processor seconds", "trials of 15 s a minute")
-    return markdown(head, lines)
+    yield "processes", "threads of each", "trials", "seconds", "processor seconds", "trials of 15 s a minute"
+    for row in result["rows"]:
+        yield tuple(format(row[key], form) for key, form in keys)
 
 
 @table("scaling", "scaling")
-def scaling(result: Result) -> str:
+def scaling(result: Result) -> Lines:
     """All devices of a machine against one."""
     places = {"": result} | {f"{place}: ": other for place, other in result.get("other machines", {}).items()}
-    lines = [line for place, part in places.items() for line in _shared(place, part)]
-    return markdown(("", "one GPU, s", "all, s", "of linear", "same bits"), lines)
+    yield "", "one GPU, s", "all, s", "of linear", "same bits"
+    for place, part in places.items():
+        yield from _shared(place, part)
 
 
-def _shared(place: str, part: Result) -> list[tuple[str, ...]]:
+def _shared(place: str, part: Result) -> Lines:
     """Rows of the work that the devices of one machine shared."""
-    lines, shared = list[tuple[str, ...]](), []
+    shared = []
     if simulated := part.get("simulation"):
         counts = [f"{simulated[which]['trials']:,}" for which in ("one", "all")]
         seconds = [f"{simulated[which]['of_work']:.1f}" for which in ("one", "all")]
         title = f"{place}trials of {simulated['preset']} with labels, stored: {counts[0]}, {counts[1]}"
-        lines.append((title, *seconds, f"{simulated['of linear']:.2f}", "–"))
+        yield (title, *seconds, f"{simulated['of linear']:.2f}", "–")
     if found := part.get("search"):
         shared.append((f"search: {found['candidates']:,} thresholds on {found['trials']} trials", found))
     for row in part.get("labels", []):
@@ -262,74 +243,63 @@ def _shared(place: str, part: Result) -> list[tuple[str, ...]]:
     for title, row in shared:
         bits = {True: "yes", False: "no", None: "–"}[row.get("same bits")]
         times = [f"{row[which]:.4f}" for which in ("seconds_one", "seconds_all")]
-        lines.append((place + title, *times, f"{row['of linear']:.2f}", bits))
-    return lines
+        yield (place + title, *times, f"{row['of linear']:.2f}", bits)
 
 
 @table("repeatability", "repeatability")
-def repeatability(result: Result) -> str:
+def repeatability(result: Result) -> Lines:
     """The same trials simulated twice on a GPU."""
-    lines = []
+    yield "", "trials", "same bytes", "same outcome", "same length", "largest difference"
     for name, rows in result["engines"].items():
         engine, _, options = name.partition(", ")
         for how, row in rows.items():
             counts = (str(row[key]) for key in ("trials", "equal", "same_outcome", "same_length"))
             title = ", ".join(filter(None, (f"`{engine}`", options, how)))
-            lines.append((title, *counts, f"{row['largest_difference']:.1f} N"))
-    return markdown(("", "trials", "same bytes", "same outcome", "same length", "largest difference"), lines)
+            yield (title, *counts, f"{row['largest_difference']:.1f} N")
 
 
 @table("encoder-speed", "encoder_speed")
-def encoder_speed(result: Result) -> str:
+def encoder_speed(result: Result) -> Lines:
     """The encoder on a GPU, by number of recordings and window."""
-    lines = []
+    how = ("billion samples a second", "with a transposition", "compact", "former scan")
+    yield ("recordings", "window", *how, "compilation, s")
     for window, rows in result["windows"].items():
         for count, row in rows.items():
             cells = [f"{row[how]['samples_per_s'] / 1e9:.2f}" if how in row else "–" for how in ENCODED]
-            lines.append((f"{int(count):,}", window.removeprefix("W"), *cells, f"{row['time first']['compile_s']:.0f}"))
-    head = (
-        "recordings", "window", "billion samples a second", "with a transposition", "compact", "former scan",
-        "compilation, s",
-    )  # fmt: skip
-    return markdown(head, lines)
+            yield (f"{int(count):,}", window.removeprefix("W"), *cells, f"{row['time first']['compile_s']:.0f}")
 
 
 @table("step", "step_profile")
-def step(result: Result) -> str:
+def step(result: Result) -> Lines:
     """A physics step of Warp by the number of lanes."""
-    lines = []
+    yield "lanes", "a step in free motion, ms", "in contact, ms", "million steps per second, free", "in contact"
     for count, row in result["lanes"].items():
         times = [f"{row[f'{how}_ms']:.2f}" for how in MOTIONS]
-        lines.append((f"{int(count):,}", *times, *(f"{row[f'{how}_steps_per_s'] / 1e6:.1f}" for how in MOTIONS)))
-    head = ("lanes", "a step in free motion, ms", "in contact, ms", "million steps per second, free", "in contact")
-    return markdown(head, lines)
+        yield (f"{int(count):,}", *times, *(f"{row[f'{how}_steps_per_s'] / 1e6:.1f}" for how in MOTIONS))
 
 
 @table("step-kernels", "step_profile")
-def step_kernels(result: Result) -> str:
+def step_kernels(result: Result) -> Lines:
     """Kernels of a physics step by what they do."""
     free, contact = (result[f"traced_{how}"]["kinds"] for how in MOTIONS)
-    lines = [
-        (kind, f"{free[kind]['us']:.0f}", f"{row['us']:.0f}", f"{row['share']:.3f}", f"{row['launches']:.0f}")
-        for kind, row in contact.items()
-    ]
-    return markdown(("kernels", "free motion, µs", "in contact, µs", "share", "launches"), lines)
+    yield "kernels", "free motion, µs", "in contact, µs", "share", "launches"
+    for kind, row in contact.items():
+        yield kind, f"{free[kind]['us']:.0f}", f"{row['us']:.0f}", f"{row['share']:.3f}", f"{row['launches']:.0f}"
 
 
 @table("large-store-read", "large_store")
-def large_store_read(result: Result) -> str:
+def large_store_read(result: Result) -> Lines:
     """Describing a store and reading one of its recordings, by the number of recordings."""
     keys = (("store_GB", 1), ("info_s", 2), ("one_trial_ms", 0), ("one_trial_p95_ms", 0))
-    lines = [
-        (f"{int(count):,}", *(f"{row[key]:.{digits}f}" for key, digits in keys))
-        for count, row in result["read"].items()
-    ]
-    return markdown(("recordings", "store, GB", "`rcbht info`, s", "one recording, ms", "95th percentile, ms"), lines)
+    yield "recordings", "store, GB", "`rcbht info`, s", "one recording, ms", "95th percentile, ms"
+    for count, row in result["read"].items():
+        yield (f"{int(count):,}", *(f"{row[key]:.{digits}f}" for key, digits in keys))
 
 
 @table("large-store-worked", "large_store")
-def large_store_worked(result: Result) -> str:
+def large_store_worked(result: Result) -> Lines:
     """Encoding and classifying a whole store, by the number of recordings."""
     keys = ("encode_s", "encode_GB", "classify_s", "classify_GB")
-    lines = [(f"{int(count):,}", *(f"{row[key]:.2f}" for key in keys)) for count, row in result["worked"].items()]
-    return markdown(("recordings", "encode, s", "encode, GB", "classify, s", "classify, GB"), lines)
+    yield "recordings", "encode, s", "encode, GB", "classify, s", "classify, GB"
+    for count, row in result["worked"].items():
+        yield (f"{int(count):,}", *(f"{row[key]:.2f}" for key in keys))

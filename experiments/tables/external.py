@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from experiments._lib.intervals import by_trial
-from experiments.tables.cells import NONE, markdown, score, table
+from experiments.tables.cells import NONE, Lines, score, table
 
 SETS = {"lp1": "LP1", "lp2": "LP2", "lp4": "LP4"}
 SCORES = {
@@ -15,66 +15,60 @@ SCORES = {
 
 
 @table("external-failures", "external_failures")
-def failures(result: dict[str, Any]) -> str:
+def failures(result: dict[str, Any]) -> Lines:
     """Accuracy of the one method, its members and peers."""
     rows = result["rows"]
     titles = dict.fromkeys(name.split(" | ")[1] for name in rows)
-    lines = [[title, *(score(rows.get(f"{of} | {title}", {}).get("accuracy")) for of in SETS)] for title in titles]
-    return markdown(("accuracy", *SETS.values()), lines)
+    yield ("accuracy", *SETS.values())
+    for title in titles:
+        yield [title, *(score(rows.get(f"{of} | {title}", {}).get("accuracy")) for of in SETS)]
 
 
 @table("external-first", "external_early")
-def first(result: dict[str, Any]) -> str:
+def first(result: dict[str, Any]) -> Lines:
     """Accuracy after the first samples of a series."""
     rows = result["rows"]
-    lines = []
+    yield ("samples", *SETS.values())
     for count in result["prefixes"]:
         cells = [rows.get(f"{of} | first {count} samples", {}).get("accuracy") for of in SETS]
-        lines.append([str(count), *map(score, cells)])
-    return markdown(("samples", *SETS.values()), lines)
+        yield [str(count), *map(score, cells)]
 
 
 @table("external-early", "external_early")
-def early(result: dict[str, Any]) -> str:
+def early(result: dict[str, Any]) -> Lines:
     """Accuracy, earliness and harmonic mean of the rules that stop."""
     rows = result["rows"]
     titles = dict.fromkeys(name.split(" | ")[1] for name in rows if not name.split(" | ")[1].startswith("first "))
-    lines = []
+    yield "", "accuracy", "earliness", "harmonic mean"
     for of, name in SETS.items():
         for title in titles:
             row = rows.get(f"{of} | {title}", {})
-            lines.append(
-                (f"{name}: {title}", *(score(row.get(key)) for key in ("accuracy", "earliness", "harmonic_mean")))
-            )
-    return markdown(("", "accuracy", "earliness", "harmonic mean"), lines)
+            yield (f"{name}: {title}", *(score(row.get(key)) for key in ("accuracy", "earliness", "harmonic_mean")))
 
 
 @table("external-caps", "external_caps")
-def caps(result: dict[str, Any]) -> str:
+def caps(result: dict[str, Any]) -> Lines:
     """Scores of the segmentation of caps."""
     rows = result["rows"]
-    lines = []
+    yield ("", *SCORES.values())
     for name, row in rows.items():
         cells = {key: (row["score"][key], row["interval"][key]) for key in SCORES}
-        lines.append([name, *(score({"mean": mean, "low": low, "high": high}) for mean, (low, high) in cells.values())])
-    most_frequent = ["*most frequent class*", f"{rows['causal']['majority']:.3f}", *[NONE] * (len(SCORES) - 1)]
-    return markdown(("", *SCORES.values()), [*lines, most_frequent])
+        yield [name, *(score({"mean": mean, "low": low, "high": high}) for mean, (low, high) in cells.values())]
+    yield ["*most frequent class*", f"{rows['causal']['majority']:.3f}", *[NONE] * (len(SCORES) - 1)]
 
 
 @table("external-kitting", "kitting", "kitting_more")
-def kitting(result: dict[str, Any], more: dict[str, Any]) -> str:
+def kitting(result: dict[str, Any], more: dict[str, Any]) -> Lines:
     """AUROC of each skill, false alarms and delay of monitors trained on nominal executions only."""
     named = {
         f"{channels}: {name}": row for channels, methods in result["rows"].items() for name, row in methods.items()
     }
-    lines = []
+    yield ("AUROC", *(f"skill {number}" for number in (3, 4, 5, 7)), "false alarms", "slowest median delay, s")
     for title, row in (named | {name: row for name, row in more["rows"].items() if "skills" in row}).items():
         skills = row["skills"].values()
         late = [cell["delay_median"] for cell in skills if cell["delay_median"] is not None]
         values = [score(_auroc(cell)) for cell in skills]
-        lines.append((title, *values, f"{row['false_alarms']:.3f}", f"{max(late):.2f}"))
-    head = ("AUROC", *(f"skill {number}" for number in (3, 4, 5, 7)), "false alarms", "slowest median delay, s")
-    return markdown(head, lines)
+        yield (title, *values, f"{row['false_alarms']:.3f}", f"{max(late):.2f}")
 
 
 def _auroc(cell: dict[str, Any]) -> dict[str, float]:
@@ -85,11 +79,10 @@ def _auroc(cell: dict[str, Any]) -> dict[str, float]:
 
 
 @table("external-kitting-types", "kitting_more")
-def kitting_types(result: dict[str, Any]) -> str:
+def kitting_types(result: dict[str, Any]) -> Lines:
     """Accuracy of the types of anomalies."""
-    lines = []
+    yield "", "", "accuracy", "balanced accuracy", "executions"
     for name, row in result["rows"].items():
         if " | " in name:
             of, title = name.split(" | ")
-            lines.append((of, title, score(row["accuracy"]), score(row["balanced_accuracy"]), str(row["executions"])))
-    return markdown(("", "", "accuracy", "balanced accuracy", "executions"), lines)
+            yield of, title, score(row["accuracy"]), score(row["balanced_accuracy"]), str(row["executions"])

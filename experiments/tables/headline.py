@@ -6,86 +6,78 @@ from collections.abc import Iterable
 from typing import Any
 
 from experiments._lib.headline_rows import MEASURE, SHORT_LIST, SOURCES, HeadlineRow, headline_rows
-from experiments.tables.cells import NONE, ends, markdown, score, table
+from experiments.tables.cells import NONE, Lines, ends, score, table
 
 Result = dict[str, Any]
 SHORT = 12  # digits of a digest that are shown
 
 
 @table("results", *SOURCES, links=True)
-def short_results(*sources: Result, way: str) -> str:
+def short_results(*sources: Result, way: str) -> Lines:
     """The frozen method on the benchmarks of the README."""
     rows = {(row.source, row.name): row for row in headline_rows(*sources)}
     return _results([rows[key] for key in SHORT_LIST], way)
 
 
 @table("all-results", *SOURCES, links=True)
-def all_results(*sources: Result, way: str) -> str:
+def all_results(*sources: Result, way: str) -> Lines:
     """The frozen method on every benchmark."""
     return _results(headline_rows(*sources), way)
 
 
-def _results(rows: Iterable[HeadlineRow], way: str) -> str:
+def _results(rows: Iterable[HeadlineRow], way: str) -> Lines:
     """Each row carries the digest of the method that made it."""
-    lines = []
+    head = ("accuracy", "paper", "frozen method, 95 % interval", "words without absolute level", "duration alone")
+    yield (*head, "best other method", "made by")
     for row in rows:
         seen = "" if row.allowed is None else f"; none wrong of {row.tested}, at most {row.allowed:.1%}"
         name, peer = row.peer
-        lines.append(
-            (
-                row.title, row.paper or NONE, f"**{score(row.score)}**{seen}", score(row.relative, False),
-                score(row.duration, False), f"{score(peer, False)} {name}",
-                f"[{row.method[:SHORT]}]({way}{row.source}.json)",
-            )
-        )  # fmt: skip
-    head = ("accuracy", "paper", "frozen method, 95 % interval", "words without absolute level", "duration alone")
-    return markdown((*head, "best other method", "made by"), lines)
+        others = (score(row.relative, False), score(row.duration, False), f"{score(peer, False)} {name}")
+        link = f"[{row.method[:SHORT]}]({way}{row.source}.json)"
+        yield (row.title, row.paper or NONE, f"**{score(row.score)}**{seen}", *others, link)
 
 
 @table("frozen-choice", "frozen_choice")
-def choice(result: Result) -> str:
+def choice(result: Result) -> Lines:
     """Options of the frozen method, best first."""
     rows = sorted(result["rows"].items(), key=lambda item: -item[1]["mean"])
     tasks = list(rows[0][1]["scores"])
-    lines = []
+    yield ("encoders", "families", "mean", *tasks)
     for name, row in rows:
         grammars, families = name.split(" | ")
         cells = [f"{row['scores'][task]:.3f}{ends(*row['intervals'][task])}" for task in tasks]
-        lines.append((grammars, families, f"{row['mean']:.3f}", *cells))
-    return markdown(("encoders", "families", "mean", *tasks), lines)
+        yield (grammars, families, f"{row['mean']:.3f}", *cells)
 
 
 @table("causal", "causal")
 @table("causal-simulated", "zero_shot_stream")
-def causal(result: Result) -> str:
+def causal(result: Result) -> Lines:
     """Step accuracy with beginnings given and detected, beside simple baselines."""
     sets = {name: row for name, row in result["rows"].items() if "trials tested" in row}
     names = [name for name in next(iter(sets.values())) if " | " in name]
-    lines = [
-        (how, name.split(" | ")[1], *(score(row[name][MEASURE]) for row in sets.values()))
-        for how in ("given", "detected")
-        for name in names
-        if name.startswith(how)
-    ]
-    return markdown(("beginnings", "step accuracy (mean of classes)", *sets), lines)
+    yield ("beginnings", "step accuracy (mean of classes)", *sets)
+    for how in ("given", "detected"):
+        for name in names:
+            if name.startswith(how):
+                yield (how, name.split(" | ")[1], *(score(row[name][MEASURE]) for row in sets.values()))
 
 
 @table("time-known", "causal")
-def time_known(result: Result) -> str:
+def time_known(result: Result) -> Lines:
     """How well relative features predict the time since a sub-task began."""
     rows = {name.split(", ")[1]: row for name, row in result["rows"].items() if name.startswith("time known")}
     states = list(next(iter(rows.values())))
-    lines = [(name, *(f"{row[state]:.3f}" for state in states)) for name, row in rows.items()]
-    return markdown(("within-class R² of log elapsed time", *states), lines)
+    yield ("within-class R² of log elapsed time", *states)
+    for name, row in rows.items():
+        yield (name, *(f"{row[state]:.3f}" for state in states))
 
 
 @table("failure-calibration", "failure_calibration")
-def failure_calibration(result: Result) -> str:
+def failure_calibration(result: Result) -> Lines:
     """Calibration error of streamed types of failure by quarter of the record: the likeliest, the worst type."""
     quarters = [f"quarter {number}" for number in range(1, 5)]
-    lines = []
+    yield ("", "beliefs", "pooled", *quarters)
     for name, kinds in result["rows"].items():
         for kind, row in kinds.items():
             cells = [f"{row[part]['likeliest']:.3f} / {row[part]['worst class']:.3f}" for part in quarters]
-            lines.append((name, kind, f"{row['pooled']:.3f}", *cells))
-    return markdown(("", "beliefs", "pooled", *quarters), lines)
+            yield (name, kind, f"{row['pooled']:.3f}", *cells)

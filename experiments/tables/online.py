@@ -5,19 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 from experiments._lib.intervals import with_width
-from experiments.tables.cells import NONE, markdown, score, streamed_score, table
+from experiments.tables.cells import NONE, Lines, score, streamed_score, table
 
 Result = dict[str, Any]
 FALSE = "false alarms per nominal trial"
 
 
 @table("online", "table2")
-def online(result: Result) -> str:
+def online(result: Result) -> Lines:
     """States streamed at 10 Hz."""
     rows = result["rows"]
     names = {"REAL": "REAL", "SIM1": "SIM one arm", "SIM2": "SIM two arms (right)"}
     kinds = {"all": "all features", "relative": "relative features"}
-    lines = []
+    head = ("step accuracy (mean of classes)", "full-sequence accuracy", "OverallPr", "smallest m, own length, k=0.70")
+    yield ("", *head, "calibration error, steps / full")
     for name, title in names.items():
         for kind, features in kinds.items():
             if scores := rows[f"{name} at 10 Hz"].get(kind):
@@ -25,75 +26,63 @@ def online(result: Result) -> str:
                 own = min(scores["certainty"]["k=0.70"]["m_own"])
                 errors = " / ".join(f"{scores[f'ECE {part}']['mean']:.3f}" for part in ("steps", "full sequences"))
                 cells = (streamed_score(scores[key]) for key in keys)
-                lines.append((f"{title}, {features}", *cells, f"{own:.2f}", errors))
-    head = (
-        "step accuracy (mean of classes)",
-        "full-sequence accuracy",
-        "OverallPr",
-        "smallest m, own length, k=0.70",
-    )
-    return markdown(("", *head, "calibration error, steps / full"), lines)
+                yield (f"{title}, {features}", *cells, f"{own:.2f}", errors)
 
 
 @table("latency", "stream_speed")
-def latency(result: Result) -> str:
+def latency(result: Result) -> Lines:
     """Time from the start, and from a window, to a belief."""
     start, push = result["start"], result["latency"]
-    rows = [
-        ("start to first belief, empty compilation cache", f"{start['cold']['wall, s']:.1f} s"),
-        ("start to first belief, warm compilation cache", f"{start['warm cache']['wall, s']:.1f} s"),
-        ("one window to belief, median", f"{push['median, ms']:.2f} ms"),
-        ("one window to belief, 99 %", f"{push['p99, ms']:.2f} ms"),
-    ]
-    return markdown(("six axes, 2 CPU cores", "time"), rows)
+    yield "six axes, 2 CPU cores", "time"
+    yield "start to first belief, empty compilation cache", f"{start['cold']['wall, s']:.1f} s"
+    yield "start to first belief, warm compilation cache", f"{start['warm cache']['wall, s']:.1f} s"
+    yield "one window to belief, median", f"{push['median, ms']:.2f} ms"
+    yield "one window to belief, 99 %", f"{push['p99, ms']:.2f} ms"
 
 
 WARNED = ("with contact", "at the boundary of success")
 
 
 @table("faults", "faults_online")
-def faults(result: Result) -> str:
+def faults(result: Result) -> Lines:
     """Simulated faults detected in time, by session."""
     presets = result["presets"]
-    lines = []
+    yield ("detected before the failing sub-task ends", *presets)
     for kind in next(iter(presets.values()))["kinds"]:
         for part, title in zip(WARNED, (kind.replace("-", " "), "those at the boundary of success"), strict=True):
             cells = [preset["kinds"][kind][part] for preset in presets.values()]
             if kind != "missing-tab" or part == WARNED[0]:
-                lines.append((title, *map(_counted, cells, presets.values())))
-    lines.append((FALSE, *(_false(preset) for preset in presets.values())))
-    return markdown(("detected before the failing sub-task ends", *presets), lines)
+                yield (title, *map(_counted, cells, presets.values()))
+    yield (FALSE, *(_false(preset) for preset in presets.values()))
 
 
 @table("faults-apart", "faults_online")
-def faults_apart(result: Result) -> str:
+def faults_apart(result: Result) -> Lines:
     """Cases outside the table of faults: those without contact, and early stops by the words alone."""
     presets = result["presets"]
-    lines = []
+    yield ("", *presets)
     for kind in ("wedging", "moved-part", "early-stop"):
         cells = [preset["kinds"][kind]["without contact"] for preset in presets.values()]
-        lines.append((f"{kind.replace('-', ' ')} without contact", *map(_counted, cells, presets.values())))
+        yield (f"{kind.replace('-', ' ')} without contact", *map(_counted, cells, presets.values()))
     stops = [preset["kinds"]["early-stop"]["with contact"] for preset in presets.values()]
     for title, name in (("by the words", "by the words"), ("before the clock", "by the words, before the clock")):
         counts = (f"{cell[name]} of {cell['failures streamed']}" for cell in stops)
-        lines.append((f"early stop with contact, {title}", *counts))
+        yield (f"early stop with contact, {title}", *counts)
     for kind in ("jamming", "wedging", "moved-part", "early-stop"):
         cells = [preset["kinds"][kind]["with contact"] for preset in presets.values()]
         counts = (f"{cell['of them alarmed']} of {cell['seated all the same']}" for cell in cells)
-        lines.append((f"{kind.replace('-', ' ')}, parts seated, alarms", *counts))
-    return markdown(("", *presets), lines)
+        yield (f"{kind.replace('-', ' ')}, parts seated, alarms", *counts)
 
 
 @table("faults-across", "faults_across")
-def faults_across(result: Result) -> str:
+def faults_across(result: Result) -> Lines:
     """Simulated faults detected by monitors trained on others, by session."""
-    lines = []
+    yield ("session", "fault", *(TRAINED[way] for way in next(iter(result["presets"].values()))))
     for session, ways in result["presets"].items():
         for kind in ways["own"]["kinds"]:
             cells = [_counted(row["kinds"][kind], {**row, **row["kinds"][kind]}) for row in ways.values()]
-            lines.append((session, kind.replace("-", " "), *cells))
-        lines.append((session, FALSE, *(_false(_most(row)) for row in ways.values())))
-    return markdown(("session", "fault", *(TRAINED[way] for way in ways)), lines)
+            yield (session, kind.replace("-", " "), *cells)
+        yield (session, FALSE, *(_false(_most(row)) for row in ways.values()))
 
 
 # Ways of training in faults_across.json -> their column titles.

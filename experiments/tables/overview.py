@@ -10,7 +10,7 @@ from experiments._lib.catalogue import EXPERIMENTS
 from experiments._lib.report_rows import NAME
 from experiments._lib.results_io import COMMITTED
 from experiments.figures.all import FIGURES, PICTURES
-from experiments.tables.cells import NONE, ends, markdown, table
+from experiments.tables.cells import NONE, Lines, ends, table
 from rcbht_jax.errors import InputError
 
 # Other methods than the frozen one: beginning of the group, of the row's text -> what it is called.
@@ -41,22 +41,14 @@ MODULES = Path(__file__).resolve().parents[1]
 
 
 @table("ablations", NAME, links=True)
-def ablations(record: dict[str, Any], way: str) -> str:
+def ablations(record: dict[str, Any], way: str) -> Lines:
     """Scores of other methods, which are not the headline."""
     rows = record["rows"]
-    lines = []
+    yield "accuracy", "paper", "95 % interval", "result"
     for (group, what), title in ABLATIONS.items():
         row = _only([row for row in rows if row["group"].startswith(group) and row["what"].startswith(what)], what)
         link = f"[{Path(row['source']).stem}]({way}{row['source']})"
-        lines.append(
-            (
-                title,
-                row["paper"] or "none",
-                f"{row['ours']:.3f}{ends(*row['interval'])}",
-                link,
-            )
-        )
-    return markdown(("accuracy", "paper", "95 % interval", "result"), lines)
+        yield title, row["paper"] or "none", f"{row['ours']:.3f}{ends(*row['interval'])}", link
 
 
 def _only(rows: list[dict[str, Any]], what: str) -> dict[str, Any]:
@@ -66,9 +58,9 @@ def _only(rows: list[dict[str, Any]], what: str) -> dict[str, Any]:
 
 
 @table("experiments", links=True)
-def experiments(way: str) -> str:
+def experiments(way: str) -> Lines:
     """The experiments that ``make reproduce`` runs, and those that it cannot."""
-    lines = []
+    yield "command", "what", "needs", "about minutes", "results"
     for experiment in EXPERIMENTS:
         text = (MODULES / f"{experiment.module.replace('.', '/')}.py").read_text(encoding="utf-8")
         about = (ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].replace("\n", " ")
@@ -79,14 +71,14 @@ def experiments(way: str) -> str:
         files = ", ".join(f"[{n}]({way}{n}.json)" for n in experiment.names if (COMMITTED / f"{n}.json").is_file())
         command = " ".join(("python -m", f"experiments.{experiment.module}", *experiment.options))
         command = command.replace("{work}", "WORK")
-        lines.append((f"`{command}`", about, needs, minutes, files or NONE))
-    return markdown(("command", "what", "needs", "about minutes", "results"), lines)
+        yield f"`{command}`", about, needs, minutes, files or NONE
 
 
 @table("pictures", links=True)
-def pictures(way: str) -> str:
+def pictures(way: str) -> Lines:
     """The command that draws each picture of the documentation."""
     drawn = dict.fromkeys(FIGURES, "python -m experiments.figures.all") | PICTURES
     folder = way.removesuffix("../experiments/results/") + "images/"  # seen from a page inside docs
-    lines = [(f"[{name}]({folder}{name}.png)", f"`{command}`") for name, command in sorted(drawn.items())]
-    return markdown(("picture", "command"), lines)
+    yield "picture", "command"
+    for name, command in sorted(drawn.items()):
+        yield f"[{name}]({folder}{name}.png)", f"`{command}`"

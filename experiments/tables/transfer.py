@@ -6,34 +6,31 @@ from functools import partial
 from typing import Any
 
 from experiments.figures.sim_to_real import TITLES_OF_ROWS
-from experiments.tables.cells import ends, markdown, score, table
+from experiments.tables.cells import Lines, ends, score, table
 
 Result = dict[str, Any]
 
 
-def _transfers(result: Result, groups: tuple[str, ...]) -> str:
+def _transfers(result: Result, groups: tuple[str, ...]) -> Lines:
     """States of recorded trials by classifiers trained on simulated ones only: some groups of rows."""
     rows = _worst_draws(result["rows"])
-    lines = []
+    yield ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
     for name in [name for group in groups for name in rows if name.split(" | ")[0] == group]:
         scores = [rows[name][states][on] for states in ("merged", "harmonised") for on in ("A", "B", "A+B")]
         cells = [f"{score['accuracy']:.3f}" for score in scores]
         for place in (2, 5):
             cells[place] += ends(*scores[place]["interval"])
         title = TITLES_OF_ROWS.get(name, name.replace(" | ", ": "))
-        lines.append((title, str(rows[name]["merged"]["trials"]), *cells))
-    head = ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
-    return markdown(head, lines)
+        yield (title, str(rows[name]["merged"]["trials"]), *cells)
 
 
 @table("zero-shot", "zero_shot")
-def zero_shot(result: Result) -> str:
+def zero_shot(result: Result) -> Lines:
     """States of recorded trials by simulated ones that were fitted to none of them."""
-    lines = []
+    yield "", "by", "training trials", "A", "B", "both"
     for name, row in result["rows"].items():
         cells = [f"{row[on]['mean']:.3f}" for on in ("A", "B")]
-        lines.append((*name.split(" | "), str(row["training trials"]), *cells, score(row["A+B"])))
-    return markdown(("", "by", "training trials", "A", "B", "both"), lines)
+        yield (*name.split(" | "), str(row["training trials"]), *cells, score(row["A+B"]))
 
 
 CHOICES = ("randomisation", "mating", "sensor", "amount", "features", "features, without A and B", "window", "tare")

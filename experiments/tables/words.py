@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import NONE, ends, markdown, score, streamed_score, table
+from experiments.tables.cells import NONE, Lines, ends, score, streamed_score, table
 
 TARGET = "0.01"  # residual at which methods are compared
 APPROACH = ("approach_constant", "approach_constant_inside", "approach_fixed_inside")
@@ -12,156 +12,127 @@ LAYERS = {"primitive": "primitives", "mc": "compositions", "llb": "behaviours"}
 
 
 @table("fit-lines", "fit_quality")
-def lines(result: dict[str, Any]) -> str:
+def lines(result: dict[str, Any]) -> Lines:
     """R2 of the lines of primitives by axis, and words for each recording."""
     axes = next(iter(result["sets"].values()))["axes"]
-    rows = [
-        (name, rule, *(f"{value:.4f}" for value in row["r2"]), f"{row['all_words']['primitive']:.0f}")
-        for name, found in result["sets"].items()
-        for rule, row in found["rows"].items()
-    ]
-    return markdown(("", "rule", *axes, "primitives"), rows)
+    yield ("", "rule", *axes, "primitives")
+    for name, found in result["sets"].items():
+        for rule, row in found["rows"].items():
+            yield (name, rule, *(f"{value:.4f}" for value in row["r2"]), f"{row['all_words']['primitive']:.0f}")
 
 
 @table("fit-words", "fit_quality")
-def words(result: dict[str, Any]) -> str:
+def words(result: dict[str, Any]) -> Lines:
     """Primitives for each recording by axis, and the least share of the approach that is constant, ends in and out."""
     axes = next(iter(result["sets"].values()))["axes"]
-    rows = [
-        (
-            name, rule, *(f"{value:.0f}" for value in row["words"]),
-            *(f"{min(row[key]):.3f}" for key in APPROACH),
-        )
-        for name, found in result["sets"].items()
-        for rule, row in found["rows"].items()
-    ]  # fmt: skip
     share = "share of the approach that is constant, worst axis"
     fixed = "the same, of behaviours that are fixed"
-    return markdown(("", "rule", *axes, share, "without 0.25 s at either end", fixed), rows)
+    yield ("", "rule", *axes, share, "without 0.25 s at either end", fixed)
+    for name, found in result["sets"].items():
+        for rule, row in found["rows"].items():
+            counts = (f"{value:.0f}" for value in row["words"])
+            yield (name, rule, *counts, *(f"{min(row[key]):.3f}" for key in APPROACH))
 
 
 @table("external-rest", "external_rest")
-def external_rest(result: dict[str, Any]) -> str:
+def external_rest(result: dict[str, Any]) -> Lines:
     """Least share of the rest of other robots, over the axes, that each layer calls constant or fixed."""
-    rows = [
-        (name, how, *(f"{min(row[layer]):.3f}" for layer in LAYERS))
-        for name, found in result["sets"].items()
-        for how, row in found["rows"].items()
-    ]
-    return markdown(("", "rule: rest", *LAYERS.values()), rows)
+    yield ("", "rule: rest", *LAYERS.values())
+    for name, found in result["sets"].items():
+        for how, row in found["rows"].items():
+            yield (name, how, *(f"{min(row[layer]):.3f}" for layer in LAYERS))
 
 
 @table("fit-latency", "fit_quality")
-def latency(result: dict[str, Any]) -> str:
+def latency(result: dict[str, Any]) -> Lines:
     """Median, 95th percentile and largest latency of every layer, s."""
-    rows = [
-        (name, rule, *(" / ".join(f"{value:.2f}" for value in row["latency"][layer].values()) for layer in LAYERS))
-        for name, found in result["sets"].items()
-        for rule, row in found["rows"].items()
-        if rule in ("paper", "fit x1", "fit x1, W=2")
-    ]
-    return markdown(("", "rule", *LAYERS.values()), rows)
+    yield ("", "rule", *LAYERS.values())
+    for name, found in result["sets"].items():
+        for rule, row in found["rows"].items():
+            if rule in ("paper", "fit x1", "fit x1, W=2"):
+                seconds = (row["latency"][layer].values() for layer in LAYERS)
+                yield (name, rule, *(" / ".join(f"{value:.2f}" for value in values) for values in seconds))
 
 
 @table("fit-running", "fit_latency")
-def running(result: dict[str, Any]) -> str:
+def running(result: dict[str, Any]) -> Lines:
     """Words before their publication: contacts detected in time, and revised labels."""
-    rows = [
-        (
-            rule, str(row["contacts"]), f"{row['contacts_seen_within_50_ms']:.2f}",
-            *(f"{row['newest_published_age'][layer][1]:.1f}" for layer in LAYERS),
-            *(f"{row['revised'][layer]:.2f}" for layer in LAYERS),
-        )
-        for rule, row in result["rows"].items()
-    ]  # fmt: skip
     head = ("rule", "contacts", "seen within 50 ms")
     ages = tuple(f"newest {name}, p95 s" for name in LAYERS.values())
-    return markdown((*head, *ages, *(f"{name} revised" for name in LAYERS.values())), rows)
+    yield (*head, *ages, *(f"{name} revised" for name in LAYERS.values()))
+    for rule, row in result["rows"].items():
+        age = (f"{row['newest_published_age'][layer][1]:.1f}" for layer in LAYERS)
+        revised = (f"{row['revised'][layer]:.2f}" for layer in LAYERS)
+        yield (rule, str(row["contacts"]), f"{row['contacts_seen_within_50_ms']:.2f}", *age, *revised)
 
 
 @table("fit-provisional", "fit_latency")
-def provisional(result: dict[str, Any]) -> str:
+def provisional(result: dict[str, Any]) -> Lines:
     """Share of provisional labels that are revised, and share of the time in which they are right, by method."""
-    rows = [
-        (
-            name, way,
-            *(f"{found[layer]['revised']:.3f}" for layer in LAYERS),
-            *(f"{found[layer]['right']:.3f} / {found[layer]['right_where_it_moves']:.3f}" for layer in LAYERS),
-        )
-        for name, ways in result["labels"].items()
-        for way, found in ways.items()
-    ]  # fmt: skip
     names = tuple(LAYERS.values())
     head = (*(f"{name} revised" for name in names), *(f"{name} right, of all / of moving time" for name in names))
-    return markdown(("", "label", *head), rows)
+    yield ("", "label", *head)
+    for name, ways in result["labels"].items():
+        for way, found in ways.items():
+            each = [found[layer] for layer in LAYERS]
+            right = (f"{one['right']:.3f} / {one['right_where_it_moves']:.3f}" for one in each)
+            yield (name, way, *(f"{one['revised']:.3f}" for one in each), *right)
 
 
 @table("fit-classes", "fit_classification")
-def classes(result: dict[str, Any]) -> str:
+def classes(result: dict[str, Any]) -> Lines:
     """Accuracy of sentences of both rules."""
     sets = list(result["benchmarks"])
     names = list(dict.fromkeys(row.split(" | ")[1] for row in result["rows"]))
-    rows = []
+    yield ("", *sets)
     for name in names:
         found = [result["rows"].get(f"{one} | {name}") for one in sets]
-        rows.append((name, *(score(row and row["accuracy"]) for row in found)))
-    return markdown(("", *sets), rows)
+        yield (name, *(score(row and row["accuracy"]) for row in found))
 
 
 @table("fit-streamed", "detected_starts")
-def streamed(result: dict[str, Any]) -> str:
+def streamed(result: dict[str, Any]) -> Lines:
     """Step accuracy of streamed states by words of both rules."""
     ways = {"onsets given": "given", "onsets detected": "detected", "the detected state": "filter alone"}
     kinds = dict.fromkeys(name.split(" | ")[1] for name in result["rows"])
     sets = ("REAL", "SIM1")
-    rows = [
-        (
-            kind,
-            *(
-                streamed_score(result["rows"][f"{one} | {kind}"][f"macro step accuracy, {key}"])
-                for one in sets
-                for key in ways.values()
-            ),
-        )
-        for kind in kinds
-    ]
-    return markdown(("words", *(f"{one}, {way}" for one in sets for way in ways)), rows)
+    yield ("words", *(f"{one}, {way}" for one in sets for way in ways))
+    for kind in kinds:
+        rows = [result["rows"][f"{one} | {kind}"] for one in sets]
+        yield (kind, *(streamed_score(row[f"macro step accuracy, {key}"]) for row in rows for key in ways.values()))
 
 
 @table("fit-transfer", "fit_sim_to_real")
-def transfer(result: dict[str, Any]) -> str:
+def transfer(result: dict[str, Any]) -> Lines:
     """States of recorded trials by words alone, learned from simulated ones."""
-    rows = []
+    yield "words", "4 states, A", "4 states, B", "4 states, both", "3 states, both"
     for kind, row in result["rows"].items():
         four, three = row["harmonised"], row["merged"]
         cells = [*(four[one] for one in ("A", "B", "A+B")), three["A+B"]]
-        rows.append((kind, *(f"{cell['accuracy']:.3f}{ends(*cell['interval'])}" for cell in cells)))
-    return markdown(("words", "4 states, A", "4 states, B", "4 states, both", "3 states, both"), rows)
+        yield (kind, *(f"{cell['accuracy']:.3f}{ends(*cell['interval'])}" for cell in cells))
 
 
 @table("words-rate", "rate_distortion")
-def rate(result: dict[str, Any]) -> str:
+def rate(result: dict[str, Any]) -> Lines:
     """Words per second and axis at a residual of 1 %, of every method and set."""
-    rows = []
+    yield ("", "decides from", *result["sets"])
     for method, (when, _) in result["kinds"].items():
         found = [result["rows"].get(f"rate | {name} | {method}") for name in result["sets"]]
         at = [row["words per second at residual"][TARGET] if row else None for row in found]
-        rows.append((method, when, *(NONE if value is None else f"{value:.2f}" for value in at)))
-    return markdown(("", "decides from", *result["sets"]), rows)
+        yield (method, when, *(NONE if value is None else f"{value:.2f}" for value in at))
 
 
 @table("words-defaults", "rate_distortion")
-def defaults(result: dict[str, Any]) -> str:
+def defaults(result: dict[str, Any]) -> Lines:
     """The default tolerance: words per second, residual, and that of the bottom-up lines of the same number."""
-    rows = []
+    yield "", "window", "words per second", "residual of fit", "of bottom-up, as many"
     for name in result["sets"]:
         for suffix in ("", ", small window"):
             curves = (f"rate | {name} | {method}{suffix}" for method in ("fit", "bottom-up, as many as fit"))
             ours, best = (_default(result["rows"][curve]["points"]) for curve in curves)
             window = result["sets"][name]["windows of fit"][bool(suffix)]
             values = (f"{ours['words per second']:.2f}", f"{ours['residual']:.4f}", f"{best['residual']:.4f}")
-            rows.append((name, str(window), *values))
-    return markdown(("", "window", "words per second", "residual of fit", "of bottom-up, as many"), rows)
+            yield (name, str(window), *values)
 
 
 def _default(points: list[dict[str, Any]]) -> dict[str, Any]:
@@ -169,54 +140,51 @@ def _default(points: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 @table("words-noise", "rate_distortion")
-def noise(result: dict[str, Any]) -> str:
+def noise(result: dict[str, Any]) -> Lines:
     """Share of long primitives that stay, edit distance and equal time under noise."""
     return _stability(result, "noise", "noise, tolerances")
 
 
 @table("words-resampled", "rate_distortion")
-def resampled(result: dict[str, Any]) -> str:
+def resampled(result: dict[str, Any]) -> Lines:
     """The same between a recording and its copy at another rate."""
     return _stability(result, "resampled", "Hz")
 
 
 @table("fit-tried-rate", "fit_tried")
-def tried_rate(result: dict[str, Any]) -> str:
+def tried_rate(result: dict[str, Any]) -> Lines:
     """Words and numbers for each second and axis at a residual of 1 %, with breaks of its own and shared ones."""
-    rows = []
+    yield "", "breaks", "words", "numbers"
     for name, row in result["rows"].items():
         if name.startswith("rate | "):
             _, of, kind = name.split(" | ")
             found = (row[f"{what} per second at residual"][TARGET] for what in ("words", "numbers"))
-            rows.append((of, kind, *(NONE if value is None else f"{value:.2f}" for value in found)))
-    return markdown(("", "breaks", "words", "numbers"), rows)
+            yield (of, kind, *(NONE if value is None else f"{value:.2f}" for value in found))
 
 
 @table("fit-tried-noise", "fit_tried")
-def tried_noise(result: dict[str, Any]) -> str:
+def tried_noise(result: dict[str, Any]) -> Lines:
     """Share of long primitives that stay, equal time and words for each second under noise."""
     rows = {name: row for name, row in result["rows"].items() if name.startswith("noise | ")}
     levels = [f"{level:g}" for level in result["noise, tolerances"]]
-    lines = []
+    head = ("stays / equal time / words per second", "noise, tolerances", "residual / words per second without")
+    yield (*head, *levels)
     for name, row in rows.items():
         _, of, kind = name.split(" | ")
         clean = result["rows"][f"clean | {of} | {kind}"]
         cells = ([row[level][key] for key in ("kept", "time", "words per second")] for level in levels)
         shown = (" / ".join(NONE if v is None else f"{v:.2f}" for v in cell) for cell in cells)
-        lines.append((of, kind, f"{clean['residual']:.4f} / {clean['words per second']:.2f}", *shown))
-    head = ("stays / equal time / words per second", "noise, tolerances", "residual / words per second without")
-    return markdown((*head, *levels), lines)
+        yield (of, kind, f"{clean['residual']:.4f} / {clean['words per second']:.2f}", *shown)
 
 
-def _stability(result: dict[str, Any], kind: str, what: str) -> str:
+def _stability(result: dict[str, Any], kind: str, what: str) -> Lines:
     rows = {name: row for name, row in result["rows"].items() if name.startswith(f"{kind} | ")}
     levels = list(next(iter(rows.values())))
-    lines = []
+    yield ("stays / edit distance / equal time", what, *levels)
     for name, row in rows.items():
         _, of, rule = name.split(" | ")
         found = [row[level]["primitive"] for level in levels]
-        lines.append((of, rule, *(_three(one) for one in found)))
-    return markdown(("stays / edit distance / equal time", what, *levels), lines)
+        yield (of, rule, *(_three(one) for one in found))
 
 
 def _three(found: dict[str, Any]) -> str:
@@ -224,9 +192,9 @@ def _three(found: dict[str, Any]) -> str:
 
 
 @table("snap-events", "snaps")
-def snap_events(result: dict[str, Any]) -> str:
+def snap_events(result: dict[str, Any]) -> Lines:
     """Passes found in time and false events, by words and by the baseline."""
-    rows = []
+    yield "", "by", "trials", "passes", "found in time", "events", "false", "recall", "precision", "ms after, 95 %"
     for name, kinds in result["rows"].items():
         for kind, row in kinds.items():
             if "share" in kind:  # in the result
@@ -236,6 +204,4 @@ def snap_events(result: dict[str, Any]) -> str:
             found = (row[which] for which in ("recall", "precision"))
             shares = (NONE if one is None else f"{one['mean']:.3f}{ends(one['low'], one['high'])}" for one in found)
             counts = (str(row[what]) for what in ("trials", "passes", "found in time", "seen", "false"))
-            rows.append((name, kind.replace("|F|", "all force"), *counts, *shares, late))  # a bar would end the cell
-    head = ("", "by", "trials", "passes", "found in time", "events", "false", "recall", "precision", "ms after, 95 %")
-    return markdown(head, rows)
+            yield (name, kind.replace("|F|", "all force"), *counts, *shares, late)

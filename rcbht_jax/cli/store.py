@@ -190,6 +190,7 @@ def _group(group: list[Any], dt: float) -> dict[str, Any]:
 
 def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, Any]:
     """Intervals of each class, and sentences about confounds and what is left out."""
+    from rcbht_jax.learning.class_groups import groups_of_classes
     from rcbht_jax.learning.confounds import confounds
     from rcbht_jax.learning.rare_classes import learnable
     from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
@@ -199,9 +200,9 @@ def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, An
         items, _ = learnable(labelled_intervals(recordings, TaskSpec(name, arms=arm)))
     except InputError as error:
         return {"classes": {}, "sentences": [str(error)]}
-    trials = [len(np.unique(items.trial[items.y == code])) for code in range(len(items.classes))]
-    if min(trials) < 2:
-        several = sum(count > 1 for count in trials)
+    trials = groups_of_classes(items.y, items.trial, range(len(items.classes)))
+    if trials.min() < 2:
+        several = (trials > 1).sum()
         text = f"{several} of its {len(trials)} classes are in two trials or more; two such classes are needed."
         return {"classes": {}, "sentences": [text]}
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()

@@ -11,9 +11,10 @@ from rcbht_jax._util.printable import plural
 from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Level
+from rcbht_jax.learning.class_groups import fewest_groups
 from rcbht_jax.learning.metrics import INADMISSIBLE
 from rcbht_jax.learning.probability import ProbabilisticSvm
-from rcbht_jax.learning.svm import fewest_groups, fit, grouped_folds
+from rcbht_jax.learning.svm import fit, grouped_folds
 
 FOLDS = 5
 

@@ -20,6 +20,7 @@ from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import Alarm, conformal_threshold, held_out, sustained_peak
+from rcbht_jax.learning.class_groups import groups_of_classes
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec
 
@@ -261,7 +262,8 @@ def _training_rows(
     few = [part[np.unique(np.linspace(0, len(part) - 1, config.snapshots).round().astype(np.int64))] for part in parts]
     rows = np.concatenate([rows[:0], *few])
     trial = snapshots.trial[rows]
-    frequent = [c for c in np.unique(cause[trial]) if len(np.unique(trial[cause[trial] == c])) >= config.fewest]
+    causes = np.unique(cause[trial])
+    frequent = causes[groups_of_classes(cause[trial], trial, causes) >= config.fewest]
     return rows[np.isin(cause[trial], frequent)]
 
 

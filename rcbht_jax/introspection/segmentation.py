@@ -16,8 +16,7 @@ from rcbht_jax.learning.segment_metrics import (
     UNKNOWN,
     SegmentationScore,
     Segments,
-    segmentation_interval,
-    segmentation_score,
+    score_and_interval,
 )
 from rcbht_jax.types import Recordings
 
@@ -161,8 +160,7 @@ def segment(
         recordings.annotations.labels[track],
         [found.get(row, np.zeros(0, np.int64)) for row in range(len(truth))],
         truth,
-        segmentation_score(true, guesses, recordings.dt),
-        segmentation_interval(true, guesses, recordings.dt, drawn),
+        *score_and_interval(true, guesses, recordings.dt, drawn),
         whole,
     )
 

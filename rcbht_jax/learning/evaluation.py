@@ -16,10 +16,11 @@ from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
+from rcbht_jax.learning.class_groups import fewest_groups
 from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.rare_classes import learnable
-from rcbht_jax.learning.svm import Grid, Split, Weight, fewest_groups, fit, grouped_folds, select
+from rcbht_jax.learning.svm import Grid, Split, Weight, fit, grouped_folds, select
 from rcbht_jax.learning.tasks import (
     LabelledIntervals,
     TaskSpec,

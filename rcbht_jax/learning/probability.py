@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.learning.class_groups import fewest_groups
 from rcbht_jax.learning.scaling import SPREAD
 from rcbht_jax.learning.svm import (
     DEGREE,
@@ -28,7 +29,6 @@ from rcbht_jax.learning.svm import (
     SvmModel,
     SvmSpec,
     Weight,
-    fewest_groups,
     fit,
     grouped_folds,
     pairs,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax.learning.class_groups import groups_of_classes
 from rcbht_jax.learning.tasks import LabelledIntervals
 
 
@@ -32,7 +33,7 @@ def learnable(
         (('clip', 'peg'), [1, 1, 0, 0], {'class in one trial only: plug': 1})
     """
     groups = items.trial if groups is None else groups
-    counts = np.array([len(np.unique(groups[items.y == code])) for code in range(len(items.classes))])
+    counts = groups_of_classes(items.y, groups, range(len(items.classes)))
     if (counts > 1).all() or (counts > 1).sum() < 2:
         return items, np.ones(len(items.y), bool)
     kept = (counts > 1)[items.y]

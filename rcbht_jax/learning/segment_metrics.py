@@ -120,20 +120,27 @@ def segmentation_interval(
         >>> [round(float(end), 3) for end in interval["accuracy"]]
         [0.838, 0.975]
     """
+    return score_and_interval(truth, predicted, dt, groups, seed)[1]
+
+
+def score_and_interval(
+    truth: Sequence[Labels], predicted: Sequence[Labels], dt: float, groups: NDArray[Any], seed: int = 0
+) -> tuple[SegmentationScore, dict[str, tuple[float, float]]]:
+    """``segmentation_score`` and ``segmentation_interval`` at once, which compare the labels in the same way."""
     sums = _Sums.of(truth, predicted)
     names, number = np.unique(groups, return_inverse=True)
     rng = np.random.default_rng(seed)
     drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), RESAMPLES)  # [draw, group]
     counts = drawn[:, number.reshape(np.shape(groups))].reshape(RESAMPLES, len(truth), -1).prod(-1)
     scores = [sums.score(count, dt).to_json() for count in counts if (count @ sums.samples) > 0]
-    whole = sums.score(np.ones(len(truth), np.int64), dt).to_json()
+    whole = sums.score(np.ones(len(truth), np.int64), dt)
     out = {}
-    for name, value in whole.items():
+    for name, value in whole.to_json().items():
         low, high = np.nanquantile([score[name] for score in scores], [0.025, 0.975])
         if not low < high and name != "delay":
             low, high = wilson(value * len(names), len(names))
         out[name] = (float(low), float(high))
-    return out
+    return whole, out
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
+from rcbht_jax.learning.class_groups import fewest_groups, groups_of_classes
 from rcbht_jax.learning.scaling import Scale, fit_scale
 
 KERNELS = ("linear", "poly", "rbf")
@@ -304,14 +305,10 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
     return [(a.astype(np.int64), b.astype(np.int64)) for a, b in splitter.split(y, y, groups)]
 
 
-def fewest_groups(y: Ints, groups: NDArray[Any]) -> int:
-    """Number of groups of the class that has the fewest."""
-    return min(len(np.unique(groups[y == c])) for c in np.unique(y))
-
-
 def _inner_folds(y: Ints, groups: NDArray[Any], most: int, seed: int) -> list[Split]:
     """Folds of the items whose class has two groups or more; of all, which is an error, if it is one class only."""
-    several = [c for c in np.unique(y) if len(np.unique(groups[y == c])) > 1]
+    classes = np.unique(y)
+    several = classes[groups_of_classes(y, groups, classes) > 1]
     rows = np.flatnonzero(np.isin(y, several)) if len(several) > 1 else np.arange(len(y))
     folds = grouped_folds(y[rows], groups[rows], min(most, fewest_groups(y[rows], groups[rows])), seed)
     return [(rows[train], rows[test]) for train, test in folds]

@@ -13,7 +13,7 @@ import pytest
 
 import rcbht_jax
 from experiments import reproduce
-from experiments._lib import agreement, checkpointed_rows
+from experiments._lib import agreement, checkpointed_rows, results_io
 from experiments._lib.catalogue import EXPERIMENTS, Experiment
 from experiments._lib.report_rows import NAME
 from experiments.reproduce import Form, Spent
@@ -53,7 +53,7 @@ def test_what_is_run_here_takes_less_than_two_hours() -> None:
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder for results, and one experiment that writes there."""
-    for module in (reproduce, checkpointed_rows):
+    for module in (reproduce, results_io):
         monkeypatch.setattr(module, "RESULTS", tmp_path)
     monkeypatch.setattr(reproduce, "COMMITTED", tmp_path)
     monkeypatch.setattr(reproduce, "EXPERIMENTS", (Experiment("some", "some", 1),))

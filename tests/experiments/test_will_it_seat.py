@@ -8,8 +8,8 @@ import pytest
 from experiments._lib.results_io import committed
 from experiments.online import faults_outcome
 from experiments.online import will_it_seat as seat
-from experiments.online.fault_trials import TAIL
-from experiments.online.seat_trials import APART, KINDS, LENGTH, OUT_OF_REACH, SEVERITIES, SeatTrials, sets, spec_of
+from experiments.online.fault_trials import TAIL, drawn_from
+from experiments.online.seat_trials import APART, KINDS, LENGTH, OUT_OF_REACH, SEVERITIES, SeatTrials, sets
 from rcbht_jax.introspection.fault_monitor import NOMINAL
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import HOOKED
@@ -19,7 +19,7 @@ from sim_mjx.randomization.trials import check, sample
 def test_every_set_can_be_drawn_and_says_nothing_by_its_length() -> None:
     for session in SEVERITIES:
         for name, fault, ranges, count in sets(session, 10):
-            spec = spec_of(fault, ranges)
+            spec = drawn_from(fault, ranges)
             check(spec)
             assert spec.logs_on == TAIL
             kind = sample(HOOKED[session], 0, 0, spec)[1].kind
