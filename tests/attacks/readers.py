@@ -173,6 +173,12 @@ def _rows() -> tuple[list[str], np.ndarray[Any, Any]]:
     return ["t", "Fx", "Fy", "Fz", "Mx", "My", "Mz"], np.stack(columns, 1)
 
 
+def _make_json_lines(path: Path) -> None:
+    _, rows = _rows()
+    lines = [{"reset": True}, *({"t": row[0], "wrench": row[1:], "who": "ann"} for row in rows.tolist())]
+    path.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+
+
 def _make_csv(path: Path) -> None:
     header, rows = _rows()
     path.write_text(
@@ -236,6 +242,7 @@ READERS = (
     Reader("bag.mcap", _make_mcap, lambda path: list(read_bag(path)), mutations.damaged, _told),
     Reader("R_Torques.dat", _make_dat, lambda path: read_timed(path, "wrench").values, mutations.damaged_text, finite),
     Reader("table.csv", _make_csv, _table("csv"), mutations.damaged_text, finite),
+    Reader("table.jsonl", _make_json_lines, _table("jsonl"), mutations.damaged_text, finite),
     Reader("table.npz", _make_npz, _table("npz"), mutations.damaged_archive, finite),
     Reader("table.h5", _make_hdf5, _table("hdf5"), mutations.damaged, finite),
     Reader("table.mat", _make_matlab, _table("matlab"), mutations.damaged, finite),

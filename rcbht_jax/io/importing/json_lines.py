@@ -49,7 +49,7 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
                 try:
                     if line.strip():
                         _add(parts, _object(line))
-                except ValueError as error:
+                except (ValueError, OverflowError) as error:  # a whole number may be too large for a float
                     raise InputError(f"{path}, line {number}: {error}.") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error

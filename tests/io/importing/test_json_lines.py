@@ -69,6 +69,7 @@ def test_objects_within_objects_are_columns(tmp_path: Path) -> None:
     [
         ({"time": 0.05, "wrench": ["a", 1]}, None),
         ([1, 2], r"line 11: it is no object; expected"),
+        ({"time": 10**400}, r"line 11: int too large to convert to float\.$"),
         ({"time": "soon"}, r"line 11: time is a text; before, it was a number\.$"),
         ({"time": 1, "who": 3}, r"line 11: who is a number; before, it was a text\.$"),
         ({"event": "LabelPublished", "time": 1}, r"line 11: it is an event that rcbht stream wrote; the readings"),
