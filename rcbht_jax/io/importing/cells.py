@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import split_unit
+from rcbht_jax._util.untrusted import MAX_RATIO, MAX_TEXT_BYTES
+from rcbht_jax.errors import InputError
 
 NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
@@ -92,3 +98,26 @@ def units(cells: list[str]) -> list[str]:
     known = [split_unit(f"x [{unit}]")[1] for unit in bare]
     numbers = any(map(is_number, filter(None, bare)))
     return bare if any(known) and not numbers and 2 * sum(map(bool, known)) >= sum(map(bool, bare)) else []
+
+
+def texts(values: Sequence[str], what: str) -> NDArray[np.str_]:
+    """A column of text, whose cells all take the memory of the longest.
+
+    >>> texts(["free", "touch"], "a.csv, column phase").tolist()
+    ['free', 'touch']
+
+    Raises:
+        InputError: the longest cell makes it far larger than what it holds.
+    """
+    check_texts(max(map(len, values), default=0), sum(map(len, values)), len(values), what)
+    return np.array(values, np.str_)
+
+
+def check_texts(longest: int, letters: int, count: int, what: str) -> None:
+    """Whether the longest of so many cells, which hold so many letters, lets a column of text be an array.
+
+    Raises:
+        InputError: as :func:`texts`.
+    """
+    if 4 * longest * count > max(MAX_TEXT_BYTES, MAX_RATIO * (letters + count)):
+        raise InputError(f"{what} has a text of {longest} letters among {count}; labels are shorter.")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTES, check_file, parse_json
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.cells import texts
 from rcbht_jax.io.importing.record import MAX_GROUPS
 from rcbht_jax.io.importing.table import Table
 
@@ -60,7 +61,7 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
         part = str(place) if len(parts) > 1 else ""
         units = UNITS if "wrench_6" not in rows.values else {}
         of = f"{name}#{part}" if part else name
-        yield Table(of, rows.columns, units=units, others=tuple(sorted(rows.others)), part=part)
+        yield Table(of, rows.columns(path), units=units, others=tuple(sorted(rows.others)), part=part)
 
 
 @dataclass
@@ -89,9 +90,11 @@ class _Rows:
         if len(self.values) > MAX_COLUMNS:
             raise ValueError(f"there are more than {MAX_COLUMNS} columns")
 
-    @property
-    def columns(self) -> dict[str, NDArray[Any]]:
-        return {key: np.array(values) for key, values in self.values.items()}
+    def columns(self, path: Path) -> dict[str, NDArray[Any]]:
+        return {
+            key: np.array(values) if isinstance(values, array) else texts(values, f"{path}, column {key}")
+            for key, values in self.values.items()
+        }
 
 
 def _object(line: bytes) -> dict[str, Any]:

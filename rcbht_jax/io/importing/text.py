@@ -260,7 +260,7 @@ class _Column:
     """A column that grows; it is text if its first cell with content is."""
 
     def __init__(self, path: Path, name: str) -> None:
-        self._path, self._name = path, name
+        self._path, self._name, self._where = path, name, f"{path}, column {name}"
         self._parts: list[NDArray[np.generic]] = []
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
         self.count = 0
@@ -273,7 +273,7 @@ class _Column:
             texts = sum(not cells.is_number(cell) for cell in filled)
             self._kind = "" if not filled else "U" if 2 * texts > len(filled) else "f"
         if self._kind == "U":
-            self._parts.append(np.array(row, np.str_))
+            self._parts.append(cells.texts(row, self._where))
         else:
             self._parts.append(self._numbers(row, lines))
 
@@ -294,5 +294,10 @@ class _Column:
     def array(self) -> NDArray[np.generic]:
         if self._kind != "U":
             return np.concatenate(self._parts)
-        parts = [np.full(len(part), "") if part.dtype.kind == "f" else part for part in self._parts]
+        parts: list[NDArray[np.str_]] = [
+            np.full(len(part), "") if part.dtype.kind == "f" else part.astype(np.str_, copy=False)
+            for part in self._parts
+        ]
+        longest = max(part.dtype.itemsize // 4 for part in parts)
+        cells.check_texts(longest, sum(int(np.char.str_len(part).sum()) for part in parts), self.count, self._where)
         return np.concatenate(parts)

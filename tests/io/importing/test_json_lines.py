@@ -84,3 +84,15 @@ def test_what_is_no_reading_is_refused_by_its_line(tmp_path: Path, line: object,
     else:
         with pytest.raises(InputError, match=reason):
             read_source(path, "jsonl")
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl"])
+def test_a_text_that_would_widen_a_column_beyond_memory_is_refused(tmp_path: Path, suffix: str) -> None:
+    path, long = tmp_path / f"a.{suffix}", "x" * 100_000
+    if suffix == "csv":
+        path.write_text("t,Fz,who\n" + "".join(f"{k / 100},1,ann\n" for k in range(3000)) + f"30,1,{long}\n")
+    else:
+        rows = [{"t": k / 100, "Fz": 1, "who": "ann" if k < 3000 else long} for k in range(3001)]
+        path.write_text("".join(f"{json.dumps(row)}\n" for row in rows))
+    with pytest.raises(InputError, match=r"column who has a text of 100000 letters among 3001; labels are shorter\.$"):
+        read_source(path, suffix)
