@@ -175,10 +175,15 @@ def fields_of(scene: Scene, params: Any, dtype: type[np.floating] = np.float32) 
 
 def _from_home(scene: Scene, home: NDArray[np.floating]) -> dict[str, NDArray[np.float64]]:
     """Fields that let the joints' angles be zero at home [trial, J]."""
-    zero, limits = (np.repeat(field[None], len(home), axis=0) for field in (scene.model.qpos0, scene.model.jnt_range))
+    model = scene.model
+    zero, limits = (np.repeat(field[None], len(home), axis=0) for field in (model.qpos0, model.jnt_range))
     zero[:, scene.joints] -= home
     limits[:, scene.hinges] -= home[..., None]
-    return {"qpos0": zero, "jnt_range": limits}
+    fields = {"qpos0": zero, "jnt_range": limits}
+    if model.jnt_stiffness[scene.hinges].any():
+        fields["qpos_spring"] = np.repeat(model.qpos_spring[None], len(home), axis=0)
+        fields["qpos_spring"][:, scene.joints] -= home
+    return fields
 
 
 def _most_rows(model: mujoco.MjModel) -> int:
@@ -191,7 +196,9 @@ def _most_rows(model: mujoco.MjModel) -> int:
 def start(layout: Layout, fixed: Fixed) -> State:
     """The initial state: home pose, where all angles are zero, not yet settled."""
     count = batch_size(fixed.params)
-    body: Any = jax.vmap(lambda _: fixed.empty.replace(qpos=jnp.zeros_like(fixed.empty.qpos)))(jnp.arange(count))
+    # what else can move, such as a free part, begins where the model has it
+    places = fixed.fields["qpos0"].at[:, jnp.array(layout.joints)].set(0.0)
+    body: Any = jax.vmap(lambda qpos: fixed.empty.replace(qpos=qpos))(places)
     if fixed.model.impl == mjx.Impl.JAX:
         body = body_of(body)
     tick = jnp.full(count, -(-SETTLING // layout.substeps), jnp.int32)
