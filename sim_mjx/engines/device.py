@@ -12,6 +12,7 @@ import copy
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any
 
 import jax
@@ -34,6 +35,8 @@ STRETCH = 100  # control periods that run without asking which trials have ended
 # converges no further: the wrenches of 64 trials differ as little from those of 30/20 as those of 10/6 do.
 SOLVER = (6, 4)
 TOLERANCE = 1e-6  # of the solver, likewise
+SEVERAL = 8  # contacts of two geoms at most, neither of which is a sphere
+EQUALITY_ROWS = {mujoco.mjtEq.mjEQ_CONNECT: 3, mujoco.mjtEq.mjEQ_WELD: 6}  # of constraints; the others have one
 
 
 @dataclass(frozen=True)
@@ -156,7 +159,8 @@ def layout_of(scene: Scene) -> Layout:
 @single
 def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]:
     """The scene's model on the device, and data of one trial; Warp's kernels step at most ``count`` at once."""
-    sizes = {"naconmax": count * scene.model.npair, "njmax": _most_rows(scene.model)} if impl == "warp" else {}
+    contacts, rows = most_contacts(scene.model)
+    sizes = {"naconmax": count * contacts, "njmax": rows} if impl == "warp" else {}
     compiled = copy.copy(scene.model)
     compiled.opt.tolerance = max(compiled.opt.tolerance, TOLERANCE)
     compiled.opt.iterations = min(compiled.opt.iterations, SOLVER[0])
@@ -186,11 +190,37 @@ def _from_home(scene: Scene, home: NDArray[np.floating]) -> dict[str, NDArray[np
     return fields
 
 
-def _most_rows(model: mujoco.MjModel) -> int:
-    """Largest number of constraint rows: all pairs in contact, and each joint at one of its limits."""
+def most_contacts(model: mujoco.MjModel) -> tuple[int, int]:
+    """Largest numbers of contacts and of constraint rows of a trial: all that may touch does, all limits are reached.
+
+    >>> most_contacts(mujoco.MjModel.from_xml_string("<mujoco/>"))
+    (0, 0)
+    """
+    touching = [(pair, int(model.pair_dim[row])) for row, pair in enumerate(_named_pairs(model))] + _other_pairs(model)
     elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
-    contacts = model.pair_dim if elliptic else np.maximum(2 * (model.pair_dim - 1), 1)
-    return int(contacts.sum() + model.jnt_limited.sum())
+    contacts = rows = 0
+    for pair, dim in touching:
+        several = 1 if (model.geom_type[list(pair)] == mujoco.mjtGeom.mjGEOM_SPHERE).any() else SEVERAL
+        contacts += several
+        rows += several * (dim if elliptic else max(2 * (dim - 1), 1))
+    rows += int(model.jnt_limited.sum() + model.tendon_limited.sum())
+    rows += int((model.dof_frictionloss > 0).sum() + (model.tendon_frictionloss > 0).sum())
+    return contacts, rows + sum(EQUALITY_ROWS.get(mujoco.mjtEq(kind), 1) for kind in model.eq_type)
+
+
+def _named_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    return list(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True))
+
+
+def _other_pairs(model: mujoco.MjModel) -> list[tuple[tuple[int, int], int]]:
+    """Geoms of different bodies that touch by their types, without a pair, and the dimensions of their contacts."""
+    may = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+    types, affinities, bodies = model.geom_contype, model.geom_conaffinity, model.body_weldid[model.geom_bodyid]
+    return [
+        ((first, second), int(model.geom_condim[[first, second]].max()))
+        for first, second in combinations(may.tolist(), 2)
+        if bodies[first] != bodies[second] and (types[first] & affinities[second] or types[second] & affinities[first])
+    ]
 
 
 def start(layout: Layout, fixed: Fixed) -> State:

@@ -256,6 +256,30 @@ def test_a_device_begins_where_native_does() -> None:
     np.testing.assert_allclose(data.qfrc_spring, native.qfrc_spring, atol=1e-5)
 
 
+def test_room_on_a_device_is_kept_for_all_that_can_act() -> None:
+    """Warp leaves out, without a word, what there is no room for."""
+
+    def female(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        poke().female(spec, body)
+        for index, place in enumerate([(0.7, 0.3, 0.05), (0.7, 0.3, 0.0699)]):
+            cube = spec.worldbody.add_body(name=f"CUBE{index}", pos=place)
+            cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.01, 0.01, 0.01))
+            cube.add_joint(name=f"SLIDE{index}", type=mujoco.mjtJoint.mjJNT_SLIDE, frictionloss=0.1)
+        spec.add_equality(type=mujoco.mjtEq.mjEQ_WELD, name1="CUBE0", name2="MOUNT", objtype=mujoco.mjtObj.mjOBJ_BODY)
+
+    plain, scene = (
+        pair(assembly, ROBOTS["panda"]).scene() for assembly in (poke(), Assembly(**{**vars(poke()), "female": female}))
+    )
+    data = mujoco.MjData(scene.model)
+    mujoco.mj_forward(scene.model, data)
+    assert data.ncon == 4  # of the cubes, which no pair names
+    assert device.most_contacts(plain.model)[0] == 1
+    contacts, rows = device.most_contacts(scene.model)
+    assert contacts >= data.ncon + 1  # the ball is not on its box yet
+    assert rows >= data.nefc + 3
+    assert data.nefc > device.most_contacts(plain.model)[1]
+
+
 @dataclass(frozen=True)
 class Unbounded(Variation):
     extra: tuple[float, float] = (np.nan, np.nan)
