@@ -187,7 +187,21 @@ def _from_home(scene: Scene, home: NDArray[np.floating]) -> dict[str, NDArray[np
     if model.jnt_stiffness[scene.hinges].any():
         fields["qpos_spring"] = np.repeat(model.qpos_spring[None], len(home), axis=0)
         fields["qpos_spring"][:, scene.joints] -= home
+    if (lengths := home @ _pulled(scene).T).any():
+        for name in ("tendon_lengthspring", "tendon_range"):
+            fields[name] = getattr(model, name)[None] - lengths[..., None]
+        fields["tendon_length0"] = model.tendon_length0[None] - lengths
     return fields
+
+
+def _pulled(scene: Scene) -> NDArray[np.float64]:
+    """By how much each tendon grows with each of the robot's angles [tendon, J]; only fixed ones count angles."""
+    model, out = scene.model, np.zeros((scene.model.ntendon, len(scene.joints)))
+    for tendon, (first, count) in enumerate(zip(model.tendon_adr, model.tendon_num, strict=True)):
+        for wrap in range(first, first + count):
+            if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
+                out[tendon] += np.where(scene.hinges == model.wrap_objid[wrap], model.wrap_prm[wrap], 0.0)
+    return out
 
 
 def most_contacts(model: mujoco.MjModel) -> tuple[int, int]:

@@ -22,6 +22,10 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 SERVO_SPEED, SERVO_DAMPING = 300.0, 0.8  # rad/s and share of critical damping of every joint at home
 HAND, FORCE, TORQUE = "HAND", "HAND_FORCE", "HAND_TORQUE"  # body that carries the part; sensors
+SIZES = (  # of a whole model, in MjSpec
+    "memory", "njmax", "nconmax", "nstack", "nuserdata", "nkey", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site",
+    "nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor",
+)  # fmt: skip
 ARM = "arm/"  # begins the names of what comes from a file
 TOOL_RADIUS = 0.03  # m, of the ball that has the tool's inertia
 
@@ -93,7 +97,7 @@ def from_mjcf(
         # on a new model the file's defaults, options, names and unit of angles are the arm's alone
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
-        for setting in ("option", "memory", "njmax", "nconmax", "nstack"):  # else each would be reported as a conflict
+        for setting in ("option", *SIZES):  # else each would be reported as a conflict
             setattr(own, setting, getattr(spec, setting))
         spec.attach(own, prefix=ARM, frame=spec.worldbody.add_frame())
         return spec

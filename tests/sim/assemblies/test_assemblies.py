@@ -212,9 +212,12 @@ def test_mjx_gives_the_wrench_of_native() -> None:
 
 
 def sprung() -> mujoco.MjSpec:
-    """A Panda with a spring at its second joint, which rests elsewhere than at home."""
+    """A Panda with a sprung second joint and a sprung cord over two others, which rest elsewhere than at home."""
     spec = ROBOTS["panda"].build()
     spec.joint("JOINT2").stiffness[0], spec.joint("JOINT2").springref = 40.0, 0.3
+    cord = spec.add_tendon(name="CORD", stiffness=[30.0, 0.0, 0.0], springlength=(0.1, 0.1), range=(-9.0, -1.0))
+    cord.wrap_joint("JOINT4", 1.5)
+    cord.wrap_joint("JOINT6", -0.5)
     return spec
 
 
@@ -253,7 +256,10 @@ def test_a_device_begins_where_native_does() -> None:
     np.testing.assert_allclose(data.xpos, native.xpos, atol=1e-6)
     np.testing.assert_allclose(data.xmat, native.xmat, atol=1e-6)
     assert np.abs(native.qfrc_spring).max() > 1.0
-    np.testing.assert_allclose(data.qfrc_spring, native.qfrc_spring, atol=1e-5)
+    np.testing.assert_allclose(data.qfrc_spring, native.qfrc_spring, atol=1e-4)
+    np.testing.assert_allclose(
+        data.ten_length - there.tendon_range[:, 0], native.ten_length - here.tendon_range[:, 0], atol=1e-6
+    )
 
 
 def test_room_on_a_device_is_kept_for_all_that_can_act() -> None:

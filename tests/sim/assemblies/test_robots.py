@@ -129,6 +129,7 @@ def test_what_a_file_says_of_its_arm_holds_for_the_arm_and_for_nothing_else(tmp_
     path = tmp_path / "mine.xml"
     limited = ARM.replace("<body pos", '<body childclass="own" pos', 1).replace('ref="20"', 'ref="20" range="-166 166"')
     settings = '<option gravity="0 0 1"><flag contact="disable"/></option><default><joint armature="0.5" damping="2"/>'
+    settings = '<size nuserdata="4" nkey="2" nuser_body="1" nuser_jnt="1" nuser_geom="2" nconmax="9"/>' + settings
     settings += '<pair margin="1"/><default class="own"><joint frictionloss="3"/></default></default>'
     path.write_text(limited.replace("<worldbody>", f"{settings}<worldbody>"))
     alone, spec = (
