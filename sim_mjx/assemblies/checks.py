@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import jax
@@ -72,8 +72,8 @@ def check_drawn(assembly: Assembly, task: Any, own: Any) -> None:
     """Check the parameters that an assembly draws, and its phases with them.
 
     Raises:
-        InputError: the parameters are no dataclasses that JAX knows, or hold no numbers; or a phase's motion is no
-            twist, or its condition no truth value.
+        InputError: the parameters are no dataclasses that JAX knows, or hold something else than arrays; or a phase's
+            motion is no twist, or its condition no truth value.
     """
     for what, values in (("task", task), ("parts", own)):
         kind = type(values).__name__
@@ -81,9 +81,11 @@ def check_drawn(assembly: Assembly, task: Any, own: Any) -> None:
             raise InputError(f"draw of {assembly.name} gives a {kind} for the {what}; expected a dataclass.")
         if any(leaf is values for leaf in jax.tree.leaves(values)):
             raise InputError(f"{kind} of {assembly.name} is unknown to JAX; add @jax.tree_util.register_dataclass.")
-        with own_code(f"draw of {assembly.name}"):
-            if not all(np.asarray(leaf).dtype.kind in "biuf" for leaf in jax.tree.leaves(values)):
-                raise InputError(f"{kind} of {assembly.name} holds something that is no number.")
+        for field in fields(values):  # which are stored
+            value = getattr(values, field.name)
+            if isinstance(value, tuple | list) or np.asarray(value).dtype.kind not in "biuf":
+                found = type(value).__name__
+                raise InputError(f"{field.name} of {kind} of {assembly.name} is of type {found}; expected an array.")
     for phase in assembly.phases:
         _check_phase(assembly, phase, as_float32(task))
 

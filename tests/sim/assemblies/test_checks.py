@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -34,6 +35,12 @@ def with_phase(move: Callable[..., Any] = press, leave: Callable[..., Any] = at_
 @dataclass(frozen=True)
 class Plain:  # JAX does not know it
     gap: float = 1.0
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Named:
+    material: Any = "brass"
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,9 @@ def drawing(task: Any = None, own: Any = None) -> dict[str, Any]:
         ({"draw": lambda spec, rng: spec.gaap}, "draw of clip ends in AttributeError: 'LatchVariation' object has no"),
         (drawing(own={"gap": 1.0}), "draw of clip gives a dict for the parts; expected a dataclass"),
         (drawing(task=Plain()), "Plain of clip is unknown to JAX; add @jax.tree_util.register_dataclass"),
+        (drawing(own=Named()), "material of Named of clip is of type str; expected an array"),
+        (drawing(own=Named(Named(1.0))), "material of Named of clip is of type Named; expected an array"),
+        (drawing(own=Named(None)), "material of Named of clip is of type NoneType; expected an array"),
         ({"timeout": float("nan")}, "timeout of clip is nan s"),
         ({"substeps": 0}, "substeps of clip are 0"),
         ({"mount_stiffness": (-1e4, 1e4, 1e4)}, "mount_stiffness of clip is"),
