@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rcbht_jax.errors import InputError
-from sim_mjx.assemblies.assembly import Assembly, Phase
+from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase
 from sim_mjx.assembly.rollout import as_float32
+from sim_mjx.assembly.sensor import LONGEST_DELAY
 from sim_mjx.controllers import Sense
 from sim_mjx.own_code import own_code
 
@@ -102,3 +103,26 @@ def _check_phase(assembly: Assembly, phase: Phase, task: Any) -> None:
             text = f"{found.dtype} {list(found.shape)}" if hasattr(found, "shape") else type(found).__name__
             expected = "a twist, float32 [6]" if what == "move" else "one bool"
             raise InputError(f"{what} of {where} gives {text}; expected {expected}.")
+
+
+def check_faulty(what: str, nominal: AssemblyTrial, faulty: Any) -> None:
+    """Check the trial that a fault gives.
+
+    Args:
+        what: the fault, as a sentence begins.
+        nominal: the trial before. faulty: what the fault gave.
+
+    Raises:
+        InputError: it is no trial, its arrays have other shapes, or its timeout or delay is impossible.
+    """
+    if not isinstance(faulty, AssemblyTrial):
+        raise InputError(f"{what} gives a {type(faulty).__name__}; expected the changed trial.")
+    before, after = (jax.tree_util.tree_leaves_with_path(trial) for trial in (nominal, faulty))
+    for (path, old), (same, new) in zip(before, after, strict=False):
+        if path != same or np.shape(old) != np.shape(new):
+            name, shapes = jax.tree_util.keystr(path).lstrip("."), [list(np.shape(one)) for one in (old, new)]
+            raise InputError(f"{what} changes the shape of {name} from {shapes[0]} to {shapes[1]}.")
+    if not 0.0 < faulty.timeout < np.inf:
+        raise InputError(f"{what} sets a timeout of {faulty.timeout} s; expected a positive, finite number.")
+    if not 0 <= faulty.command_delay <= LONGEST_DELAY - 2:
+        raise InputError(f"{what} sets a delay of {faulty.command_delay} periods; expected 0 to {LONGEST_DELAY - 2}.")

@@ -11,6 +11,7 @@ import numpy as np
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, FaultOf, Mount, Parts, Range, Variation
+from sim_mjx.assemblies.checks import check_faulty
 from sim_mjx.assemblies.scene import home
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.sensor import SensorParams
@@ -109,12 +110,10 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
         timeout=np.asarray(assembly.timeout), command_delay=np.array(lag, np.int32), seed=key,
     )  # fmt: skip
     if kind != "none":
-        with own_code(f"the fault {kind!r} of {assembly.name}"):
-            trial = assembly.faults[kind](trial, spec, rng)
-        if not isinstance(trial, AssemblyTrial):
-            raise InputError(
-                f"the fault {kind!r} of {assembly.name} gives a {type(trial).__name__}; expected the changed trial."
-            )
+        with own_code(what := f"the fault {kind!r} of {assembly.name}"):
+            faulty = assembly.faults[kind](trial, spec, rng)
+        check_faulty(what, trial, faulty)
+        trial = faulty
     if spec.longest is not None:
         trial = replace(trial, timeout=np.minimum(trial.timeout, spec.longest))
     shift = trial.hand[:2] - trial.parts.mount.position[:2]

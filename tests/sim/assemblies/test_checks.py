@@ -14,6 +14,7 @@ import pytest
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies import ASSEMBLIES, Phase, Variation
 from sim_mjx.assemblies.assembly import Assembly
+from sim_mjx.assemblies.draw import with_own
 from sim_mjx.assemblies.fields import FieldWriter, ball, box, touch
 from sim_mjx.assemblies.pressing import APPROACH, at_bottom, press
 from sim_mjx.assemblies.scene import scene
@@ -117,8 +118,14 @@ def test_a_fault_that_fails_is_named() -> None:
     for fault, sentence in (
         (lambda trial, spec, rng: None, "the fault 'bad' of clip gives a NoneType; expected the changed trial"),
         (lambda trial, spec, rng: replace(trial, gap=1), "the fault 'bad' of clip ends in TypeError"),
+        (
+            lambda trial, spec, rng: with_own(trial, material=np.zeros(2)),
+            r"the shape of parts.own.material from \[\] to",
+        ),
+        (lambda trial, spec, rng: replace(trial, timeout=np.array(np.nan)), "sets a timeout of nan s"),
+        (lambda trial, spec, rng: replace(trial, command_delay=np.array(40)), "sets a delay of 40 periods; expected 0"),
     ):
-        scenario = pair(changed(faults={"bad": fault}), PANDA)
+        scenario = pair(changed(faults={"bad": fault}, **drawing(own=Named(np.asarray(1.0)))), PANDA)
         with pytest.raises(InputError, match=sentence):
             scenario.draw(0, 0, scenario.spec(nominal_share=0.0))
 
