@@ -18,12 +18,13 @@ from typing import Any
 import jax
 
 from rcbht_jax.errors import InputError
-from sim_mjx.assemblies import ASSEMBLIES, Assembly, draw, scene
+from sim_mjx.assemblies import ASSEMBLIES, Assembly, checks, draw, scene
 from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.parts import TABS
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import STATES
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
+from sim_mjx.own_code import own_code
 from sim_mjx.presets import DEFAULT, preset
 from sim_mjx.presets.two_arm import TwoArmPreset
 from sim_mjx.randomization import trials
@@ -118,32 +119,23 @@ def pair(assembly: Assembly, robot: Robot) -> Scenario:
     """The scenario of an assembly on a robot.
 
     Raises:
-        InputError: the assembly has no marks, names tabs for some of them only, has no phase or two of one name, or
-            impossible distributions.
+        InputError: the assembly is not what :mod:`sim_mjx.assemblies.checks` expects, or has impossible distributions.
     """
-    states = tuple(phase.name for phase in assembly.phases)
-    if len(set(states)) < max(len(states), 1):
-        raise InputError(
-            f"{assembly.name} has the phases {', '.join(states) or 'none'}; expected one or more of different names."
-        )
-    if not assembly.marks:
-        raise InputError(
-            f"{assembly.name} has no marks, by whose places success is decided; expected at least one pair."
-        )
-    if assembly.tabs and len(assembly.tabs) != len(assembly.marks):
-        raise InputError(
-            f"{assembly.name} names {len(assembly.tabs)} tabs and {len(assembly.marks)} marks; expected a tab for each "
-            "mark, or none."
-        )
-    pairing, variation = draw.Pairing(assembly, robot), assembly.variation()
+    if assembly.name == SNAP:
+        raise InputError(f"The name {SNAP} is that of the recorded assembly; choose another.")
+    checks.check_assembly(assembly)
+    with own_code(f"The variation of {assembly.name}"):
+        variation = assembly.variation()
     draw.check(variation, assembly)
-    task, own = assembly.draw(variation, trials.stream(0, 0))
+    task, own = draw.drawn(assembly, variation, trials.stream(0, 0))
+    checks.check_drawn(assembly, task, own)
+    states = tuple(phase.name for phase in assembly.phases)
     names = [("task", field.name) for field in fields(task)] + [("parts.own", field.name) for field in fields(own)]
     names += [("parts.mount", "position"), ("parts.mount", "stiffness"), ("parts.mount", "friction")]
     names += [("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]
     return Scenario(
-        pairing, ("R",), partial(scene.scene, assembly, robot), draw.sample_batch, tuple(names), assembly.name,
-        robot.name, states, assembly.variation, assembly.tabs,
+        draw.Pairing(assembly, robot), ("R",), partial(scene.scene, assembly, robot), draw.sample_batch, tuple(names),
+        assembly.name, robot.name, states, assembly.variation, assembly.tabs,
     )  # fmt: skip
 
 

@@ -283,7 +283,8 @@ def describe_recording(
         marks = recordings.annotations.of_recording(row).of(track)
         begun = zip(marks.start.tolist(), marks.names().tolist(), strict=True)
         sentences += [(round(start, 3), f"[{track}: {label}]") for start, label in begun]
-    return sorted(sentences)
+    # labels of one time stay in their order: one may last no time
+    return sorted(sentences, key=lambda one: (one[0], "[" if one[1].startswith(f"[{track}: ") else one[1]))
 
 
 def _snaps(

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, FaultOf, Mount, Parts, Range, Variation
+from sim_mjx.assemblies.checks import check_faulty
 from sim_mjx.assemblies.scene import home
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.sensor import SensorParams
+from sim_mjx.own_code import own_code
 from sim_mjx.randomization.trials import Fault, check_common, stream
 from sim_mjx.robots.robot import Robot
 
 NOISE = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])  # N and Nm, standard deviation before the filter
 STEP = np.array([0.01, 0.01, 0.01, 5e-4, 5e-4, 5e-4])  # N and Nm, quantisation
+_NOT_NEGATIVE = ("friction", "mount", "gain", "noise")  # ranges of any assembly
 KEPT = 0.5  # share of the low-pass filter's value that a control period keeps: 22 Hz
 
 
@@ -46,8 +50,31 @@ def check(spec: Variation, assembly: Assembly) -> None:
         raise InputError(f"{assembly.name} has no fault {unknown[0]!r}; it has {', '.join(assembly.faults)}.")
     for field in fields(spec):
         value = getattr(spec, field.name)
-        if isinstance(value, tuple) and field.name != "faults" and not -np.inf < value[0] <= value[1] < np.inf:
+        if _is_range(value) and not -np.inf < value[0] <= value[1] < np.inf:
             raise InputError(f"The range of {field.name} is {value[0]} to {value[1]}; expected two increasing numbers.")
+    for name in _NOT_NEGATIVE:
+        if (low := getattr(spec, name)[0]) < 0:
+            raise InputError(f"The range of {name} begins at {low}; expected zero or more.")
+    if spec.stop_at[0] <= 0:
+        raise InputError(f"The range of stop_at begins at {spec.stop_at[0]} s; expected more than zero.")
+
+
+def _is_range(value: Any) -> bool:
+    """Whether a value of a variation is a range: a tuple or list of two numbers; others are the assembly's business."""
+    return isinstance(value, tuple | list) and len(value) == 2 and all(isinstance(one, Real) for one in value)
+
+
+def drawn(assembly: Assembly, spec: Variation, rng: np.random.Generator) -> tuple[Any, Any]:
+    """Parameters of task and parts of one trial.
+
+    Raises:
+        InputError: the assembly's ``draw`` fails, or gives no pair.
+    """
+    with own_code(f"draw of {assembly.name}"):
+        found = assembly.draw(spec, rng)
+    if not isinstance(found, tuple) or len(found) != 2:
+        raise InputError(f"draw of {assembly.name} gives a {type(found).__name__}; expected two: of task and of parts.")
+    return found
 
 
 def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[AssemblyTrial, Fault]:
@@ -77,13 +104,16 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
     kinds = spec.faults or tuple(assembly.faults)
     nominal, which = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))
     kind = "none" if nominal or not kinds else kinds[which]  # all other random numbers are those of a nominal trial
-    task, own = assembly.draw(spec, rng)
+    task, own = drawn(assembly, spec, rng)
     trial = AssemblyTrial(
         task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),
         timeout=np.asarray(assembly.timeout), command_delay=np.array(lag, np.int32), seed=key,
     )  # fmt: skip
     if kind != "none":
-        trial = assembly.faults[kind](trial, spec, rng)
+        with own_code(what := f"the fault {kind!r} of {assembly.name}"):
+            faulty = assembly.faults[kind](trial, spec, rng)
+        check_faulty(what, trial, faulty)
+        trial = faulty
     if spec.longest is not None:
         trial = replace(trial, timeout=np.minimum(trial.timeout, spec.longest))
     shift = trial.hand[:2] - trial.parts.mount.position[:2]

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
 from sim_mjx.assembly.parts import Fields, add_pair
 
@@ -51,11 +52,52 @@ class FieldWriter:
     Args:
         model: compiled.
         lead: shape of the batch; () = one trial.
+
+    Raises:
+        InputError: by its methods, the model has no element of a name.
     """
 
     def __init__(self, model: mujoco.MjModel, lead: tuple[int, ...]) -> None:
         self._model, self._lead = model, lead
         self.fields: Fields = {}
+
+    def nominal(self, field: str, kind: str, name: str) -> Any:
+        """The compiled value of a field of MjModel, for one "geom", "body" or "joint"."""
+        return getattr(self._model, field)[self._row(kind, name).id].copy()
+
+    def place(self, geom: str, place: Float[Array, "*batch 3"]) -> None:
+        """Centre of a geom in its body's frame, m; the body's mass stays where it is."""
+        self._set("geom_pos", "geom", geom, place)
+
+    def turn(self, geom: str, quat: Float[Array, "*batch 4"]) -> None:
+        """Quaternion of a geom in its body's frame."""
+        self._set("geom_quat", "geom", geom, quat)
+
+    def body(self, body: str, place: Float[Array, "*batch 3"], quat: Float[np.ndarray, "*batch 4"]) -> None:
+        """Frame of a body in its parent's, m and quaternion."""
+        self._set("body_pos", "body", body, place)
+        self._set("body_quat", "body", body, quat)
+
+    def spring(self, joint: str, stiffness: Any, damping: Any) -> None:
+        """Stiffness, N/m, and damping, Ns/m, of a sliding joint."""
+        row = self._row("joint", joint)
+        self._field("jnt_stiffness")[..., row.id] = stiffness
+        self._field("dof_damping")[..., row.dofadr[0]] = damping
+
+    def friction(self, sliding: Float[Array, "*batch"]) -> None:
+        """Sliding friction of all pairs."""
+        self._field("pair_friction")[..., :2] = np.asarray(sliding)[..., None, None]
+
+    def _row(self, kind: str, name: str) -> Any:
+        """An element of the compiled model.
+
+        Raises:
+            InputError: there is none of that name.
+        """
+        try:
+            return getattr(self._model, kind)(name)
+        except KeyError as error:
+            raise InputError(f"The scene has no {kind} {name!r}, which a trial's parameters are written to.") from error
 
     def _field(self, name: str) -> Any:
         if name not in self.fields:
@@ -63,30 +105,5 @@ class FieldWriter:
             self.fields[name] = np.broadcast_to(field, self._lead + field.shape).copy()
         return self.fields[name]
 
-    def nominal(self, field: str, kind: str, name: str) -> Any:
-        """The compiled value of a field of MjModel, for one "geom", "body" or "joint"."""
-        return getattr(self._model, field)[getattr(self._model, kind)(name).id].copy()
-
-    def place(self, geom: str, place: Float[Array, "*batch 3"]) -> None:
-        """Centre of a geom in its body's frame, m; one compiled at the body's origin cannot be moved."""
-        self._field("geom_pos")[..., self._model.geom(geom).id, :] = place
-
-    def turn(self, geom: str, quat: Float[Array, "*batch 4"]) -> None:
-        """Quaternion of a geom in its body's frame."""
-        self._field("geom_quat")[..., self._model.geom(geom).id, :] = quat
-
-    def body(self, body: str, place: Float[Array, "*batch 3"], quat: Float[np.ndarray, "*batch 4"]) -> None:
-        """Frame of a body in its parent's, m and quaternion."""
-        number = self._model.body(body).id
-        self._field("body_pos")[..., number, :] = place
-        self._field("body_quat")[..., number, :] = quat
-
-    def spring(self, joint: str, stiffness: Any, damping: Any) -> None:
-        """Stiffness, N/m, and damping, Ns/m, of a sliding joint."""
-        row = self._model.joint(joint)
-        self._field("jnt_stiffness")[..., row.id] = stiffness
-        self._field("dof_damping")[..., row.dofadr[0]] = damping
-
-    def friction(self, sliding: Float[Array, "*batch"]) -> None:
-        """Sliding friction of all pairs."""
-        self._field("pair_friction")[..., :2] = np.asarray(sliding)[..., None, None]
+    def _set(self, field: str, kind: str, name: str, value: Any) -> None:
+        self._field(field)[..., self._row(kind, name).id, :] = value

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache, partial
 
 import mujoco
@@ -14,6 +16,7 @@ from sim_mjx.assemblies.fields import FieldWriter
 from sim_mjx.assemblies.program import UPRIGHT, Controller
 from sim_mjx.assembly.parts import Fields
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, set_solver, with_tabs
+from sim_mjx.own_code import own_code
 from sim_mjx.robots.chain import serial_chain
 from sim_mjx.robots.robot import FORCE, HAND, Robot, equipped
 
@@ -37,7 +40,7 @@ def scene(
         iterations: of the constraint solver. ls_iterations: of its line search.
 
     Raises:
-        InputError: the robot does not reach the start, or a mark is missing.
+        InputError: MuJoCo cannot make a model of robot and parts, or a mark is missing.
     """  # fmt: skip
     steps = substeps or assembly.substeps
     spec, _ = _compiled(assembly, robot)
@@ -45,7 +48,10 @@ def scene(
     for name in (name for pair in assembly.marks for name in pair):
         if spec.geom(name) is None:
             raise InputError(f"The assembly has no geom {name!r}, which its marks name.")
-    model, tips, marks, places = with_tabs(spec, assembly.marks)
+    with _compiling(assembly, robot):
+        model, tips, marks, places = with_tabs(spec, assembly.marks)
+    # MuJoCo would skip place and turn of a geom compiled in its body's frame, which a trial may change
+    model.geom_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     joints = np.array([model.joint(name).qposadr[0] for name in robot.joints], np.int32)
     forces = np.array([model.sensor(FORCE).adr[0]], np.int32)
     program = controller(assembly, robot).program()
@@ -57,12 +63,24 @@ def _compiled(assembly: Assembly, robot: Robot) -> tuple[mujoco.MjSpec, mujoco.M
     """The scene's elements, and the model that they make.
 
     Raises:
-        InputError: MuJoCo cannot make a model of robot and parts.
+        InputError: MuJoCo cannot make a model of robot and parts, or the parts have actuators.
     """
-    try:
+    with _compiling(assembly, robot):
         spec = _elements(assembly, robot)
-        return spec, spec.compile()
-    except ValueError as error:
+        model = spec.compile()
+    if model.nu != len(robot.joints):
+        own = [actuator.name for actuator in spec.actuators][len(robot.joints) :]
+        raise InputError(f"{assembly.name} adds the actuator {own[0]!r}, which nothing commands; use springs instead.")
+    return spec, model
+
+
+@contextmanager
+def _compiling(assembly: Assembly, robot: Robot) -> Iterator[None]:
+    try:
+        yield
+    except InputError:
+        raise
+    except (ValueError, AttributeError, TypeError, KeyError) as error:  # of MuJoCo, or of the functions that call it
         reason = " ".join(str(error).removeprefix("Error: ").split())
         raise InputError(f"MuJoCo cannot compile {assembly.name} on {robot.name}: {reason.rstrip('.')}.") from error
 
@@ -92,7 +110,8 @@ def _fields(model: mujoco.MjModel, assembly: Assembly, place: Float64[np.ndarray
         stiffness = np.asarray(mount.stiffness)[..., axis]
         writer.spring(f"{MOUNT}_{name}", stiffness, 2 * MOUNT_DAMPING * np.sqrt(stiffness * MOUNT_MASS))
     writer.friction(mount.friction)
-    assembly.write(writer, parts.own)
+    with own_code(f"write of {assembly.name}"):
+        assembly.write(writer, parts.own)
     return writer.fields
 
 

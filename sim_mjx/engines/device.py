@@ -12,6 +12,7 @@ import copy
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any
 
 import jax
@@ -34,6 +35,8 @@ STRETCH = 100  # control periods that run without asking which trials have ended
 # converges no further: the wrenches of 64 trials differ as little from those of 30/20 as those of 10/6 do.
 SOLVER = (6, 4)
 TOLERANCE = 1e-6  # of the solver, likewise
+SEVERAL = 8  # contacts of two geoms at most, neither of which is a sphere
+EQUALITY_ROWS = {mujoco.mjtEq.mjEQ_CONNECT: 3, mujoco.mjtEq.mjEQ_WELD: 6}  # of constraints; the others have one
 
 
 @dataclass(frozen=True)
@@ -156,7 +159,8 @@ def layout_of(scene: Scene) -> Layout:
 @single
 def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]:
     """The scene's model on the device, and data of one trial; Warp's kernels step at most ``count`` at once."""
-    sizes = {"naconmax": count * scene.model.npair, "njmax": _most_rows(scene.model)} if impl == "warp" else {}
+    contacts, rows = most_contacts(scene.model)
+    sizes = {"naconmax": count * contacts, "njmax": rows} if impl == "warp" else {}
     compiled = copy.copy(scene.model)
     compiled.opt.tolerance = max(compiled.opt.tolerance, TOLERANCE)
     compiled.opt.iterations = min(compiled.opt.iterations, SOLVER[0])
@@ -175,23 +179,70 @@ def fields_of(scene: Scene, params: Any, dtype: type[np.floating] = np.float32) 
 
 def _from_home(scene: Scene, home: NDArray[np.floating]) -> dict[str, NDArray[np.float64]]:
     """Fields that let the joints' angles be zero at home [trial, J]."""
-    zero, limits = (np.repeat(field[None], len(home), axis=0) for field in (scene.model.qpos0, scene.model.jnt_range))
+    model = scene.model
+    zero, limits = (np.repeat(field[None], len(home), axis=0) for field in (model.qpos0, model.jnt_range))
     zero[:, scene.joints] -= home
     limits[:, scene.hinges] -= home[..., None]
-    return {"qpos0": zero, "jnt_range": limits}
+    fields = {"qpos0": zero, "jnt_range": limits}
+    if model.jnt_stiffness[scene.hinges].any():
+        fields["qpos_spring"] = np.repeat(model.qpos_spring[None], len(home), axis=0)
+        fields["qpos_spring"][:, scene.joints] -= home
+    if (lengths := home @ _pulled(scene).T).any():
+        for name in ("tendon_lengthspring", "tendon_range"):
+            fields[name] = getattr(model, name)[None] - lengths[..., None]
+        fields["tendon_length0"] = model.tendon_length0[None] - lengths
+    return fields
 
 
-def _most_rows(model: mujoco.MjModel) -> int:
-    """Largest number of constraint rows: all pairs in contact, and each joint at one of its limits."""
+def _pulled(scene: Scene) -> NDArray[np.float64]:
+    """By how much each tendon grows with each of the robot's angles [tendon, J]; only fixed ones count angles."""
+    model, out = scene.model, np.zeros((scene.model.ntendon, len(scene.joints)))
+    for tendon, (first, count) in enumerate(zip(model.tendon_adr, model.tendon_num, strict=True)):
+        for wrap in range(first, first + count):
+            if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
+                out[tendon] += np.where(scene.hinges == model.wrap_objid[wrap], model.wrap_prm[wrap], 0.0)
+    return out
+
+
+def most_contacts(model: mujoco.MjModel) -> tuple[int, int]:
+    """Largest numbers of contacts and of constraint rows of a trial: all that may touch does, all limits are reached.
+
+    >>> most_contacts(mujoco.MjModel.from_xml_string("<mujoco/>"))
+    (0, 0)
+    """
+    touching = [(pair, int(model.pair_dim[row])) for row, pair in enumerate(_named_pairs(model))] + _other_pairs(model)
     elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
-    contacts = model.pair_dim if elliptic else np.maximum(2 * (model.pair_dim - 1), 1)
-    return int(contacts.sum() + model.jnt_limited.sum())
+    contacts = rows = 0
+    for pair, dim in touching:
+        several = 1 if (model.geom_type[list(pair)] == mujoco.mjtGeom.mjGEOM_SPHERE).any() else SEVERAL
+        contacts += several
+        rows += several * (dim if elliptic else max(2 * (dim - 1), 1))
+    rows += int(model.jnt_limited.sum() + model.tendon_limited.sum())
+    rows += int((model.dof_frictionloss > 0).sum() + (model.tendon_frictionloss > 0).sum())
+    return contacts, rows + sum(EQUALITY_ROWS.get(mujoco.mjtEq(kind), 1) for kind in model.eq_type)
+
+
+def _named_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    return list(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True))
+
+
+def _other_pairs(model: mujoco.MjModel) -> list[tuple[tuple[int, int], int]]:
+    """Geoms of different bodies that touch by their types, without a pair, and the dimensions of their contacts."""
+    may = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+    types, affinities, bodies = model.geom_contype, model.geom_conaffinity, model.body_weldid[model.geom_bodyid]
+    return [
+        ((first, second), int(model.geom_condim[[first, second]].max()))
+        for first, second in combinations(may.tolist(), 2)
+        if bodies[first] != bodies[second] and (types[first] & affinities[second] or types[second] & affinities[first])
+    ]
 
 
 def start(layout: Layout, fixed: Fixed) -> State:
     """The initial state: home pose, where all angles are zero, not yet settled."""
     count = batch_size(fixed.params)
-    body: Any = jax.vmap(lambda _: fixed.empty.replace(qpos=jnp.zeros_like(fixed.empty.qpos)))(jnp.arange(count))
+    # what else can move, such as a free part, begins where the model has it
+    places = fixed.fields["qpos0"].at[:, jnp.array(layout.joints)].set(0.0)
+    body: Any = jax.vmap(lambda qpos: fixed.empty.replace(qpos=qpos))(places)
     if fixed.model.impl == mjx.Impl.JAX:
         body = body_of(body)
     tick = jnp.full(count, -(-SETTLING // layout.substeps), jnp.int32)

@@ -162,7 +162,12 @@ class Environment:
         Args:
             row: of ``trials``.
             seed: key of the sensor's noise, uint32 [2]; None = the trial's own.
+
+        Raises:
+            InputError: there is no such row. Compiled or mapped functions cannot ask: they begin another one.
         """
+        if not isinstance(row, jax.core.Tracer) and not 0 <= int(row) < self.trial_count:
+            raise InputError(f"There is no trial {int(row)}; expected 0 to {self.trial_count - 1}.")
         return self.begin(jax.tree.map(lambda leaf: jnp.asarray(leaf)[row], self.trials), row, seed)
 
     @single

@@ -35,7 +35,8 @@ def check(physical: Physical) -> None:
     """Check names and values of physical parameters.
 
     Raises:
-        InputError: an unknown name, a value that is not finite or too large, or a delay that the sensor cannot have.
+        InputError: an unknown name, a value that is not finite or too large, or a delay or a step of quantisation that
+            the sensor cannot have.
     """
     for name, value in physical:
         match = NAME.fullmatch(name)
@@ -44,6 +45,11 @@ def check(physical: Physical) -> None:
             raise InputError(f"There is no physical parameter {name!r}; expected one of {known}.")
         if not abs(value) <= LARGEST:  # NaN compares as false; what is drawn around it must fit in single precision
             raise InputError(f"The physical parameter {name} is {value:g}; expected a finite number up to {LARGEST:g}.")
+        if match[2] == "step" and not value > 0:
+            raise InputError(
+                f"The physical parameter {name} is {value:g}; expected more than zero, since readings are rounded to "
+                "its multiples."
+            )
         if match[2] == "delay" and not 0 <= round(value) < LONGEST_DELAY:  # others would be clipped silently
             raise InputError(
                 f"The physical parameter {name} is {value:g}; expected 0 to {LONGEST_DELAY - 1} control periods."
@@ -79,7 +85,7 @@ def value(parts: PartParams, sensor: SensorParams, name: str) -> float:
     Raises:
         InputError: unknown name.
     """
-    check(((name, 0.0),))
+    check(((name, 1.0),))
     owner, attribute, where = _place(name)
     array = _present(parts if owner == "parts" else sensor, owner, attribute)
     _check_place(name, array, where)

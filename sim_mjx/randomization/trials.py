@@ -37,6 +37,8 @@ class DomainRandomization:
 
     The end of each comment is the source: "recordings" = measured in them, "CAD" = the model of the parts,
     "controller" = regression on the logged references, "signature" = the comparison with session B, "chosen" = by us.
+    ``lag``, ``noise``, ``force_bias``, ``moment_bias`` and ``tare`` vary in sessions recorded on the robot, not in
+    OpenHRP's and those of two arms; with ``sensor``, all but ``lag`` do.
     """
 
     nominal_share: float = 0.5  # of the trials without a fault; chosen

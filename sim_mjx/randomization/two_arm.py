@@ -12,7 +12,7 @@ from sim_mjx.assembly.two_arm_program import TwoArmParams
 from sim_mjx.assembly.two_arm_scene import ARMS
 from sim_mjx.presets.session import Range
 from sim_mjx.presets.two_arm import TwoArmPreset
-from sim_mjx.randomization import trials
+from sim_mjx.randomization import overrides, trials
 from sim_mjx.randomization.trials import DomainRandomization, Fault
 
 MATING_TIME: Range = (0.15, 0.96)  # s, recorded after mating begins: lowest and highest of 13 trials
@@ -35,7 +35,8 @@ def sample_batch(
         preset: nominal values.
         seed: of the whole set, 0 to 2^64 - 1.
         indices: of the trials within the set, >= 0.
-        spec: the distributions; the sensors are OpenHRP's, whose noise and tare do not vary.
+        spec: the distributions; the sensors are OpenHRP's, whose noise and tare do not vary. Physical parameters of
+            the sensor are those of both wrists.
 
     Returns:
         their parameters ``[trial, ...]`` and their faults, whose deviation is the right hand's from the part, x forward
@@ -50,7 +51,8 @@ def sample_batch(
     low, high = np.array([*spans, spec.mating or MATING_TIME, CHATTER]).T
     drawn = np.stack([trials.stream(seed, index, branch=1).uniform(low, high) for index in indices])
     right, faults = trials.sample_batch(preset, seed, indices, spec, drawn[:, -2])
-    hold, left_sensor = repeated((preset.hold, preset.left_sensor), len(indices))
+    left = overrides.apply_overrides(preset.left_sensor, "sensor", spec.physical)
+    hold, left_sensor = repeated((preset.hold, left), len(indices))
     return TwoArmParams(
         task=right.task,
         hold=replace(

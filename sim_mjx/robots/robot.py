@@ -16,11 +16,16 @@ import numpy as np
 from jaxtyping import Float64
 
 from rcbht_jax.errors import InputError
+from sim_mjx.own_code import own_code
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 SERVO_SPEED, SERVO_DAMPING = 300.0, 0.8  # rad/s and share of critical damping of every joint at home
 HAND, FORCE, TORQUE = "HAND", "HAND_FORCE", "HAND_TORQUE"  # body that carries the part; sensors
+SIZES = (  # of a whole model, in MjSpec
+    "memory", "njmax", "nconmax", "nstack", "nuserdata", "nkey", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site",
+    "nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor",
+)  # fmt: skip
 ARM = "arm/"  # begins the names of what comes from a file
 TOOL_RADIUS = 0.03  # m, of the ball that has the tool's inertia
 
@@ -28,6 +33,9 @@ TOOL_RADIUS = 0.03  # m, of the ball that has the tool's inertia
 @dataclass(frozen=True, eq=False)
 class Robot:
     """An arm that can carry out assemblies.
+
+    Raises:
+        InputError: home, place or tool_mass are no finite numbers, or a mass is negative.
 
     Example:
         >>> from sim_mjx.robots import get_robot
@@ -41,6 +49,13 @@ class Robot:
     home: tuple[float, ...]  # rad, a pose with the hand about above ``place`` and pointing down
     place: Vector  # m, world, where parts are put together
     tool_mass: float = 0.4  # kg, of what hangs behind the wrist's sensor
+
+    def __post_init__(self) -> None:
+        for name, values in (("home", self.home), ("place", self.place), ("tool_mass", (self.tool_mass,))):
+            if not np.isfinite(values).all():
+                raise InputError(f"{name} of the robot {self.name} is {getattr(self, name)}; expected finite numbers.")
+        if self.tool_mass < 0:
+            raise InputError(f"tool_mass of the robot {self.name} is {self.tool_mass} kg; expected zero or more.")
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -63,7 +78,8 @@ def from_mjcf(
         tool_mass: mass carried by the wrist's sensor, kg.
 
     Raises:
-        InputError: the file cannot be read as MJCF, or has no such site.
+        InputError: the file cannot be read as MJCF, has no such site or no joints that move it, or has a
+            ``settotalmass``; or a number is impossible.
     """
     source = Path(path)
     if not source.is_file():
@@ -76,23 +92,29 @@ def from_mjcf(
             raise InputError(f"{source} cannot be read as MJCF: {str(error).splitlines()[0]}") from error
         if own.site(site) is None:
             raise InputError(f"{source} has no site {site!r}, which must mark the wrist's frame.")
+        if own.compiler.settotalmass > 0:  # which MuJoCo ignores in what is attached
+            raise InputError(f"{source} sets the arm's mass by settotalmass; give its bodies their masses.")
         # on a new model the file's defaults, options, names and unit of angles are the arm's alone
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
-        for setting in ("option", "memory", "njmax", "nconmax", "nstack"):  # else each would be reported as a conflict
+        for setting in ("option", *SIZES):  # else each would be reported as a conflict
             setattr(own, setting, getattr(spec, setting))
         spec.attach(own, prefix=ARM, frame=spec.worldbody.add_frame())
         return spec
 
     robot = Robot(name or source.stem, build, f"{ARM}{site}", tuple(home), place, tool_mass)
-    if len(robot.joints) != len(robot.home):
-        raise InputError(f"home has {len(robot.home)} angles; expected one per joint of the arm, {len(robot.joints)}.")
+    _joints(robot)  # which reads the file
     return robot
+
+
+def _built(robot: Robot) -> mujoco.MjSpec:
+    with own_code(f"build of the robot {robot.name}"):
+        return robot.build()
 
 
 @cache
 def _joints(robot: Robot) -> tuple[str, ...]:
-    spec = robot.build()
+    spec = _built(robot)
     site = spec.site(robot.wrist)
     if site is None:
         raise InputError(f"The robot {robot.name} has no site {robot.wrist!r}, which must mark the wrist's frame.")
@@ -103,6 +125,10 @@ def _joints(robot: Robot) -> tuple[str, ...]:
         body = body.parent
     if not all(names):
         raise InputError(f"A joint of the robot {robot.name} has no name; name those that move the wrist.")
+    if not names:
+        raise InputError(f"No joint of the robot {robot.name} moves its site {robot.wrist!r}.")
+    if len(names) != len(robot.home):
+        raise InputError(f"home has {len(robot.home)} angles; expected one per joint of the arm, {len(names)}.")
     return tuple(names)
 
 
@@ -116,7 +142,7 @@ def equipped(robot: Robot) -> mujoco.MjSpec:
     Raises:
         InputError: the robot has no such site, or a joint that moves it is not a hinge.
     """
-    spec = robot.build()
+    spec = _built(robot)
     # Euler's method needs shorter steps than the servos' damping allows
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for group in (spec.actuators, spec.sensors, spec.keys, spec.pairs, spec.excludes):
@@ -140,7 +166,7 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 def _inertias(robot: Robot) -> Float64[np.ndarray, " joint"]:
     """Each joint's inertia at home, kg m^2, with the tool on the wrist and the other joints held."""
-    spec = robot.build()
+    spec = _built(robot)
     _add_hand(spec, robot)
     model = spec.compile()
     data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -154,7 +180,7 @@ def _inertias(robot: Robot) -> Float64[np.ndarray, " joint"]:
 @cache
 def _wrist(robot: Robot) -> tuple[Vector, Quaternion]:
     """The wrist's frame in its body's, as compiled: an element holds neither Euler angles nor a frame around it."""
-    site = robot.build().compile().site(robot.wrist)
+    site = _built(robot).compile().site(robot.wrist)
     return tuple(site.pos), tuple(site.quat)
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.description import (
@@ -120,3 +121,10 @@ def test_noise_is_no_change() -> None:
     recordings = Recordings.from_arrays([signal + noise], 200.0, axes=["Fz", "Mz", "Mx"], units=["N", "Nm", "Nm"])
     texts = [text for _, text in describe_recording(recordings, 0)]
     assert [text.split(" in ")[0] for text in texts] == ["Fz rises 20 N", "Mx rises 0.02 Nm"]
+
+
+def test_phases_that_begin_together_stay_in_their_order() -> None:
+    marks = Annotations.from_starts("phase", ("touch", "search", "insert"), [[0.0, 0.0, 1.0]], [3.0])
+    recordings = Recordings.from_arrays([np.zeros((600, 1))], 200.0, axes=["grip"], units=["N"], annotations=marks)
+    said = describe_recording(recordings, 0)
+    assert said == [(0.0, "[phase: touch]"), (0.0, "[phase: search]"), (1.0, "[phase: insert]")]

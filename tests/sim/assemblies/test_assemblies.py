@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -22,7 +24,8 @@ from sim_mjx.assemblies.scene import home
 from sim_mjx.assemblies.scene import scene as scene_of
 from sim_mjx.assembly.hook import mating_force
 from sim_mjx.assembly.parts import from_lips
-from sim_mjx.assembly.rollout import Rollouts, stack
+from sim_mjx.assembly.rollout import Rollouts, as_float32, stack
+from sim_mjx.engines import device
 from sim_mjx.engines.native import model_of
 from sim_mjx.registry import Scenario, get_scenario, pair
 from sim_mjx.robots import ROBOTS, Robot
@@ -206,6 +209,81 @@ def test_mjx_gives_the_wrench_of_native() -> None:
     peaks = np.abs(native.wrench[..., 2]).max(1)
     assert (peaks > 6.0).all()
     np.testing.assert_allclose(np.abs(mjx.wrench[..., 2]).max(1), peaks, rtol=0.1)
+
+
+def sprung() -> mujoco.MjSpec:
+    """A Panda with a sprung second joint and a sprung cord over two others, which rest elsewhere than at home."""
+    spec = ROBOTS["panda"].build()
+    spec.joint("JOINT2").stiffness[0], spec.joint("JOINT2").springref = 40.0, 0.3
+    cord = spec.add_tendon(name="CORD", stiffness=[30.0, 0.0, 0.0], springlength=(0.1, 0.1), range=(-9.0, -1.0))
+    cord.wrap_joint("JOINT4", 1.5)
+    cord.wrap_joint("JOINT6", -0.5)
+    return spec
+
+
+def test_a_device_begins_where_native_does() -> None:
+    """Its angles count from home: springs of the arm and parts that move have the same places and forces."""
+
+    def female(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        poke().female(spec, body)
+        cube = spec.worldbody.add_body(name="CUBE", pos=(0.7, 0.3, 0.08), quat=(0.6, 0.8, 0.0, 0.0))
+        cube.add_freejoint()
+        cube.add_geom(size=(0.01, 0.0, 0.0), contype=0, conaffinity=0)
+        bolt = body.add_body(name="BOLT", pos=(0.05, 0.0, 0.0))
+        bolt.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1.0, 0.0, 0.0), ref=0.02, stiffness=[9.0, 0.0, 0.0])
+        bolt.add_geom(size=(0.01, 0.0, 0.0), contype=0, conaffinity=0)
+
+    panda = ROBOTS["panda"]
+    robot = Robot("sprung", sprung, panda.wrist, panda.home, panda.place)
+    scenario = pair(Assembly(**{**vars(poke()), "female": female}), robot)
+    params, _ = scenario.draw_batch(0, range(1), scenario.spec())
+    scene, home = scenario.scene(), np.asarray(params.home[0])
+    fields = device.fields_of(scene, params)
+    on_device = {name: jnp.asarray(field) for name, field in fields.items()}
+    model, empty = device.put_scene(scene, 1, "jax")
+    fixed = device.Fixed(model, on_device, as_float32(params), empty)
+    begun = device.start(device.layout_of(scene), fixed).body.qpos[0]
+
+    here = model_of(scene, jax.tree.map(lambda leaf: leaf[0], params.parts))
+    native, there = mujoco.MjData(here), copy.copy(here)
+    native.qpos[scene.joints] = home
+    for name, field in fields.items():
+        getattr(there, name)[:] = field[0]
+    data = mujoco.MjData(there)
+    data.qpos[:] = begun
+    mujoco.mj_forward(here, native)
+    mujoco.mj_forward(there, data)
+    np.testing.assert_allclose(data.xpos, native.xpos, atol=1e-6)
+    np.testing.assert_allclose(data.xmat, native.xmat, atol=1e-6)
+    assert np.abs(native.qfrc_spring).max() > 1.0
+    np.testing.assert_allclose(data.qfrc_spring, native.qfrc_spring, atol=1e-4)
+    np.testing.assert_allclose(
+        data.ten_length - there.tendon_range[:, 0], native.ten_length - here.tendon_range[:, 0], atol=1e-6
+    )
+
+
+def test_room_on_a_device_is_kept_for_all_that_can_act() -> None:
+    """Warp leaves out, without a word, what there is no room for."""
+
+    def female(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        poke().female(spec, body)
+        for index, place in enumerate([(0.7, 0.3, 0.05), (0.7, 0.3, 0.0699)]):
+            cube = spec.worldbody.add_body(name=f"CUBE{index}", pos=place)
+            cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.01, 0.01, 0.01))
+            cube.add_joint(name=f"SLIDE{index}", type=mujoco.mjtJoint.mjJNT_SLIDE, frictionloss=0.1)
+        spec.add_equality(type=mujoco.mjtEq.mjEQ_WELD, name1="CUBE0", name2="MOUNT", objtype=mujoco.mjtObj.mjOBJ_BODY)
+
+    plain, scene = (
+        pair(assembly, ROBOTS["panda"]).scene() for assembly in (poke(), Assembly(**{**vars(poke()), "female": female}))
+    )
+    data = mujoco.MjData(scene.model)
+    mujoco.mj_forward(scene.model, data)
+    assert data.ncon == 4  # of the cubes, which no pair names
+    assert device.most_contacts(plain.model)[0] == 1
+    contacts, rows = device.most_contacts(scene.model)
+    assert contacts >= data.ncon + 1  # the ball is not on its box yet
+    assert rows >= data.nefc + 3
+    assert data.nefc > device.most_contacts(plain.model)[1]
 
 
 @dataclass(frozen=True)

@@ -107,6 +107,12 @@ def test_anybodys_arm(tmp_path: Path) -> None:
     path.write_text("<mujoco><worldbody>")
     with pytest.raises(InputError, match="cannot be read as MJCF"):
         from_mjcf(path, site="hand", home=(), place=(0.5, 0.0, 0.1))
+    path.write_text(ARM.replace("<worldbody>", '<compiler settotalmass="50"/><worldbody>'))
+    with pytest.raises(InputError, match="sets the arm's mass by settotalmass"):
+        from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
+    path.write_text(ARM.replace('<body pos="0.1 0.2 0.3"', '<site name="base"/><body pos="0.1 0.2 0.3"'))
+    with pytest.raises(InputError, match="No joint of the robot mine moves its site 'arm/base'"):
+        from_mjcf(path, site="base", home=(), place=(0.5, 0.0, 0.1))
     meshed = ARM.replace("<worldbody>", '<asset><mesh name="link" file="link.stl"/></asset><worldbody>')
     path.write_text(meshed.replace('<geom size="0.05"/>', '<geom type="mesh" mesh="link"/>', 1))
     robot = from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
@@ -123,6 +129,7 @@ def test_what_a_file_says_of_its_arm_holds_for_the_arm_and_for_nothing_else(tmp_
     path = tmp_path / "mine.xml"
     limited = ARM.replace("<body pos", '<body childclass="own" pos', 1).replace('ref="20"', 'ref="20" range="-166 166"')
     settings = '<option gravity="0 0 1"><flag contact="disable"/></option><default><joint armature="0.5" damping="2"/>'
+    settings = '<size nuserdata="4" nkey="2" nuser_body="1" nuser_jnt="1" nuser_geom="2" nconmax="9"/>' + settings
     settings += '<pair margin="1"/><default class="own"><joint frictionloss="3"/></default></default>'
     path.write_text(limited.replace("<worldbody>", f"{settings}<worldbody>"))
     alone, spec = (

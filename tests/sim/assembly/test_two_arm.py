@@ -243,6 +243,14 @@ def test_a_trial_depends_on_seed_and_index_alone() -> None:
     assert still.hold.force_gain == still.hold.moment_gain == 0
 
 
+def test_a_physical_parameter_of_the_sensor_is_that_of_both_wrists() -> None:
+    spec = DomainRandomization(nominal_share=1.0, physical=(("sensor.step", 0.5), ("sensor.delay", 3.0)))
+    params, _ = get_scenario("two").draw_batch(0, range(2), spec)
+    for sensor in (params.sensor, params.left_sensor):
+        assert (sensor.step == 0.5).all()
+        assert sensor.delay.tolist() == [3, 3]
+
+
 def test_unknown_presets_are_refused() -> None:
     with pytest.raises(InputError, match="two-fixed"):
         get_scenario("three")

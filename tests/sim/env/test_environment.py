@@ -256,6 +256,9 @@ def test_reset_chooses_trials_and_noise() -> None:
     again = jax.jit(jax.vmap(env.reset))(keys)
     assert_equal(states, again)
     np.testing.assert_array_equal(env.reset_to(jnp.int32(1)).data.params.seed, trials().seed[1])
+    for row in (3, -1):
+        with pytest.raises(InputError, match=f"There is no trial {row}; expected 0 to 2"):
+            env.reset_to(jnp.int32(row))
 
 
 def test_words_and_beliefs_are_those_of_the_stream() -> None:

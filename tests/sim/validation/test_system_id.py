@@ -149,6 +149,7 @@ def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
     [
         (("parts.colour", 1.0), "no physical parameter 'parts.colour'"),
         (("friction", 1.0), "no physical parameter 'friction'"),
+        (("sensor.step", 0.0), "sensor.step is 0; expected more than zero"),
         (("parts.hook_overlap[4]", 1.0), "does not exist"),
         (("parts.friction[0]", 1.0), "does not exist"),
         (("parts.hook_overlap[2:2]", 1.0), "does not exist"),

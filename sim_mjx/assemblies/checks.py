@@ -1,0 +1,128 @@
+"""Checks of an assembly before anything is simulated: what its functions take and return, and its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rcbht_jax.errors import InputError
+from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase
+from sim_mjx.assembly.rollout import as_float32
+from sim_mjx.assembly.sensor import LONGEST_DELAY
+from sim_mjx.controllers import Sense
+from sim_mjx.own_code import own_code
+
+
+def check_assembly(assembly: Assembly) -> None:
+    """Check what can be checked without a robot and without drawing a trial.
+
+    Raises:
+        InputError: no phase or two of one name, no marks or tabs for some of them only, an impossible number, a
+            fault of the name that trials without a fault have, or a ``seated`` that does not give one truth value for
+            each mark.
+    """
+    name, states = assembly.name, tuple(phase.name for phase in assembly.phases)
+    for text in (name, *states, *assembly.faults, *assembly.tabs):
+        if not text.strip() or not text.isprintable():
+            raise InputError(f"{text!r} names the assembly, a phase, a fault or a tab of {name!r}; expected a word.")
+    if len(set(states)) < max(len(states), 1):
+        raise InputError(
+            f"{name} has the phases {', '.join(states) or 'none'}; expected one or more of different names."
+        )
+    if not assembly.marks:
+        raise InputError(f"{name} has no marks, by whose places success is decided; expected at least one pair.")
+    if assembly.tabs and len(assembly.tabs) != len(assembly.marks):
+        raise InputError(
+            f"{name} names {len(assembly.tabs)} tabs and {len(assembly.marks)} marks; expected a tab for each mark, or "
+            "none."
+        )
+    if "none" in assembly.faults:
+        raise InputError(f"{name} has a fault named 'none', as trials without a fault are called; rename it.")
+    _check_numbers(assembly)
+    _check_seated(assembly)
+
+
+def _check_numbers(assembly: Assembly) -> None:
+    if not 0.0 < assembly.timeout < np.inf:
+        raise InputError(f"The timeout of {assembly.name} is {assembly.timeout} s; expected a positive, finite number.")
+    if assembly.substeps < 1:
+        raise InputError(f"The substeps of {assembly.name} are {assembly.substeps}; expected a count of 1 or more.")
+    if not all(0.0 <= stiffness < np.inf for stiffness in assembly.mount_stiffness):
+        raise InputError(
+            f"The mount_stiffness of {assembly.name} is {assembly.mount_stiffness}; expected zero or more each."
+        )
+
+
+def _check_seated(assembly: Assembly) -> None:
+    marks = len(assembly.marks)
+    for lead in ((marks + 1,), ()):  # a batch, and one trial
+        with own_code(f"seated of {assembly.name}"):
+            found = np.asarray(assembly.seated(np.zeros((*lead, marks, 3))))
+        if found.shape != (*lead, marks) or found.dtype != np.bool_:
+            raise InputError(
+                f"seated of {assembly.name} gives {found.dtype} {list(found.shape)} for places "
+                f"{[*lead, marks, 3]}; expected bool {[*lead, marks]}, one for each mark."
+            )
+
+
+def check_drawn(assembly: Assembly, task: Any, own: Any) -> None:
+    """Check the parameters that an assembly draws, and its phases with them.
+
+    Raises:
+        InputError: the parameters are no dataclasses that JAX knows, or hold something else than arrays; or a phase's
+            motion is no twist, or its condition no truth value.
+    """
+    for what, values in (("task", task), ("parts", own)):
+        kind = type(values).__name__
+        if not is_dataclass(values) or isinstance(values, type):
+            raise InputError(f"draw of {assembly.name} gives a {kind} for the {what}; expected a dataclass.")
+        if any(leaf is values for leaf in jax.tree.leaves(values)):
+            raise InputError(f"{kind} of {assembly.name} is unknown to JAX; add @jax.tree_util.register_dataclass.")
+        for field in fields(values):  # which are stored
+            value = getattr(values, field.name)
+            if isinstance(value, tuple | list) or np.asarray(value).dtype.kind not in "biuf":
+                found = type(value).__name__
+                raise InputError(f"{field.name} of {kind} of {assembly.name} is of type {found}; expected an array.")
+    for phase in assembly.phases:
+        _check_phase(assembly, phase, as_float32(task))
+
+
+def _check_phase(assembly: Assembly, phase: Phase, task: Any) -> None:
+    number, vector = jnp.float32(0.0), jnp.zeros(3, jnp.float32)
+    sense, where = Sense(number, *[vector] * 7), f"the phase {phase.name!r} of {assembly.name}"
+    with own_code(f"move of {where}"):
+        twist = jax.eval_shape(phase.move, sense, task)
+    with own_code(f"leave of {where}"):
+        leaves = jax.eval_shape(phase.leave, sense, task)
+    for what, found, shape, kind in (("move", twist, (6,), "f"), ("leave", leaves, (), "b")):
+        if getattr(found, "shape", None) != shape or found.dtype.kind != kind:
+            text = f"{found.dtype} {list(found.shape)}" if hasattr(found, "shape") else type(found).__name__
+            expected = "a twist, float32 [6]" if what == "move" else "one bool"
+            raise InputError(f"{what} of {where} gives {text}; expected {expected}.")
+
+
+def check_faulty(what: str, nominal: AssemblyTrial, faulty: Any) -> None:
+    """Check the trial that a fault gives.
+
+    Args:
+        what: the fault, as a sentence begins.
+        nominal: the trial before. faulty: what the fault gave.
+
+    Raises:
+        InputError: it is no trial, its arrays have other shapes, or its timeout or delay is impossible.
+    """
+    if not isinstance(faulty, AssemblyTrial):
+        raise InputError(f"{what} gives a {type(faulty).__name__}; expected the changed trial.")
+    before, after = (jax.tree_util.tree_leaves_with_path(trial) for trial in (nominal, faulty))
+    for (path, old), (same, new) in zip(before, after, strict=False):
+        if path != same or np.shape(old) != np.shape(new):
+            name, shapes = jax.tree_util.keystr(path).lstrip("."), [list(np.shape(one)) for one in (old, new)]
+            raise InputError(f"{what} changes the shape of {name} from {shapes[0]} to {shapes[1]}.")
+    if not 0.0 < faulty.timeout < np.inf:
+        raise InputError(f"{what} sets a timeout of {faulty.timeout} s; expected a positive, finite number.")
+    if not 0 <= faulty.command_delay <= LONGEST_DELAY - 2:
+        raise InputError(f"{what} sets a delay of {faulty.command_delay} periods; expected 0 to {LONGEST_DELAY - 2}.")

@@ -1,0 +1,207 @@
+"""Mistakes in assemblies and robots of one's own: each is one sentence before anything is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from sim_mjx.assemblies import ASSEMBLIES, Phase, Variation
+from sim_mjx.assemblies.assembly import Assembly
+from sim_mjx.assemblies.draw import with_own
+from sim_mjx.assemblies.fields import FieldWriter, ball, box, touch
+from sim_mjx.assemblies.pressing import APPROACH, at_bottom, press
+from sim_mjx.assemblies.scene import scene
+from sim_mjx.engines.native import model_of
+from sim_mjx.registry import pair
+from sim_mjx.robots import ROBOTS, Robot
+
+CLIP, PANDA = ASSEMBLIES["clip"], ROBOTS["panda"]
+
+
+def changed(**values: Any) -> Assembly:
+    return Assembly(**{**vars(CLIP), **values})
+
+
+def with_phase(move: Callable[..., Any] = press, leave: Callable[..., Any] = at_bottom) -> dict[str, Any]:
+    return {"phases": (APPROACH, Phase("press", move, leave))}
+
+
+@dataclass(frozen=True)
+class Plain:  # JAX does not know it
+    gap: float = 1.0
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Named:
+    material: Any = "brass"
+
+
+@dataclass(frozen=True)
+class Unset(Variation):
+    ends: Any = ()
+
+
+@dataclass(frozen=True)
+class Rough(Variation):
+    friction: tuple[float, float] = (-1.0, -0.5)
+
+
+def drawing(task: Any = None, own: Any = None) -> dict[str, Any]:
+    def draw(spec: Any, rng: np.random.Generator) -> Any:
+        first, second = CLIP.draw(spec, rng)
+        return task or first, own or second
+
+    return {"draw": draw}
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        (with_phase(move=lambda sense, task: press(sense, task)[:3]), r"move of .*'press' of clip gives float32 \[3\]"),
+        (with_phase(move=lambda sense, task: 0.0), r"move of .* gives float32 \[\]; expected a twist, float32 \[6\]"),
+        (with_phase(move=lambda sense, task: None), "move of .* gives NoneType; expected a twist"),
+        (
+            with_phase(move=lambda sense, task: task.absent),
+            "'press' of clip ends in AttributeError: 'PressTask'",
+        ),
+        (with_phase(leave=lambda sense, task: sense.time), r"leave of .* gives float32 \[\]; expected one bool"),
+        (with_phase(leave=lambda sense, task: sense.force > 1), r"leave of .* gives bool \[3\]; expected one bool"),
+        (with_phase(leave=lambda sense, task: bool(sense.time)), "leave of .* ends in TracerBoolConversionError: Att"),
+        ({"seated": lambda local: (local[..., 2] < 0).all()}, r"seated of clip gives bool \[\] for places \[2, 1, 3\]"),
+        ({"seated": lambda local: local[..., 2]}, r"seated of clip gives float64 \[2, 1\]"),
+        ({"seated": lambda local: local[0][2] < 0}, "seated of clip ends in IndexError"),
+        ({"faults": {"none": CLIP.faults["chip"]}}, "has a fault named 'none'"),
+        ({"variation": Rough}, "range of friction begins at -1.0; expected zero or more"),
+        ({"draw": lambda spec, rng: Plain()}, "draw of clip gives a Plain; expected two"),
+        ({"draw": lambda spec, rng: spec.gaap}, "draw of clip ends in AttributeError: 'LatchVariation' object has no"),
+        (drawing(own={"gap": 1.0}), "draw of clip gives a dict for the parts; expected a dataclass"),
+        (drawing(task=Plain()), "Plain of clip is unknown to JAX; add @jax.tree_util.register_dataclass"),
+        (drawing(own=Named()), "material of Named of clip is of type str; expected an array"),
+        (drawing(own=Named(Named(1.0))), "material of Named of clip is of type Named; expected an array"),
+        (drawing(own=Named(None)), "material of Named of clip is of type NoneType; expected an array"),
+        ({"timeout": float("nan")}, "timeout of clip is nan s"),
+        ({"substeps": 0}, "substeps of clip are 0"),
+        ({"mount_stiffness": (-1e4, 1e4, 1e4)}, "mount_stiffness of clip is"),
+        ({"name": "camera-snap"}, "The name camera-snap is that of the recorded assembly"),
+        ({"name": "a\nb"}, "names the assembly, a phase, a fault or a tab of 'a"),
+    ],
+)
+def test_a_mistake_in_an_assembly_is_one_sentence(values: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence) as raised:
+        pair(changed(**values), PANDA)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_variation_may_hold_more_than_ranges() -> None:
+    for ends in (("wood", "steel"), (1e-3,), (1e-3, 2e-3, 1e-3), {"a": 1}):
+        pair(changed(draw=lambda spec, rng: CLIP.draw(CLIP.variation(), rng), variation=Unset), PANDA).draw(
+            0, 0, Unset(ends=ends, nominal_share=1.0)
+        )
+    with pytest.raises(InputError, match="The range of ends is 2 to 1"):
+        pair(changed(draw=lambda spec, rng: CLIP.draw(CLIP.variation(), rng), variation=Unset), PANDA).draw(
+            0, 0, Unset(ends=[2, 1])
+        )
+    scenario = pair(CLIP, PANDA)
+    with pytest.raises(InputError, match=r"stop_at begins at -1.0 s"):
+        scenario.draw(0, 0, scenario.spec(stop_at=(-1.0, 1.0)))
+
+
+def test_a_fault_that_fails_is_named() -> None:
+    for fault, sentence in (
+        (lambda trial, spec, rng: None, "the fault 'bad' of clip gives a NoneType; expected the changed trial"),
+        (lambda trial, spec, rng: replace(trial, gap=1), "the fault 'bad' of clip ends in TypeError"),
+        (
+            lambda trial, spec, rng: with_own(trial, material=np.zeros(2)),
+            r"the shape of parts.own.material from \[\] to",
+        ),
+        (lambda trial, spec, rng: replace(trial, timeout=np.array(np.nan)), "sets a timeout of nan s"),
+        (lambda trial, spec, rng: replace(trial, command_delay=np.array(40)), "sets a delay of 40 periods; expected 0"),
+    ):
+        scenario = pair(changed(faults={"bad": fault}, **drawing(own=Named(np.asarray(1.0)))), PANDA)
+        with pytest.raises(InputError, match=sentence):
+            scenario.draw(0, 0, scenario.spec(nominal_share=0.0))
+
+
+def poked(write: Callable[[FieldWriter, Any], None], extra: Callable[[mujoco.MjSpec, Any], Any] | None = None) -> Any:
+    """A clip with an upright box at the origin of its mount."""
+
+    def female(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        CLIP.female(spec, body)
+        box(body, "UPRIGHT", (0.0, 0.0, 0.0), (0.01, 0.01, 0.01))
+        ball(body, "BALL", (0.03, 0.0, 0.0), 1e-3)
+        touch(spec, "BALL", "UPRIGHT")
+        if extra is not None:
+            extra(spec, body)
+
+    return changed(female=female, write=write)
+
+
+def test_any_geom_can_be_turned_and_moved() -> None:
+    """Also one that was compiled in its body's frame, whose own place and turn MuJoCo skips."""
+    turn, place = np.array([0.8, 0.0, 0.6, 0.0]), np.array([1e-3, 2e-3, 3e-3])
+
+    def write(writer: FieldWriter, own: Any) -> None:
+        CLIP.write(writer, own)
+        writer.turn("UPRIGHT", turn)
+        writer.place("UPRIGHT", place)
+
+    scenario = pair(poked(write), PANDA)
+    params, _ = scenario.draw(0, 0, scenario.spec(nominal_share=1.0))
+    model = model_of(scenario.scene(), params.parts)
+    data, matrix = mujoco.MjData(model), np.zeros(9)
+    mujoco.mj_kinematics(model, data)
+    mount, geom = data.body("MOUNT"), data.geom("UPRIGHT")
+    axes = mount.xmat.reshape(3, 3)
+    mujoco.mju_quat2Mat(matrix, turn)
+    np.testing.assert_allclose(geom.xpos, mount.xpos + axes @ place, atol=1e-12)
+    np.testing.assert_allclose(geom.xmat.reshape(3, 3), axes @ matrix.reshape(3, 3), atol=1e-12)
+
+
+def test_what_a_scene_cannot_have_is_named() -> None:
+    def absent(writer: FieldWriter, own: Any) -> None:
+        writer.place("ABSENT", np.zeros(3))
+
+    scenario = pair(poked(absent), PANDA)
+    params, _ = scenario.draw(0, 0, scenario.spec())
+    with pytest.raises(InputError, match="The scene has no geom 'ABSENT'"):
+        scenario.scene().fields(params.parts)
+
+    def motor(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        spec.add_actuator(name="MOTOR", target="MOUNT_X", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+
+    def reading(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        spec.add_sensor(
+            name="PLACE_0", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, objtype=mujoco.mjtObj.mjOBJ_GEOM, objname="BALL"
+        )
+
+    for extra, sentence in (
+        (motor, "clip adds the actuator 'MOTOR', which nothing commands"),
+        (reading, "MuJoCo cannot compile clip on panda: repeated name 'PLACE_0'"),
+        (lambda spec, body: body.absent(), "MuJoCo cannot compile clip on panda: .* has no attribute 'absent'"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            scene(poked(CLIP.write, extra), PANDA)
+
+
+def test_a_mistake_in_a_robot_is_one_sentence() -> None:
+    def robot(**values: Any) -> Robot:
+        return replace(PANDA, **{"name": "mine", **values})
+
+    for values, sentence in (
+        ({"tool_mass": -1.0}, "tool_mass of the robot mine is -1.0 kg; expected zero"),
+        ({"tool_mass": float("nan")}, "tool_mass of the robot mine is nan"),
+        ({"home": (np.nan,) * 7}, "home of the robot mine is .*; expected finite numbers"),
+        ({"home": (0.0, 1.0)}, "home has 2 angles; expected one per joint of the arm, 7"),
+        ({"wrist": "HAND"}, "The robot mine has no site 'HAND'"),
+        ({"build": lambda: 1 / 0}, "build of the robot mine ends in ZeroDivisionError: division by zero"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            scene(CLIP, robot(**values))
