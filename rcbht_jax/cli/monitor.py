@@ -192,8 +192,8 @@ class MonitorEvaluate(Command):
         if calm:
             low, high = wilson(false, calm)
             lines.append(
-                f"False alarms: {false} of {plural(calm, 'nominal recording')}; 95 % interval {low:.3f} to {high:.3f} if "
-                "recordings of a group are independent."
+                f"False alarms: {false} of {plural(calm, 'nominal recording')}; 95 % interval {low:.3f} to {high:.3f} "
+                "if recordings of a group are independent."
             )
         if early := result["early"]:
             lines.append(f"{plural(early, 'alarm')} of anomalous recordings came long before the onset: no detection.")

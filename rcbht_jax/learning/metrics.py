@@ -88,12 +88,12 @@ def corrected_interval(
     return mean, max(0.0, mean - half), min(1.0, mean + half)
 
 
-def wilson(good: float, trials: int) -> tuple[float, float]:
+def wilson(good: float, trials: float) -> tuple[float, float]:
     """95 % interval of a share, never of zero width (Wilson 1927).
 
     Args:
         good: how many of them; may be a fraction, for a trial some of whose items are right.
-        trials: how many, > 0.
+        trials: how many, > 0; a fraction, if they count for so many.
 
     >>> [round(end, 3) for end in wilson(35, 35)]
     [0.901, 1.0]

@@ -17,7 +17,7 @@ from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
 from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.tasks import TaskSpec
-from rcbht_jax.learning.validation import CrossValidation, cross_validate, repeated_folds
+from rcbht_jax.learning.validation import CrossValidation, cross_validate, majority, repeated_folds
 from rcbht_jax.types import Recordings
 
 QUICK = Grid(kernels=("linear",), costs=(0.1, 1.0), scalings=(False,), inner=2)
@@ -67,9 +67,23 @@ def test_repetitions_of_the_same_folds_are_counted_once():
 def test_folds_that_score_the_same_have_wilsons_interval(value, repeats, folds):
     """Rounding may leave 1e-16 between the ends, which is no width."""
     same = np.full((repeats, folds), value)
-    run = CrossValidation(same, same, [], np.zeros((2, 2), int), 0.25, np.arange(same.size).reshape(same.shape))
+    run = CrossValidation(
+        same, same, [], np.zeros((2, 2), int), 0.25, np.arange(same.size).reshape(same.shape), np.array([10, 10])
+    )
     found = run.summary(20)["accuracy"]
     assert (found["low"], found["high"]) == pytest.approx(wilson(20 * value, 20))
+
+
+def test_stratified_folds_do_not_narrow_the_interval_of_a_rare_class():
+    """Every fold holds one of three failures, so that the most frequent class scores nearly the same in each."""
+    y = np.array([0] * 3 + [1] * 50)
+    run = cross_validate(majority(y), y, repeated_folds(y, np.arange(53), 3, 2, 0))
+    found = run.summary(53)["accuracy"]
+    assert (found["low"], found["high"]) == pytest.approx(wilson(53 * found["mean"], 53))
+    assert run.summary()["accuracy"]["high"] - run.summary()["accuracy"]["low"] < 0.02
+    near = np.array([[0.5, 0.49, 0.5], [0.5, 0.5, 0.5]])  # mean recall: of the three failures, hardly anything is known
+    recall = replace(run, balanced_accuracy=near, split=np.arange(6).reshape(2, 3)).summary(53)["balanced_accuracy"]
+    assert recall["high"] - recall["low"] > 0.4
 
 
 def test_a_class_that_a_fold_cannot_learn_is_named():
