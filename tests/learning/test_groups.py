@@ -98,7 +98,7 @@ def test_a_class_that_a_fold_cannot_learn_is_named():
     assert found.untrained == tuple("abc"[k] for k in np.setdiff1d(y[split[1]], y[split[0]]))
     assert evaluate(made, labels, task, spec, protocol).untrained == ()
     machine = SvmClassifier(probability=True, cv=2, random_state=169)
-    with pytest.raises(InputError, match="A fold holds every group of [abc]; choose other folds"):
+    with pytest.raises(InputError, match="A fold holds every group of"):
         machine.fit(np.random.default_rng(0).normal(size=(8, 2)), part, groups=operator)
 
 
