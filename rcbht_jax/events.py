@@ -120,7 +120,7 @@ class AnomalyRaised(Event):
     """The abnormal class has been certain for the hold time, or the score of a monitor exceeds its threshold."""
 
     head: str  # of the model; "monitor" = a nominal monitor
-    probability: float  # of the class; of a monitor 1 - p-value
+    probability: float  # of the class; of a monitor 1 - p-value, which is not the probability of an anomaly
 
 
 @dataclass(frozen=True)

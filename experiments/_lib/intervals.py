@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 from numpy.typing import NDArray
 
-from rcbht_jax.learning.metrics import wilson
+from rcbht_jax.learning.metrics import has_width, wilson
 
 RESAMPLES = 2000
 
@@ -20,7 +20,7 @@ def with_width(score: dict[str, float], trials: int) -> dict[str, Any]:
         score: of repeated folds, or of one split.
         trials: that were tested.
     """
-    if score["high"] > score["low"]:
+    if has_width(score["low"], score["high"]):
         return {**score, "interval by": "corrected resampled t"}
     return by_trial(score["mean"], trials)
 
@@ -46,6 +46,6 @@ def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: in
     draws = np.random.default_rng(seed).integers(0, len(total), (RESAMPLES, len(total)))
     scores = right[draws].sum(1) / total[draws].sum(1)
     low, high = np.quantile(scores, [0.025, 0.975])
-    if not low < high:
+    if not has_width(low, high):
         return wilson(float(np.mean(correct)) * len(total), len(total))
     return float(low), float(high)

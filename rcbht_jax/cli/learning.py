@@ -158,7 +158,8 @@ class Evaluate(_Learning):
         lines += left_out(result["dropped"])
         if result["untrained"]:
             verb = "is" if len(result["untrained"]) == 1 else "are"
-            lines.append(f"{', '.join(result['untrained'])} {verb} in no training session, so none of it can be right")
+            where = "in no training session" if self.train_on else "tested by a fold that does not train on it"
+            lines.append(f"{', '.join(result['untrained'])} {verb} {where}, so none of it can be right there")
         lines.append(f"{'':24}accuracy (95% interval)    balanced accuracy")
         rows = (
             ("labels + SVM", "score"),

@@ -185,10 +185,21 @@ class MonitorEvaluate(Command):
         return {**result, "without_threshold": without, "needed": trials_needed(self.false_alarms)}
 
     def text(self, result: dict[str, Any]) -> str:
+        from rcbht_jax.learning.metrics import wilson
+
         rows = {"all": result, **result["groups"]}
         width = max(map(len, rows))
         head = f"{'':{width}}  nominal  anomalous  AUROC  false alarms  detected  delay"
         lines = [head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())]
+        false, calm = result["false_alarms_of"]
+        if calm:
+            low, high = wilson(false, calm)
+            lines.append(
+                f"False alarms: {false} of {plural(calm, 'nominal recording')}; 95 % interval {low:.3f} to {high:.3f} "
+                "if recordings of a group are independent."
+            )
+        if early := result["early"]:
+            lines.append(f"{plural(early, 'alarm')} of anomalous recordings came long before the onset: no detection.")
         if result["without_threshold"]:
             lines.append(
                 f"No alarms of {', '.join(result['without_threshold'])}: --false-alarms {self.false_alarms:g} takes "

@@ -102,13 +102,20 @@ class Segment(Command):
         ]
         names = {"macro_f1": "macro F1", "edit": "edit score"}  # as the page has them
         for name, value in result["score"].items():
-            low, high = result["interval"][name]
             unit = " s, median" if name == "delay" else ""
             shown = names.get(name, name).replace("f1@", "F1@")
-            lines.append(f"  {shown:32}{value:.3f} ({low:.3f} to {high:.3f}){unit}")
+            lines.append(f"  {shown:32}{_with_interval(value, *result['interval'][name])}{unit}")
         lines.append(f"  {'most frequent class':32}{result['majority']:.3f}")
         model = [f"{result['model']}: trained on all annotated recordings"] if "model" in result else []
         return "\n".join([*lines, f"{result['protocol']}, {how}", *model])
+
+
+def _with_interval(value: float | None, low: float | None, high: float | None) -> str:
+    """A score and its interval, if it has one of any width."""
+    if value is None:
+        return "-"
+    limits = "" if low is None or high is None or low == high else f" ({low:.3f} to {high:.3f})"
+    return f"{value:.3f}{limits}"
 
 
 def _table(result: Segmentation) -> str:

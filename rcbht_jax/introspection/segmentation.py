@@ -87,7 +87,7 @@ class Segmentation:
         ]  # fmt: skip
 
     def to_json(self) -> dict[str, Any]:
-        """Scores and a description of what was scored."""
+        """Scores and a description of what was scored; None for a delay, or an interval, that there is not."""
         y = np.concatenate(self.truth)
         count, groups = self.protocol.folds_of(self.recordings.column(self.protocol.group)[self.annotated])
         folds = f"{count} folds" if count < groups else "one group held out at a time"
@@ -100,8 +100,8 @@ class Segmentation:
             "recordings": len(self.truth),
             "annotated": int(self.annotated.sum()),
             "protocol": f"{how}, grouped by {self.protocol.group}",
-            "score": self.score.to_json(),
-            "interval": {name: list(ends) for name, ends in self.interval.items()},
+            "score": {name: _known(value) for name, value in self.score.to_json().items()},
+            "interval": {name: [_known(end) for end in ends] for name, ends in self.interval.items()},
             "majority": float(np.bincount(y[y != UNKNOWN]).max() / (y != UNKNOWN).sum()),
         }
 
@@ -163,6 +163,11 @@ def segment(
         *score_and_interval(true, guesses, recordings.dt, drawn),
         whole,
     )
+
+
+def _known(value: float) -> float | None:
+    """A number for JSON, which has no NaN."""
+    return None if np.isnan(value) else value
 
 
 def _annotated(recordings: Recordings, protocol: Protocol) -> tuple[str, list[NDArray[np.int64]]]:

@@ -84,13 +84,27 @@ def first_mean_score(mean: Float[np.ndarray, "item axis"], y: Int[np.ndarray, " 
 
 
 def duration_score(seconds: Float[np.ndarray, " item"], y: Int[np.ndarray, " item"]) -> float:
-    """Balanced accuracy, on the same items, of predicting the class whose median duration is nearest.
+    """Balanced accuracy of predicting the class whose median duration is nearest, each item left out in turn.
 
     >>> duration_score(np.array([1.0, 1.1, 3.0, 2.9]), np.array([0, 0, 1, 1]))
     1.0
     """
     medians = np.array([np.median(seconds[y == c]) for c in range(int(y.max()) + 1)])
-    return metrics.balanced_accuracy(y, np.abs(seconds[:, None] - medians).argmin(1))
+    distance = np.abs(seconds[:, None] - medians)
+    for c in range(len(medians)):
+        own = y == c
+        distance[own, c] = np.abs(seconds[own] - _median_of_others(seconds[own]))
+    return metrics.balanced_accuracy(y, distance.argmin(1))
+
+
+def _median_of_others(values: Float[np.ndarray, " item"]) -> Float[np.ndarray, " item"]:
+    """Median of all values but each one; infinite for a single value."""
+    count = len(values) - 1
+    if not count:
+        return np.full(1, np.inf)
+    place = np.argsort(np.argsort(values))
+    ordered, middle = np.sort(values), ((count - 1) // 2, count // 2)
+    return np.mean([ordered[one + (one >= place)] for one in middle], 0)
 
 
 def _single_samples(items: LabelledIntervals) -> list[str]:

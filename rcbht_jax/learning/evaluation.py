@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
@@ -78,7 +78,7 @@ class EvaluationResult:
     classes: tuple[str, ...]
     items: dict[str, int]  # class -> items, where sessions were chosen those of these
     trials: int
-    untrained: tuple[str, ...]  # classes that are tested, but in no training session
+    untrained: tuple[str, ...]  # classes that are tested where no training item, of sessions or of a fold, has them
     tested: int  # of the trials, or of the protocol's groups
     dropped: dict[str, int]  # reason -> trials left out
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
@@ -250,7 +250,6 @@ def _between_sessions(
 ) -> _Scored:
     """Train on some sessions, test on others."""
     split = _split(items, protocol)
-    trained, tested = (set(items.y[rows].tolist()) for rows in split)
     scores = {
         name: validation.holdout_score(estimator, items.y, items.trial, split, protocol.seed)
         for name, estimator in estimators.items()
@@ -259,7 +258,7 @@ def _between_sessions(
     return _Scored(
         used=np.concatenate(split),
         tested=len(np.unique(items.trial[split[1]])),
-        untrained=tuple(items.classes[k] for k in sorted(tested - trained)),
+        untrained=_untrained(items, [split]),
         summaries={name: one.summary() for name, one in scores.items()},
         fold_accuracy=[[svm.accuracy]],
         confusion=svm.confusion.tolist(),
@@ -286,16 +285,23 @@ def _in_folds(
         name: validation.cross_validate(estimator, items.y, folds, protocol.seed)
         for name, estimator in estimators.items()
     }
-    svm, tested = runs["svm"], len(np.unique(groups))
+    svm = runs["svm"]
+    tested = len(np.unique(groups[np.concatenate([test for _, test in folds[0]])]))  # a splitter need not test all
     return _Scored(
         used=np.arange(len(items.y)),
         tested=tested,
-        untrained=(),
+        untrained=_untrained(items, [split for repeat in folds for split in repeat]),
         summaries={name: run.summary(tested) for name, run in runs.items()},
         fold_accuracy=svm.accuracy.tolist(),
         confusion=svm.confusion.tolist(),
         chosen=[choice for repeat in svm.chosen for choice in repeat],
     )
+
+
+def _untrained(items: LabelledIntervals, splits: Sequence[Split]) -> tuple[str, ...]:
+    """Classes that some split tests and does not train."""
+    missing = {k for train, test in splits for k in np.setdiff1d(items.y[test], items.y[train]).tolist()}
+    return tuple(items.classes[k] for k in sorted(missing))
 
 
 def _split(items: LabelledIntervals, protocol: EvaluationProtocol) -> Split:

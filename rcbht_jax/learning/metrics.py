@@ -21,6 +21,7 @@ Floats = NDArray[np.floating[Any]]
 CERTAINTY_LEVELS = (0.70, 0.75, 0.80, 0.85, 0.90, 0.95)  # the paper's k
 Z = 1.96  # quantile of the normal distribution, for 95 %
 INADMISSIBLE = 0.5  # a belief below this is inadmissible
+NARROWEST = 1e-9  # a narrower interval has no width but that of rounding
 
 
 def accuracy(y_true: Ints, y_pred: Ints) -> float:
@@ -57,36 +58,42 @@ def _same(y_true: Ints, y_pred: Ints) -> None:
         raise InputError(f"{y_true.size} true classes and {y_pred.size} predicted ones cannot be compared.")
 
 
-def corrected_interval(scores: Floats, test_to_train: float, level: float = 0.95) -> tuple[float, float, float]:
+def corrected_interval(
+    scores: Floats, test_to_train: float, level: float = 0.95, split: Ints | None = None
+) -> tuple[float, float, float]:
     """Mean and confidence limits of scores from repeated train/test splits, corrected for their overlap.
 
     Nadeau and Bengio (2003): the variance of the mean of J scores is (1/J + n_test/n_train) s^2, with
-    J - 1 degrees of freedom. Limits are cut to [0, 1], the range of scores.
+    J - 1 degrees of freedom. Limits are cut to [0, 1], the range of scores. A split that is repeated, as folds of a few
+    groups are, tells nothing new: J counts different splits, and s^2 is the variance of their means.
 
     Args:
         scores: one per split, any shape, in [0, 1].
         test_to_train: n_test / n_train, which is 1 / (k - 1) for k folds.
         level: coverage.
+        split: number of each score's split, of the shape of the scores; None = all are different.
 
     Raises:
-        InputError: fewer than two scores.
+        InputError: scores of fewer than two splits.
     """
+    mean = float(scores.mean())
+    if split is not None and split.max(initial=0) + 1 < scores.size:
+        scores = np.bincount(split.ravel(), scores.ravel()) / np.bincount(split.ravel())
     if scores.size < 2:
         raise InputError(f"an interval needs at least two scores; there are {scores.size}.")
     from scipy.special import stdtrit  # a fifth of the time that "rcbht info" takes to start
 
-    mean = float(scores.mean())
     error = np.sqrt((1 / scores.size + test_to_train) * scores.var(ddof=1))
     half = float(stdtrit(scores.size - 1, 0.5 + level / 2) * error)
     return mean, max(0.0, mean - half), min(1.0, mean + half)
 
 
-def wilson(good: float, trials: int) -> tuple[float, float]:
+def wilson(good: float, trials: float) -> tuple[float, float]:
     """95 % interval of a share, never of zero width (Wilson 1927).
 
     Args:
         good: how many of them; may be a fraction, for a trial some of whose items are right.
-        trials: how many, > 0.
+        trials: how many, > 0; a fraction, if they count for so many.
 
     >>> [round(end, 3) for end in wilson(35, 35)]
     [0.901, 1.0]
@@ -95,6 +102,15 @@ def wilson(good: float, trials: int) -> tuple[float, float]:
     middle = (share + spread / 2) / (1 + spread)
     half = Z / (1 + spread) * np.sqrt(share * (1 - share) / trials + spread / (4 * trials))
     return float(max(middle - half, 0.0)), float(min(middle + half, 1.0))
+
+
+def has_width(low: float, high: float) -> bool:
+    """False for an interval whose ends differ by rounding alone, as where all scores are the same.
+
+    >>> has_width(0.7, 0.7000000000000002), has_width(0.7, 0.701)
+    (False, True)
+    """
+    return bool(high - low > NARROWEST)
 
 
 def rule_of_three(trials: int) -> float:

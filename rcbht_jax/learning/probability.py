@@ -113,7 +113,8 @@ def held_out_decisions(
         sample_weight: of the items ``[item]``; None = ones.
 
     Raises:
-        InputError: a class has fewer than two trials, or the splitter does not test every item once.
+        InputError: a class has fewer than two trials, a fold holds them all, or the splitter does not test every item
+            once.
     """
     number = min(folds, fewest_groups(y, groups)) if isinstance(folds, int | np.integer) else folds
     splits = grouped_folds(y, groups, number, seed)
@@ -121,6 +122,10 @@ def held_out_decisions(
         raise InputError(f"{folds} does not test every item exactly once, which held-out decision values need.")
     out = np.empty((len(y), len(classes) * (len(classes) - 1) // 2))
     for train, test in splits:
+        if len(absent := np.setdiff1d(y, y[train])):
+            raise InputError(
+                f"A fold holds every group of {classes[absent[0]]}; choose other folds, or smaller groups."
+            )
         counted = None if sample_weight is None else sample_weight[train]
         out[test] = fit(x[train], y[train], classes, spec, weight, counted).decision(x[test])
     return out

@@ -1,7 +1,8 @@
 """Scores of a segmentation: labels of every sample compared with annotated intervals.
 
 A segment is a maximal run of one label. F1 at an overlap and the edit score are those of Lea et al. 2016, "Segmental
-spatiotemporal CNNs for fine-grained action segmentation"; covering is that of Arbelaez et al. 2011, over time.
+spatiotemporal CNNs for fine-grained action segmentation"; covering is that of Arbelaez et al. 2011, over time, except
+that only segments of the same label cover each other.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.learning.metrics import wilson
+from rcbht_jax.learning.metrics import has_width, wilson
 
 RESAMPLES = 1000
+FEWEST_GROUPS = 8  # of fewer, drawn groups vary too little: half of the intervals from two groups hold the truth
 OVERLAPS = (0.1, 0.25, 0.5)
 UNKNOWN = -1  # of a sample without annotation: it counts nowhere
 
@@ -52,7 +54,8 @@ class SegmentationScore:
         macro_f1: F1 of the samples of each class, averaged over the classes that are annotated.
         f1: of segments, per overlap of OVERLAPS.
         edit: one minus the edit distance of the sequences of labels, over the length of the longer one.
-        covering: mean over annotated segments, weighted by length, of the best overlap with a predicted segment.
+        covering: mean over annotated segments, weighted by length, of the best overlap with a predicted segment of the
+            same label.
         delay: median over annotated segments that are found at all, s from their start to the first sample with their
             label.
         found: share of the annotated segments in which their label occurs.
@@ -99,7 +102,8 @@ def segmentation_interval(
 ) -> dict[str, tuple[float, float]]:
     """95 % interval of every score: percentiles of scores of groups that are drawn with replacement.
 
-    An interval without width, as without a mistake, is Wilson's, with each group counting once.
+    With fewer than eight groups, or without width, as without a mistake, the interval is Wilson's, with each group
+    counting once. The delay, which is no share, has none with fewer than eight groups: both ends are NaN.
 
     Args:
         truth: class of each sample, one array per recording; UNKNOWN = not annotated.
@@ -114,11 +118,11 @@ def segmentation_interval(
         InputError: different shapes, or no annotated sample.
 
     Example:
-        >>> truth = [np.repeat([0, 1], 10)] * 4
-        >>> predicted = [np.repeat([0, 1], (first, 20 - first)) for first in (10, 11, 12, 14)]
-        >>> interval = segmentation_interval(truth, predicted, 0.1, np.arange(4))
+        >>> truth = [np.repeat([0, 1], 10)] * 8
+        >>> predicted = [np.repeat([0, 1], (first, 20 - first)) for first in (10, 10, 11, 11, 11, 12, 12, 14)]
+        >>> interval = segmentation_interval(truth, predicted, 0.1, np.arange(8))
         >>> [round(float(end), 3) for end in interval["accuracy"]]
-        [0.838, 0.975]
+        [0.887, 0.969]
     """
     return score_and_interval(truth, predicted, dt, groups, seed)[1]
 
@@ -129,16 +133,20 @@ def score_and_interval(
     """``segmentation_score`` and ``segmentation_interval`` at once, which compare the labels in the same way."""
     sums = _Sums.of(truth, predicted)
     names, number = np.unique(groups, return_inverse=True)
+    whole = sums.score(np.ones(len(truth), np.int64), dt)
     rng = np.random.default_rng(seed)
     drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), RESAMPLES)  # [draw, group]
     counts = drawn[:, number.reshape(np.shape(groups))].reshape(RESAMPLES, len(truth), -1).prod(-1)
     scores = [sums.score(count, dt).to_json() for count in counts if (count @ sums.samples) > 0]
-    whole = sums.score(np.ones(len(truth), np.int64), dt)
     out = {}
     for name, value in whole.to_json().items():
-        low, high = np.nanquantile([score[name] for score in scores], [0.025, 0.975])
-        if not low < high and name != "delay":
+        known = [score[name] for score in scores if not np.isnan(score[name])]
+        low, high = np.quantile(known, [0.025, 0.975]) if known else (np.nan, np.nan)
+        few = len(names) < FEWEST_GROUPS
+        if name != "delay" and (few or not has_width(low, high)):
             low, high = wilson(value * len(names), len(names))
+        elif few:
+            low, high = np.nan, np.nan
         out[name] = (float(low), float(high))
     return whole, out
 

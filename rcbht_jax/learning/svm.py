@@ -246,14 +246,8 @@ def _solved(
         from sklearn.exceptions import ConvergenceWarning
         from sklearn.svm import SVC
 
-    machine = SVC(
-        C=cost,
-        kernel=kernel,
-        degree=DEGREE,
-        gamma=gamma,
-        class_weight="balanced" if balanced else None,
-        max_iter=iterations,
-    )
+    weight = "balanced" if balanced else None
+    machine = SVC(C=cost, kernel=kernel, degree=DEGREE, gamma=gamma, class_weight=weight, max_iter=iterations)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         return machine.fit(x, y, sample_weight)
@@ -306,10 +300,15 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
 
 
 def _inner_folds(y: Ints, groups: NDArray[Any], most: int, seed: int) -> list[Split]:
-    """Folds of the items whose class has two groups or more; of all, which is an error, if it is one class only."""
+    """Folds of the items whose class has two groups or more."""
     classes = np.unique(y)
     several = classes[groups_of_classes(y, groups, classes) > 1]
-    rows = np.flatnonzero(np.isin(y, several)) if len(several) > 1 else np.arange(len(y))
+    if len(several) < 2:
+        raise InputError(
+            f"Kernel, cost and scaling are chosen on the training part, where {len(several) or 'no'} class has two "
+            "trials; it takes two such classes, or one kernel and one cost."
+        )
+    rows = np.flatnonzero(np.isin(y, several))
     folds = grouped_folds(y[rows], groups[rows], min(most, fewest_groups(y[rows], groups[rows])), seed)
     return [(rows[train], rows[test]) for train, test in folds]
 
@@ -334,27 +333,27 @@ def select(
         seed: of the folds.
         weights: of the features ``[feature]``, by name of the matrix, where they do not all weigh the same.
         progress: called with 1 after each fold.
+
+    Raises:
+        InputError: fewer than two classes have two trials or more, and there is something to choose.
     """
     paths = grid.paths(list(candidates))
     if grid.single and len(paths) == 1:
         return paths[0]
     splits = _inner_folds(y, groups, grid.inner, seed)
     scores = np.zeros((len(paths), len(grid.costs)))
+    score = metrics.balanced_accuracy if grid.balanced else metrics.accuracy
     for train, test in splits:
         scaled, made_for = np.zeros((0, 0)), None
         for i, spec in enumerate(paths):  # all kernels of one matrix follow each other, and share its scaling
             if made_for != (made_for := (spec.features, spec.scaling)):
                 scaled = _scaled(candidates[spec.features], train, spec, (weights or {}).get(spec.features))
             predicted = _predicted(scaled, y, train, test, spec, grid.costs)
-            scores[i] += [_score(y[test], s, grid.balanced) for s in predicted]
+            scores[i] += [score(y[test], s) for s in predicted]
         if progress:
             progress(1)
     best = int(scores.round(9).argmax())
     return replace(paths[best // len(grid.costs)], cost=grid.costs[best % len(grid.costs)])
-
-
-def _score(y_true: Ints, predicted: Ints, balanced: bool) -> float:
-    return metrics.balanced_accuracy(y_true, predicted) if balanced else metrics.accuracy(y_true, predicted)
 
 
 def predictions(

@@ -97,24 +97,32 @@ class CrossValidation:
     chosen: list[list[dict[str, Any]]]  # [repeat][fold] hyper-parameters
     confusion: Int[np.ndarray, "true predicted"]  # summed over folds and repeats
     test_to_train: float  # ratio of their sizes
+    split: Int[np.ndarray, "repeat fold"]  # number of the test set among the different ones
+    items: Int[np.ndarray, " class"]  # tested ones, of the classes that are tested
 
     def summary(self, trials: int = 0) -> dict[str, Any]:
         """min / mean / max over the folds of a run (averaged over repeats), and corrected 95% intervals.
 
         Args:
-            trials: that were tested; where all folds score the same, the interval is Wilson's for so many. 0 = none.
+            trials: that were tested; where all folds score the same, the interval is Wilson's for so many, and it is
+                nowhere narrower than Wilson's of independent items, as stratified folds of a rare class would make it.
+                0 = neither.
         """
+        alike = len(self.items) ** 2 / (1 / self.items).sum()  # items of equal classes that say as much of mean recall
         return {
-            "accuracy": _interval(self.accuracy, self.test_to_train, trials),
-            "balanced_accuracy": _interval(self.balanced_accuracy, self.test_to_train, trials),
+            "accuracy": _interval(self.accuracy, self, trials, float(self.items.sum())),
+            "balanced_accuracy": _interval(self.balanced_accuracy, self, trials, float(alike)),
             "fold_min_mean_max": [float(f(self.accuracy, axis=1).mean()) for f in (np.min, np.mean, np.max)],
         }
 
 
-def _interval(scores: NDArray[np.float64], ratio: float, trials: int) -> dict[str, float]:
-    mean, low, high = metrics.corrected_interval(scores, ratio)
-    if trials and not low < high:
+def _interval(scores: NDArray[np.float64], run: CrossValidation, trials: int, items: float) -> dict[str, float]:
+    mean, low, high = metrics.corrected_interval(scores, run.test_to_train, split=run.split)
+    if trials and not metrics.has_width(low, high):
         low, high = metrics.wilson(mean * trials, trials)
+    elif trials:
+        least = metrics.wilson(mean * items, items)
+        low, high = min(low, least[0]), max(high, least[1])
     return {"mean": mean, "low": low, "high": high}
 
 
@@ -154,7 +162,10 @@ def cross_validate(estimator: Estimator, y: Ints, splits: Sequence[Sequence[Spli
     sizes = np.array([(len(train), len(test)) for train, test in splits[0]])
     partition = len(sizes) > 1 and sizes[:, 1].sum() == len(y)
     ratio = 1 / (len(sizes) - 1) if partition else float(np.mean(sizes[:, 1] / sizes[:, 0]))
-    return CrossValidation(plain, balanced, chosen, table, ratio)
+    known: dict[bytes, int] = {}
+    tests = [[known.setdefault(np.sort(test).tobytes(), len(known)) for _, test in folds] for folds in splits]
+    counts = np.unique(y[np.unique(np.concatenate([test for _, test in splits[0]]))], return_counts=True)[1]
+    return CrossValidation(plain, balanced, chosen, table, ratio, np.array(tests), counts)
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,22 @@ def test_alarms_are_those_of_the_monitor(store: Path, model: Path, capsys: pytes
         assert (alarms[trial]["time"] if trial in alarms else np.inf) == pytest.approx(moment)
 
 
+def test_an_evaluation_prints_intervals_and_early_alarms(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An alarm before the onset is neither false nor a detection, and must not vanish."""
+    recordings = read_recordings(store)
+    late = np.where(recordings.outcome == "failure", "2.3", "")
+    path = store.parent / "late.zarr"
+    write_recordings(path, replace(recordings, columns={**recordings.columns, "began": late}), {})
+    words = ["monitor", "evaluate", str(path), "--where", "skill=5", "--group", "day", "--false-alarms", "0.1"]
+    capsys.readouterr()
+    assert main([*words, "--onset", "began"]) == 0
+    said = capsys.readouterr().out
+    assert "6 alarms of anomalous recordings came long before the onset: no detection." in said
+    assert "of 18 nominal recordings; 95 % interval 0." in said
+    assert main(words) == 0
+    assert "before the onset" not in capsys.readouterr().out
+
+
 def test_values_are_compared_of_axes_without_a_bias(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings = read_recordings(store)
     wrench = recordings.wrench.copy()

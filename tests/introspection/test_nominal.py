@@ -176,6 +176,19 @@ def test_false_alarms_of_new_recordings_are_as_promised(calibration: str) -> Non
     assert alpha - 0.08 - 3 * error < np.mean(alarms) < alpha + 3 * error
 
 
+def test_what_sets_an_exact_threshold_has_no_part_in_the_monitor() -> None:
+    """The axes whose values are compared are chosen on the training half, as all else is."""
+    rng, days = np.random.default_rng(0), np.repeat(np.arange(3), 8)
+    series = rng.normal(size=(24, 30, 2))
+    monitor = NominalMonitor(calibration="split").fit(series, groups=days)
+    held = np.setdiff1d(np.arange(24), np.random.default_rng(0).permutation(24)[:12])
+    biased = series.copy()
+    biased[held] += 50.0 * days[held, None, None]
+    again = NominalMonitor(calibration="split").fit(biased, groups=days)
+    assert monitor.levels_ == again.levels_ == (0, 1)
+    assert np.array_equal(monitor.bank_.described, again.bank_.described)
+
+
 def test_a_threshold_that_cannot_be_promised_is_refused() -> None:
     monitor = NominalMonitor().fit(pushes(8, 0))
     assert len(monitor.peaks_) == 8

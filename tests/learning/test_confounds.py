@@ -6,6 +6,8 @@ import doctest
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rcbht_jax.features import Intervals
 from rcbht_jax.learning import confounds as module
@@ -31,6 +33,19 @@ def test_balanced_data_is_told_nothing():
         confounds(labelled("ABABABAB", [20, 20, 30, 30] * 2, [0, 0, 1, 1, 1, 1, 0, 0]), WrenchFacts.of(recordings))
         == ()
     )
+
+
+def test_durations_predict_items_that_had_no_part_in_the_medians():
+    """With each item in its own class's median, all four would be right."""
+    score = module.duration_score(np.array([1.0, 3.0, 3.1, 5.0]), np.array([0, 0, 1, 1]))
+    assert score == 0.5
+    assert module.duration_score(np.array([1.0, 3.0, 3.1]), np.array([0, 0, 1])) == 0.25  # nothing is left of a class
+
+
+@given(st.lists(st.integers(0, 5), min_size=2, max_size=9))
+def test_the_median_of_the_others_is_what_numpy_says(values):
+    each = [np.median(np.delete(values, one)) for one in range(len(values))]
+    assert module._median_of_others(np.array(values, float)) == pytest.approx(each)
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 from sklearn.ensemble import RandomForestClassifier
-from sklearn.model_selection import GridSearchCV, GroupKFold
+from sklearn.model_selection import GridSearchCV, GroupKFold, GroupShuffleSplit
 
 from rcbht_jax import StateClassifier, SvmClassifier, encode
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
-from rcbht_jax.learning.svm import Grid
+from rcbht_jax.learning.metrics import wilson
+from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.tasks import TaskSpec
+from rcbht_jax.learning.validation import CrossValidation, cross_validate, majority, repeated_folds
 from rcbht_jax.types import Recordings
 
 QUICK = Grid(kernels=("linear",), costs=(0.1, 1.0), scalings=(False,), inner=2)
@@ -45,6 +47,71 @@ def test_no_fold_divides_what_the_group_names():
         scored(group="day")
     with pytest.raises(InputError, match="grouped by operator, but sessions"):
         scored(group="operator", train_on=("A",), test_on=("B",))
+
+
+def test_repetitions_of_the_same_folds_are_counted_once():
+    """Two operators can be divided in one way only, so ten repetitions measure the same as one."""
+    y, operator = np.tile([0, 1], 20), np.repeat([0, 1], 20)
+    guess = np.where(np.arange(40) % 10 < 4 + 2 * operator, y, 1 - y)  # 40 % of ana's, 60 % of bo's are right
+
+    def interval(repeats: int) -> dict[str, float]:
+        folds = repeated_folds(y, operator, 2, repeats, 0)
+        return cross_validate(lambda train, test, seed: (guess[test], {}), y, folds).summary(2)["accuracy"]
+
+    once, often = interval(1), interval(10)
+    assert (once["low"], once["high"]) == (0, 1)
+    assert often == pytest.approx(once)
+
+
+@pytest.mark.parametrize(("value", "repeats", "folds"), [(0.9, 3, 5), (0.7, 10, 5), (2 / 3, 10, 5)])
+def test_folds_that_score_the_same_have_wilsons_interval(value, repeats, folds):
+    """Rounding may leave 1e-16 between the ends, which is no width."""
+    same = np.full((repeats, folds), value)
+    run = CrossValidation(
+        same, same, [], np.zeros((2, 2), int), 0.25, np.arange(same.size).reshape(same.shape), np.array([10, 10])
+    )
+    found = run.summary(20)["accuracy"]
+    assert (found["low"], found["high"]) == pytest.approx(wilson(20 * value, 20))
+
+
+def test_stratified_folds_do_not_narrow_the_interval_of_a_rare_class():
+    """Every fold holds one of three failures, so that the most frequent class scores nearly the same in each."""
+    y = np.array([0] * 3 + [1] * 50)
+    run = cross_validate(majority(y), y, repeated_folds(y, np.arange(53), 3, 2, 0))
+    found = run.summary(53)["accuracy"]
+    assert (found["low"], found["high"]) == pytest.approx(wilson(53 * found["mean"], 53))
+    assert run.summary()["accuracy"]["high"] - run.summary()["accuracy"]["low"] < 0.02
+    near = np.array([[0.5, 0.49, 0.5], [0.5, 0.5, 0.5]])  # mean recall: of the three failures, hardly anything is known
+    recall = replace(run, balanced_accuracy=near, split=np.arange(6).reshape(2, 3)).summary(53)["balanced_accuracy"]
+    assert recall["high"] - recall["low"] > 0.4
+
+
+def test_a_class_that_a_fold_cannot_learn_is_named():
+    y = np.array([1, 2, 1, 0, 0, 1, 2, 1])
+    operator = np.array([0, 2, 0, 4, 0, 0, 1, 1])
+    part = np.array(["a", "b", "c"])[y]
+    made = Recordings.from_arrays(np.random.default_rng(0).normal(size=(8, 400, 6)), part=part, operator=operator)
+    protocol = EvaluationProtocol(folds=2, repeats=1, seed=169, grid=Grid(("linear",), (1.0,), (True,)))
+    task, spec, labels = TaskSpec("part"), FeatureSpec(("histogram",)), encode(made.wrench, rate=200)
+    found = evaluate(made, labels, task, spec, replace(protocol, group="operator"))
+    (split,) = [(train, test) for train, test in grouped_folds(y, operator, 2, 169) if len(np.unique(y[train])) < 3]
+    assert found.untrained == tuple("abc"[k] for k in np.setdiff1d(y[split[1]], y[split[0]]))
+    assert evaluate(made, labels, task, spec, protocol).untrained == ()
+    machine = SvmClassifier(probability=True, cv=2, random_state=169)
+    with pytest.raises(InputError, match="A fold holds every group of"):
+        machine.fit(np.random.default_rng(0).normal(size=(8, 2)), part, groups=operator)
+
+
+def test_only_tested_groups_are_counted():
+    made = Recordings.example()
+    splitter = GroupShuffleSplit(2, test_size=0.25, random_state=1)
+    found = evaluate(
+        made, encode(made.wrench, rate=200), TaskSpec("outcome"), FeatureSpec(("histogram",)),
+        EvaluationProtocol(grid=QUICK), splitter=splitter,
+    )  # fmt: skip
+    tests = {trial for _, test in splitter.split(made.trial, groups=made.trial) for trial in test.tolist()}
+    assert found.tested == len(tests) < 8
+    assert found.score["accuracy"]["low"] == pytest.approx(wilson(len(tests), len(tests))[0])
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,16 @@ def test_corrected_interval_by_hand():
     assert (mean, low, high) == pytest.approx((0.6, 0.6 - 3.18245 * 0.0577350, 0.6 + 3.18245 * 0.0577350), rel=1e-5)
 
 
+def test_a_split_that_is_repeated_narrows_no_interval():
+    once = metrics.corrected_interval(np.array([0.5, 0.6, 0.6, 0.7]), 0.25)
+    scores = np.array([[0.5, 0.6, 0.6, 0.7], [0.6, 0.5, 0.7, 0.6]])
+    split = np.array([[0, 1, 2, 3], [1, 0, 3, 2]])
+    assert metrics.corrected_interval(scores, 0.25, split=split) == pytest.approx(once)
+    assert metrics.corrected_interval(scores, 0.25)[1] > once[1]
+    with pytest.raises(InputError, match="there are 1"):
+        metrics.corrected_interval(scores, 0.25, split=np.zeros_like(split))
+
+
 @given(st.lists(st.floats(0, 1), min_size=2, max_size=30), st.floats(0.05, 1))
 def test_corrected_interval_is_wider_than_the_naive_one_and_inside_the_unit_interval(scores, ratio):
     values = np.array(scores)

@@ -87,11 +87,21 @@ def test_two_classes_must_remain(recordings: Recordings, tracks: LabelTracks) ->
         evaluate(recordings, tracks, task, SPEC, EvaluationProtocol(grid=GRID))
 
 
+def test_two_trials_per_class_leave_nothing_to_choose_on() -> None:
+    """A training half then has one of each, which the error must not say of the data."""
+    made = Recordings.example().take(np.array([0, 1, 4, 5]))
+    labels, task = rj.encode(made.wrench, rate=200), TaskSpec("outcome")
+    with pytest.raises(InputError, match="the training part, where no class has two trials"):
+        evaluate(made, labels, task, SPEC, EvaluationProtocol(repeats=1))
+    one = Grid(kernels=("linear",), costs=(1.0,), scalings=(True,))
+    assert evaluate(made, labels, task, SPEC, EvaluationProtocol(repeats=1, grid=one)).tested == 4
+
+
 def test_a_class_of_one_trial_has_no_part_in_the_choice_of_parameters() -> None:
     """As in the training half of two folds, where a class has two trials."""
     x, y = np.random.default_rng(0).normal(size=(21, 2)), np.array([0] * 10 + [1] + [2] * 10)
     x[:, 0] += 5 * y
     rare = select({"noise": x[:, 1:], "signal": x[:, :1]}, y, np.arange(21), GRID, 0)
     assert rare.features == "signal"
-    with pytest.raises(InputError, match="The rarest class has 1 trial"):
+    with pytest.raises(InputError, match="where 1 class has two trials; it takes two such classes"):
         select({"": x[:11]}, y[:11], np.arange(11), GRID, 0)

@@ -107,16 +107,16 @@ def test_samples_without_annotation_count_nowhere():
 def test_intervals_are_percentiles_of_scores_of_drawn_groups(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(segment_metrics, "RESAMPLES", 50)
     rng = np.random.default_rng(3)
-    truth = [rng.integers(-1, 3, 40) for _ in range(6)]
+    truth = [rng.integers(-1, 3, 40) for _ in range(10)]
     guess = [
-        np.where(rng.random(40) < share, part, 1) for share, part in zip(np.linspace(0.3, 0.9, 6), truth, strict=True)
+        np.where(rng.random(40) < share, part, 1) for share, part in zip(np.linspace(0.3, 0.9, 10), truth, strict=True)
     ]
-    groups = np.array(["a", "b", "b", "c", "d", "d"])
+    groups = np.array(list("abbcddefgh"))
     interval = segmentation_interval(truth, guess, 0.5, groups, seed=7)
-    draws = np.random.default_rng(7).multinomial(4, np.full(4, 1 / 4), 50)
+    draws = np.random.default_rng(7).multinomial(8, np.full(8, 1 / 8), 50)
     scores = []
     for draw in draws:
-        rows = [i for i, group in enumerate(groups) for _ in range(draw["abcd".index(group)])]
+        rows = [i for i, group in enumerate(groups) for _ in range(draw["abcdefgh".index(group)])]
         scores.append(segmentation_score([truth[i] for i in rows], [guess[i] for i in rows], 0.5).to_json())
     for name, ends in interval.items():
         assert ends == pytest.approx(np.quantile([score[name] for score in scores], [0.025, 0.975]))
@@ -134,6 +134,29 @@ def test_intervals_of_few_groups_are_wider_and_never_without_width():
     assert width(runs // 6) > 1.5 * width(runs)
     # rows that share a model are not independent either
     assert width(np.stack([runs // 6, runs], 1)) > 1.2 * width(runs)
+    assert width(runs // 2) > 1.5 * width(runs)  # six pairs
     perfect = segmentation_interval(truth, truth, 0.1, runs)
     assert perfect["accuracy"] == wilson(12, 12)
     assert perfect["delay"] == (0, 0)
+    assert np.isnan(segmentation_interval(truth, truth, 0.1, runs // 6)["delay"]).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_rounding_is_no_width_of_an_interval():
+    truth = [np.repeat([0, 1, 2], 10)] * 9
+    same = segmentation_interval(truth, [np.ones(30, int)] * 9, 0.1, np.arange(9))  # an edit score of 1/3 in every one
+    assert same["edit"] == pytest.approx(wilson(3, 9))
+    wrong = segmentation_interval(truth, [np.full(30, 3)] * 9, 0.1, np.arange(9))
+    assert np.isnan(wrong["delay"]).all()
+
+
+def test_intervals_from_few_groups_hold_the_truth():
+    """Two operators, whose accuracies are drawn: drawing them again finds no more than the range between them."""
+    rng, truth = np.random.default_rng(0), [np.repeat([0, 1], 50)] * 2
+    held = []
+    for _ in range(40):
+        right = rng.random((2, 100)) < np.clip(rng.normal(0.8, 0.08, (2, 1)), 0, 1)
+        guess = [np.where(good, part, 1 - part) for good, part in zip(right, truth, strict=True)]
+        low, high = segmentation_interval(truth, guess, 0.1, np.arange(2))["accuracy"]
+        held.append(low < 0.8 < high)
+    assert np.mean(held) > 0.9
