@@ -323,13 +323,13 @@ def test_a_file_that_cannot_grow_leaves_nothing(kind: str, data: DataSet, tmp_pa
 
 def test_card_counts_and_warns(data: DataSet, tmp_path: Path) -> None:
     twice = dataclasses.replace(
-        signals(), wrench=np.repeat(signals().wrench[:1], 3, 0), length=np.array([400, 400, 200], np.int32),
-        outcome=np.array(["success", "success", "failure"]), session=np.array(["A", "A", "B"]),
+        simple(4, 400), wrench=np.repeat(signals().wrench[:1], 4, 0), length=np.array([400, 400, 200, 199], np.int32),
+        outcome=np.repeat(["success", "failure"], 2), session=np.repeat(["A", "B"], 2),
     )  # fmt: skip
-    twice.wrench[2, 200:] = 0
+    twice.wrench[2, 200:] = twice.wrench[3, 199:] = 0
     export(DataSet.of(twice), tmp_path / "out", "csv")
     text = (tmp_path / "out/README.md").read_text()
-    assert "| set | A | success | R | 1 | 2.00 / 2.00 / 2.00 |" in text
+    assert "| set | A | success | R | 2 | 2.00 / 2.00 / 2.00 |" in text
     assert "Task outcome: No session holds more than one class: A (success), B (failure);" in text
     assert "with a balanced accuracy of 100%" in text
     assert "Exact copies of another recording: 1;" in text
