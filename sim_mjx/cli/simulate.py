@@ -82,9 +82,15 @@ class Simulate(Command):
             "",
         ),
     ] = None
-    window: Annotated[int | None, unset(metavar="INT")] = None
-    """Also encode the trials, with this many samples per linear fit: the camera snap during the simulation, as "rcbht
-    encode --robot hiro" does, other assemblies afterwards, as "rcbht encode" does."""
+    window: Annotated[
+        int | None,
+        option(
+            "Also encode the trials, with this many samples per linear fit: the camera snap during the simulation, as "
+            '"rcbht encode --robot hiro" does, other assemblies afterwards, as "rcbht encode" does.',
+            "",
+            metavar="INT",
+        ),
+    ] = None
     physical: Annotated[Path | None, unset(metavar="FIT.json"), FIT] = None
     """File of "rcbht fidelity fit" with physical parameters, in place of the preset's."""
     compile_cache: CompileCache = None
