@@ -159,8 +159,10 @@ def layout_of(scene: Scene) -> Layout:
 @single
 def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]:
     """The scene's model on the device, and data of one trial; Warp's kernels step at most ``count`` at once."""
-    contacts, rows = most_contacts(scene.model)
-    sizes = {"naconmax": count * contacts, "njmax": rows} if impl == "warp" else {}
+    sizes = {}
+    if impl == "warp":
+        contacts, rows = most_contacts(scene.model)
+        sizes = {"naconmax": count * contacts, "njmax": rows}
     compiled = copy.copy(scene.model)
     compiled.opt.tolerance = max(compiled.opt.tolerance, TOLERANCE)
     compiled.opt.iterations = min(compiled.opt.iterations, SOLVER[0])
