@@ -200,18 +200,18 @@ def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
 def measure(w: Watched, repeats: int, seed: int, jobs: int = 1) -> dict[str, Any]:
     """All numbers of a preset."""
     with ThreadPoolExecutor(jobs) as pool:  # training releases Python's lock
-        made = pool.map(partial(run, w), range(seed, seed + repeats))
-        runs = list(tqdm(made, total=repeats, file=sys.stderr, disable=None))
+        coming = pool.map(partial(run, w), range(seed, seed + repeats))
+        runs = list(tqdm(coming, total=repeats, file=sys.stderr, disable=None))
     return {
         "nominal trials": int((w.trials.kind == NOMINAL).sum()),
         "of them seated": int(w.trials.nominal.sum()),
         **false_alarms(w.trials, runs),
-        "hold of each repeat, s": [run.monitor.hold for run in runs],
+        "hold of each repeat, s": [made.monitor.hold for made in runs],
         "alarm levels of each repeat: insertion, mating, settled": [
-            [round(level, 3) for level in run.monitor.levels.values()] for run in runs
+            [round(level, 3) for level in made.monitor.levels.values()] for made in runs
         ],
         "longest approach and insertion, s": [
-            [round(limit, 2) for limit in run.monitor.limits.values()] for run in runs
+            [round(limit, 2) for limit in made.monitor.limits.values()] for made in runs
         ],
         "moment about z in the last second of mating, Nm": moments(w.trials),
         "kinds": table(w.trials, runs),

@@ -366,12 +366,12 @@ def test_connections_are_bounded(monkeypatch):
     """Beyond the bound the connections that hold back their request for the longest time make room."""
     monkeypatch.setattr(live_page, "CONNECTIONS", 3)
     with PageServer(Session(Introspector(model())), port=0) as server:
-        address = server.server_address[:2]
+        address, before = server.server_address[:2], threading.active_count()
         clients = [socket.create_connection(address) for _ in range(6)]
         for client in clients[:3]:
             client.settimeout(5)
             assert client.recv(1) == b""
-        assert threading.active_count() < 20
+        assert threading.active_count() <= before + 4  # three, and one that is ending
         assert ask(server, "GET", "/")[0] == 200  # while three others still hold back their requests
         assert ask(server, "GET", "/")[0] == 200
         for client in clients:

@@ -34,12 +34,13 @@ def test_a_program_is_compiled_once_for_a_shape_and_a_static_argument() -> None:
 
 
 def test_options_go_to_the_compiler_of_a_cpu_alone(afresh: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert compiling.compiler_options("cpu") == {"xla_cpu_use_fusion_emitters": False}
+    known = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
+    assert compiling.compiler_options("cpu") == known
     assert compiling.compiler_options("cuda") == {}
     given = []
     monkeypatch.setattr(compiling.jax, "jit", lambda function, **options: given.append(options))
     compiling.jit(donate_argnums=1)(lambda x, y: x + y).on("cpu")
-    assert given == [{"compiler_options": {"xla_cpu_use_fusion_emitters": False}, "donate_argnums": 1}]
+    assert given == [{"compiler_options": known, "donate_argnums": 1}]
 
 
 def test_a_version_of_jax_without_the_option_gets_none(afresh: None, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,8 +38,8 @@ def description(data: DataSet) -> dict[str, Any]:
         "axes": dict(zip(data.recordings.axes, data.recordings.units, strict=True)),
         "annotations": {track: list(names) for track, names in data.recordings.annotations.labels.items()},
         "column_types": {
-            name: "text" if values.dtype.kind == "U" else str(values.dtype)
-            for name, values in data.recordings.columns.items()
+            column: "text" if values.dtype.kind == "U" else str(values.dtype)
+            for column, values in data.recordings.columns.items()
         },
         "recordings": len(data.recordings),
         "columns": COLUMNS,
