@@ -103,7 +103,7 @@ class Experiment:
         items, asked = self.items(question), QUESTIONS[question]
         if not asked.hold_out:
             return validation.repeated_folds(items.y, items.trial, FOLDS, self.repeats, self.seed)
-        return [held_out(items, asked.classes[1], self.seed + repeat) for repeat in range(self.repeats)]
+        return [held_out(items, asked.classes[1], one) for one in validation.repeat_seeds(self.seed, self.repeats)]
 
 
 def held_out(items: LabelledIntervals, sessions: tuple[str, ...], seed: int) -> list[Split]:

@@ -138,7 +138,7 @@ def score(
 ) -> dict[str, Any]:
     """Repeated folds, each repeat on its own rows."""
     runs = []
-    for one in range(seed, seed + repeats):
+    for one in validation.repeat_seeds(seed, repeats):
         rows = drawn(items, balanced, one)
         y, trial = items.y[rows], items.trial[rows] if grouped else np.arange(len(rows))
         runs.append(validation.cross_validate(learn(rows), y, [grouped_folds(y, trial, FOLDS, one)], one).accuracy)

@@ -55,7 +55,7 @@ def folds_of(splitter: Any, y: method.Rows) -> list[Split]:
 
 def repeated_folds(y: method.Rows, repeats: int, seed: int) -> list[list[Split]]:
     """Stratified folds ``[repeat][fold]``."""
-    seeds = range(seed, seed + repeats)
+    seeds = validation.repeat_seeds(seed, repeats)
     return [folds_of(StratifiedGroupKFold(FOLDS, shuffle=True, random_state=one), y) for one in seeds]
 
 

@@ -48,6 +48,7 @@ from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.scaling import fit_scale
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
+from rcbht_jax.learning.validation import repeat_seeds
 from rcbht_jax.types import Recordings
 
 LAST = 0.1  # s of wrench that the baseline uses
@@ -256,7 +257,7 @@ def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "belief of the method": method.streamed["belief"],
         "repeats": repeats,
     }
-    seeds = range(seed, seed + repeats)
+    seeds = repeat_seeds(seed, repeats)
     wanted: dict[str, Callable[[], Any]] = {
         name: partial(row, streams[source], sessions, seeds) for name, (source, sessions) in SPLITS.items()
     }
