@@ -58,7 +58,7 @@ AFTER_LOOKING = (
     "train, which is so for skills 3, 4 and 5 and not for skill 7 (.992, .966). Look 5: levels of the channels whose "
     "offset between days is less than a half, the same, or twice the spread within a day (.974, .992, .969; .966 "
     "each), instead of the tactile ones by name. Chosen then: a half, by the false alarms of skills 3 and 4 (12, 23 "
-    "and 24 of 211)."
+    "and 24 of 211, by the threshold of that time)."
 )
 WORDS = labels.MEANING["llb"]
 ALPHA = 0.05
