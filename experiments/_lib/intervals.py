@@ -13,27 +13,33 @@ from rcbht_jax.learning.metrics import has_width, wilson
 RESAMPLES = 2000
 
 
-def with_width(score: dict[str, float], trials: int) -> dict[str, Any]:
+def with_width(score: dict[str, Any], trials: int) -> dict[str, Any]:
     """A score with ``mean``, ``low`` and ``high``; where the ends coincide they are Wilson's, by trial.
 
     Args:
         score: of repeated folds, or of one split.
-        trials: that were tested.
+        trials: that were tested; 0 = what is measured cannot vary, and has no interval where the ends coincide.
     """
     if has_width(score["low"], score["high"]):
-        return {**score, "interval by": "corrected resampled t"}
-    return by_trial(score["mean"], trials)
+        return {**score, "interval by": score.get("interval by", "corrected resampled t")}
+    return by_trial(score["mean"], trials) if trials else {"mean": score["mean"]}
+
+
+def of_folds(summary: dict[str, Any], trials: int) -> dict[str, Any]:
+    """What ``CrossValidation.summary`` gives, each score ``with_width``."""
+    return {name: with_width(part, trials) if isinstance(part, dict) else part for name, part in summary.items()}
+
+
+def without(summary: dict[str, Any]) -> dict[str, Any]:
+    """Scores without their intervals: the share of the most frequent class is fixed by construction."""
+    return {name: {"mean": part["mean"]} if isinstance(part, dict) and "mean" in part else part
+            for name, part in summary.items()}  # fmt: skip
 
 
 def by_trial(mean: float, trials: int) -> dict[str, Any]:
     """A share of items right with Wilson's interval, each trial counting once: items of a trial are not independent."""
     low, high = wilson(mean * trials, trials)
     return {"mean": mean, "low": low, "high": high, "interval by": "Wilson, by trial"}
-
-
-def tested(headline: dict[str, Any], benchmark: str) -> int:
-    """Trials of a benchmark that was tested once, from the result "headline"."""
-    return int(headline["rows"][f"{benchmark} | frozen"]["trials tested"])
 
 
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:

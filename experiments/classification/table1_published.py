@@ -86,14 +86,16 @@ def resampled(golden: Path, row: str, count: int, seed: int) -> Iterator[tuple[D
 def run(golden: Path, row: str, grid: Grid, grouped: bool, count: int, seed: int) -> dict[str, Any]:
     """Scores of one cell of the table."""
     runs: list[CrossValidation] = []
+    trials = 0
     began = time.perf_counter()
     for (x, y, trial), one_seed in resampled(golden, row, count, seed):
+        trials = len(np.unique(trial))
         groups = trial if grouped else np.arange(len(y))
         folds = grouped_folds(y, groups, FOLDS, one_seed)
         runs.append(cross_validate(nested_svm({"": x}, y, groups, grid), y, [folds], one_seed))
     scores = np.concatenate([r.accuracy for r in runs])
     return {
-        **with_interval(scores, 1 / (FOLDS - 1), places=4),
+        **with_interval(scores, 1 / (FOLDS - 1), places=4, trials=trials),
         "fold_min_mean_max": [round(float(f(scores, axis=1).mean()), 4) for f in (np.min, np.mean, np.max)],
         "seconds": round(time.perf_counter() - began, 1),
     }

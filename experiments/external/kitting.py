@@ -41,6 +41,7 @@ from rcbht_jax.introspection.alarms import conformal_threshold, trials_needed
 from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import FEWEST, Watched, auroc, hold_out, judge
 from rcbht_jax.introspection.nominal_peers import IsolationForestMonitor, QuantileBand
+from rcbht_jax.learning.metrics import has_width, wilson
 from rcbht_jax.types import Recordings
 
 CHANNELS = tuple(KITTING)
@@ -133,7 +134,10 @@ def thresholds(watched: dict[str, Watched]) -> dict[str, float]:
 
 
 def interval(one: Watched, rng: np.random.Generator) -> list[float] | None:
-    """95 % interval of the AUROC, both kinds drawn with replacement; None = one kind is missing."""
+    """95 % interval of the AUROC, both kinds drawn with replacement; None = one kind is missing.
+
+    Without width, as where no executions are in the wrong order, it is Wilson's for the fewer of the two.
+    """
     peak, draws = one.peaks(), []
     kinds = [np.flatnonzero(one.seen & one.nominal), np.flatnonzero(one.seen & ~one.nominal)]
     if not all(map(len, kinds)):
@@ -141,7 +145,11 @@ def interval(one: Watched, rng: np.random.Generator) -> list[float] | None:
     for _ in range(BOOTSTRAP):
         rows = np.concatenate([rng.choice(kind, len(kind)) for kind in kinds])
         draws.append(auroc(one.nominal[rows], peak[rows]))
-    return np.quantile(np.array(draws, float), [0.025, 0.975]).tolist()
+    fewer, known = min(map(len, kinds)), np.array(draws, float)
+    ends = np.quantile(known, [0.025, 0.975])
+    if has_width(*ends):
+        return ends.tolist()
+    return list(wilson(known.mean() * fewer, fewer))
 
 
 def in_words(recordings: Recordings) -> Recordings:

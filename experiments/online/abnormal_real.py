@@ -165,7 +165,10 @@ def measure(w: Watched, row: str, x: Floats, repeats: int, seed: int) -> dict[st
     for s in tqdm(repeat_seeds(seed, repeats), desc=row, file=sys.stderr, disable=None):
         for train, test in SPLITS[row](session, np.random.default_rng(s)):
             runs.append(score(w, x, y, train, test, s))
-    return {name: with_interval([run[name] for run in runs]) for name in runs[0]}
+    classes = ("A", "B") if row == "sessions" else ("C", "AB")  # that count as failures and as successes
+    tested = [sum(str(one) in kind for one in session) for kind in classes]
+    counts = dict(zip(("failures alarmed", "successes alarmed"), tested, strict=True))
+    return {name: with_interval([run[name] for run in runs], trials=counts.get(name, sum(tested))) for name in runs[0]}
 
 
 def streamed() -> tuple[Watched, dict[str, NDArray[np.bool_]]]:

@@ -103,7 +103,7 @@ def segmentation_interval(
     """95 % interval of every score: percentiles of scores of groups that are drawn with replacement.
 
     With fewer than eight groups, or without width, as without a mistake, the interval is Wilson's, with each group
-    counting once. The delay, which is no share, has none with fewer than eight groups: both ends are NaN.
+    counting once. The delay, which is no share, then has none: both ends are NaN.
 
     Args:
         truth: class of each sample, one array per recording; UNKNOWN = not annotated.
@@ -142,11 +142,8 @@ def score_and_interval(
     for name, value in whole.to_json().items():
         known = [score[name] for score in scores if not np.isnan(score[name])]
         low, high = np.quantile(known, [0.025, 0.975]) if known else (np.nan, np.nan)
-        few = len(names) < FEWEST_GROUPS
-        if name != "delay" and (few or not has_width(low, high)):
-            low, high = wilson(value * len(names), len(names))
-        elif few:
-            low, high = np.nan, np.nan
+        if len(names) < FEWEST_GROUPS or not has_width(low, high):
+            low, high = (np.nan, np.nan) if name == "delay" else wilson(value * len(names), len(names))
         out[name] = (float(low), float(high))
     return whole, out
 
