@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 from numpy.typing import NDArray
 
-from rcbht_jax.learning.metrics import has_width, wilson
+from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
 
 RESAMPLES = 2000
 
@@ -43,7 +43,7 @@ def by_trial(mean: float, trials: int) -> dict[str, Any]:
 
 
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
-    """95 % percentile bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
+    """95 % bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
 
     Where it has no width, as without a mistake, the interval is Wilson's, each group counting once.
     """
@@ -51,7 +51,5 @@ def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: in
     right, total = np.bincount(number, correct), np.bincount(number)
     draws = np.random.default_rng(seed).integers(0, len(total), (RESAMPLES, len(total)))
     scores = right[draws].sum(1) / total[draws].sum(1)
-    low, high = np.quantile(scores, [0.025, 0.975])
-    if not has_width(low, high):
-        return wilson(float(np.mean(correct)) * len(total), len(total))
-    return float(low), float(high)
+    low, high = percentile_interval(scores, len(total))
+    return (low, high) if has_width(low, high) else wilson(float(np.mean(correct)) * len(total), len(total))

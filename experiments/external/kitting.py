@@ -41,7 +41,7 @@ from rcbht_jax.introspection.alarms import conformal_threshold, trials_needed
 from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import FEWEST, Watched, auroc, hold_out, judge
 from rcbht_jax.introspection.nominal_peers import IsolationForestMonitor, QuantileBand
-from rcbht_jax.learning.metrics import has_width, wilson
+from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
 from rcbht_jax.types import Recordings
 
 CHANNELS = tuple(KITTING)
@@ -146,9 +146,8 @@ def interval(one: Watched, rng: np.random.Generator) -> list[float] | None:
         rows = np.concatenate([rng.choice(kind, len(kind)) for kind in kinds])
         draws.append(auroc(one.nominal[rows], peak[rows]))
     fewer, known = min(map(len, kinds)), np.array(draws, float)
-    ends = np.quantile(known, [0.025, 0.975])
-    if has_width(*ends):
-        return ends.tolist()
+    if fewer > 1 and has_width(*(ends := percentile_interval(known, fewer))):
+        return list(ends)
     return list(wilson(known.mean() * fewer, fewer))
 
 
