@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int, Shaped
 from numpy.typing import NDArray
 
 from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
@@ -40,6 +40,19 @@ def by_trial(mean: float, trials: int) -> dict[str, Any]:
     """A share of items right with Wilson's interval, each trial counting once: items of a trial are not independent."""
     low, high = wilson(mean * trials, trials)
     return {"mean": mean, "low": low, "high": high, "interval by": "Wilson, by trial"}
+
+
+def drawn(groups: int, seed: int) -> Int[np.ndarray, "draw group"]:
+    """How often each group counts, where as many are drawn with replacement."""
+    return np.random.default_rng(seed).multinomial(groups, np.full(groups, 1 / groups), RESAMPLES)
+
+
+def sums(values: Shaped[np.ndarray, "item ..."], groups: NDArray[Any]) -> Float[np.ndarray, "group ..."]:
+    """Sums over the items of each group."""
+    number = np.unique(groups, return_inverse=True)[1]
+    out = np.zeros((number.max() + 1, *values.shape[1:]))
+    np.add.at(out, number, values)
+    return out
 
 
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:

@@ -31,7 +31,7 @@ WITH_INTERVALS = (
     "peers-folds", "peers-sessions", "grammar-folds", "grammar-sessions", "calibration", "calibration-near",
     "calibration-bank", "probes", "two-arm", "ablations", "online", "detected", "abnormal", "failure-types",
     "external-kitting", "external-first", "external-caps", "fit-classes", "fit-transfer", "faults-across",
-    "frozen-choice",
+    "frozen-choice", "types-across-recall", "time-known",
 )  # fmt: skip
 # Pages whose scores are all generated.
 BY_HAND = (
@@ -78,7 +78,7 @@ CELLS = [
     ("zero-shot", "four states | frozen", "A", ".3f zero_shot > rows > four states | frozen > A > mean"),
     ("failure-calibration", "richer words | by progress", "quarter 4",
      ".3f failure_calibration > rows > richer words > by progress > quarter 4 > likeliest"),
-    ("time-known", "SIM1", "rotation", ".3f causal > rows > time known, SIM1 > rotation"),
+    ("time-known", "SIM1", "rotation", ".3f causal > rows > time known, SIM1 > rotation > mean"),
     ("peers-folds", "MiniRocket + ridge", "SIM1 states",
      ".3f peers > rows > SIM1 states | MiniRocket + ridge > accuracy > mean"),
     ("external-failures", "MiniRocket", "LP4", ".3f external_failures > rows > lp4 | MiniRocket > accuracy > mean"),
@@ -130,7 +130,7 @@ CELLS = [
      ".3f will_it_seat > rows > hooked-B | belief in the outcome > said at 0.5 > missing-tab > specificity > mean"),
     ("types-across", "simulated types alone", "loaded to at rest",
      ".3f types_across > rows > begins loaded to begins at rest | simulated types alone > score > mean"),
-    ("types-across-recall", "-y", "within loaded", ".2f types_across > rows > within | begins loaded > recall > -y"),
+    ("types-across-recall", "-y", "within loaded", ".3f types_across > rows > within | begins loaded > recall > -y"),
     ("fit-tried-rate", "SIM1 | shared breaks", "numbers",
      ".2f fit_tried > rows > rate | SIM1 | shared breaks > numbers per second at residual > 0.01"),
     ("fit-tried-noise", "SIM1 | noise tracked at rest", "1",
