@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from experiments._lib.catalogue import DATA
+from experiments._lib.intervals import of_folds, with_width
 from experiments._lib.tasks import failure_types, states
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -70,7 +71,8 @@ class Benchmark:
         if self.train_on:
             scores = validation.holdout_score(learner, items.y, items.trial, splits[0][0], seed).summary()
         else:
-            scores = validation.cross_validate(learner, items.y, splits, seed).summary()
+            made = validation.cross_validate(learner, items.y, splits, seed)
+            scores = of_folds(made.summary(), len(np.unique(items.trial)))
         return rounded(scores) | {"seconds": round(time.perf_counter() - began, 1)}
 
     def about(self, items: LabelledIntervals) -> dict[str, Any]:
@@ -156,10 +158,15 @@ def items_of(recordings: Recordings, benchmark: Benchmark) -> LabelledIntervals:
     return labelled_intervals(recordings, benchmark.task)
 
 
-def with_interval(scores: ArrayLike, test_to_train: float = 1.0, places: int = 3) -> dict[str, Any]:
-    """Mean of the scores of repeated splits and its corrected 95 % interval, rounded."""
+def with_interval(scores: ArrayLike, test_to_train: float = 1.0, places: int = 3, trials: int = 0) -> dict[str, Any]:
+    """Mean of the scores of repeated splits and its corrected 95 % interval, rounded.
+
+    Where all are the same, it is Wilson's for so many ``trials``; 0 = there is none, as nothing varies.
+    """
     mean, low, high = metrics.corrected_interval(np.asarray(scores), test_to_train)
-    return {"mean": round(mean, places), "interval": [round(low, places), round(high, places)]}
+    score = with_width({"mean": mean, "low": low, "high": high}, trials)
+    ends = {"interval": [round(score["low"], places), round(score["high"], places)]} if "low" in score else {}
+    return {"mean": round(mean, places), **ends}
 
 
 def rounded(value: Any) -> Any:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from experiments._lib.scores import of_methods
+from experiments._lib.scores import by_benchmark
 from rcbht_jax.learning.metrics import rule_of_three
 
 Record = dict[str, Any]
@@ -97,7 +97,7 @@ def headline_rows(
 
 
 def _offline(headline: Record, peers: Record) -> Iterator[HeadlineRow]:
-    measured = of_methods(peers, headline)
+    measured = by_benchmark(peers["rows"])
     for name, (title, paper, flags) in OFFLINE.items():
         rows = {what: headline["rows"][f"{name} | {what}"] for what in ("frozen", "frozen, relative")}
         others = {"statistics + random forest": headline["rows"][f"{name} | statistics + random forest"]["score"]}

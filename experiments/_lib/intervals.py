@@ -5,24 +5,35 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int, Shaped
 from numpy.typing import NDArray
 
-from rcbht_jax.learning.metrics import has_width, wilson
+from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
 
 RESAMPLES = 2000
 
 
-def with_width(score: dict[str, float], trials: int) -> dict[str, Any]:
+def with_width(score: dict[str, Any], trials: int) -> dict[str, Any]:
     """A score with ``mean``, ``low`` and ``high``; where the ends coincide they are Wilson's, by trial.
 
     Args:
         score: of repeated folds, or of one split.
-        trials: that were tested.
+        trials: that were tested; 0 = what is measured cannot vary, and has no interval where the ends coincide.
     """
     if has_width(score["low"], score["high"]):
-        return {**score, "interval by": "corrected resampled t"}
-    return by_trial(score["mean"], trials)
+        return {**score, "interval by": score.get("interval by", "corrected resampled t")}
+    return by_trial(score["mean"], trials) if trials else {"mean": score["mean"]}
+
+
+def of_folds(summary: dict[str, Any], trials: int) -> dict[str, Any]:
+    """What ``CrossValidation.summary`` gives, each score ``with_width``."""
+    return {name: with_width(part, trials) if isinstance(part, dict) else part for name, part in summary.items()}
+
+
+def without(summary: dict[str, Any]) -> dict[str, Any]:
+    """Scores without their intervals: the share of the most frequent class is fixed by construction."""
+    return {name: {"mean": part["mean"]} if isinstance(part, dict) and "mean" in part else part
+            for name, part in summary.items()}  # fmt: skip
 
 
 def by_trial(mean: float, trials: int) -> dict[str, Any]:
@@ -31,13 +42,21 @@ def by_trial(mean: float, trials: int) -> dict[str, Any]:
     return {"mean": mean, "low": low, "high": high, "interval by": "Wilson, by trial"}
 
 
-def tested(headline: dict[str, Any], benchmark: str) -> int:
-    """Trials of a benchmark that was tested once, from the result "headline"."""
-    return int(headline["rows"][f"{benchmark} | frozen"]["trials tested"])
+def drawn(groups: int, seed: int) -> Int[np.ndarray, "draw group"]:
+    """How often each group counts, where as many are drawn with replacement."""
+    return np.random.default_rng(seed).multinomial(groups, np.full(groups, 1 / groups), RESAMPLES)
+
+
+def sums(values: Shaped[np.ndarray, "item ..."], groups: NDArray[Any]) -> Float[np.ndarray, "group ..."]:
+    """Sums over the items of each group."""
+    number = np.unique(groups, return_inverse=True)[1]
+    out = np.zeros((number.max() + 1, *values.shape[1:]))
+    np.add.at(out, number, values)
+    return out
 
 
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
-    """95 % percentile bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
+    """95 % bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
 
     Where it has no width, as without a mistake, the interval is Wilson's, each group counting once.
     """
@@ -45,7 +64,5 @@ def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: in
     right, total = np.bincount(number, correct), np.bincount(number)
     draws = np.random.default_rng(seed).integers(0, len(total), (RESAMPLES, len(total)))
     scores = right[draws].sum(1) / total[draws].sum(1)
-    low, high = np.quantile(scores, [0.025, 0.975])
-    if not has_width(low, high):
-        return wilson(float(np.mean(correct)) * len(total), len(total))
-    return float(low), float(high)
+    low, high = percentile_interval(scores, len(total))
+    return (low, high) if has_width(low, high) else wilson(float(np.mean(correct)) * len(total), len(total))

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from experiments._lib.headline_rows import SOURCES, headline_rows
-from experiments._lib.intervals import with_width
 from experiments._lib.results_io import COMMITTED, committed
-from experiments._lib.scores import RICHER, of_methods, of_probes, of_table1, of_two_arms
+from experiments._lib.scores import RICHER, by_benchmark, of_probes, of_table1, of_two_arms
 from rcbht_jax.report.results import SCHEMA
 
 NAME = "report_rows"
@@ -23,11 +22,6 @@ NOTES = {
     "in repeated splits.",
 }
 _PRINTED = {"REAL states": "0.97 (0.93 to 1.00)", "SIM1 states": "0.89 (0.84 to 0.94)", "SIM2 states": "1.00"}
-# Trials of the published matrices, those of both outcomes where they are balanced.
-PUBLISHED = {
-    "REAL success/failure": 32, "SIM one-arm success/failure": 76, "REAL states": 46, "SIM one-arm states": 38,
-    "SIM two-arm states": 18,
-}  # fmt: skip
 Record = dict[str, Any]
 
 
@@ -77,7 +71,7 @@ def _frozen() -> Iterator[Record]:
 
 def _words() -> Iterator[Record]:
     """Words and the best of the other methods."""
-    peers, richer = (of_methods(committed(name), committed("headline")) for name in ("peers", "grammar"))
+    peers, richer = (by_benchmark(committed(name)["rows"]) for name in ("peers", "grammar"))
     for benchmark in peers | richer:
         flags = ("batches", "lengths") if benchmark.startswith("failure types") else ("lengths",)
         others = {name: row["accuracy"] for name, row in peers.get(benchmark, {}).items() if row["kind"] == "peer"}
@@ -138,11 +132,9 @@ def _table1() -> Iterator[Record]:
     for what, row in committed("table1_published")["rows"].items():
         low, mean, high = row["target"]["paper"]
         folds = "grouped" if "grouped" in row["measured"] else "repeated"
-        measured = row["measured"][folds]
-        ends = dict(zip(("low", "high"), measured["interval"], strict=True))
         yield _row(
             "Offline, published features", f"{what}, {folds}{' by trial' if folds == 'grouped' else ''}",
-            with_width({"mean": measured["mean"], **ends}, PUBLISHED[what]), _flags("success/failure" in what),
+            row["measured"][folds], _flags("success/failure" in what),
             "table1_published", f"{mean:.2f} ({low:.2f} to {high:.2f})",
         )  # fmt: skip
 

@@ -15,6 +15,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import FAILURES, REAL, SIM1, of_sources, rounded
+from experiments._lib.intervals import of_folds
 from experiments._lib.results_io import record_of, write_result
 from experiments._lib.tasks import failure_types, states
 from experiments._lib.thresholds import trained_thresholds
@@ -120,7 +121,8 @@ def folds(repeats: int) -> Callable[[validation.Estimator, LabelledIntervals], d
     def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
         splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
         scores = validation.cross_validate(learner, items.y, splits, SEED)
-        return {key: rounded(scores.summary()[key]) for key in ("accuracy", "balanced_accuracy")}
+        found = of_folds(scores.summary(), len(np.unique(items.trial)))
+        return {key: rounded(found[key]) for key in ("accuracy", "balanced_accuracy")}
 
     return measure
 

@@ -30,7 +30,6 @@ from rcbht_jax.learning import metrics
 from rcbht_jax.learning.class_groups import fewest_groups
 from rcbht_jax.learning.svm import Split, Weight, grouped_folds, predictions, select
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
-from rcbht_jax.learning.validation import repeated_folds
 from rcbht_jax.types import LabelTracks
 
 SEED = 100  # of the folds: not those of the headline
@@ -82,8 +81,8 @@ class Experiment:
         if task in ACROSS:
             train, test = (np.flatnonzero(items.session == session) for session in ACROSS[task])
             return [(train, test)]
-        folds = repeated_folds(items.y, items.trial, FOLDS, REPEATS[task], SEED)
-        return [split for repeat in folds for split in repeat]
+        seeds = range(SEED, SEED + REPEATS[task])
+        return [split for one in seeds for split in grouped_folds(items.y, items.trial, FOLDS, one)]
 
     @cache  # noqa: B019
     def answers(self, task: str, grammar: str, families: str) -> list[Answer]:

@@ -68,7 +68,7 @@ class Experiment:
         """``[repeat][fold]``; one split from one session or batch to another."""
         items = self.items(name)
         if name == HELD_OUT:
-            return [held_out(items, SESSIONS, self.seed + repeat) for repeat in range(self.repeats)]
+            return [held_out(items, SESSIONS, one) for one in validation.repeat_seeds(self.seed, self.repeats)]
         if name in BATCHES:
             (train,), (test,) = BATCHES[name][:1], BATCHES[name][1:]
             return Benchmark(failure_types(), (train,), (test,)).splits(items, 1, self.seed)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, published_words, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import of_folds, without
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid, Split
@@ -97,13 +98,14 @@ class Experiment:
         splits = self.splits(question)
         result = validation.cross_validate(self.learners(question)[view](), items.y, splits, self.seed)
         counts = dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True))
-        return {"trials": counts, **rounded(result.summary())}
+        scores = of_folds(result.summary(), len(np.unique(items.trial)))
+        return {"trials": counts, **rounded(without(scores) if view == "majority" else scores)}
 
     def splits(self, question: str) -> list[list[Split]]:
         items, asked = self.items(question), QUESTIONS[question]
         if not asked.hold_out:
             return validation.repeated_folds(items.y, items.trial, FOLDS, self.repeats, self.seed)
-        return [held_out(items, asked.classes[1], self.seed + repeat) for repeat in range(self.repeats)]
+        return [held_out(items, asked.classes[1], one) for one in validation.repeat_seeds(self.seed, self.repeats)]
 
 
 def held_out(items: LabelledIntervals, sessions: tuple[str, ...], seed: int) -> list[Split]:

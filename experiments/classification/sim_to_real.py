@@ -30,7 +30,6 @@ from experiments._lib import raw_learners
 from experiments._lib.benchmarks import mistakes, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import learned_tolerance
-from experiments._lib.intervals import bootstrap
 from experiments._lib.tasks import states
 from experiments._lib.thresholds import trained_thresholds
 from experiments._lib.zero_shot_set import TARE_SECONDS
@@ -229,11 +228,10 @@ def choose(pool: Pool) -> tuple[SvmSpec, float | None]:
 
 
 def scored(pool: Pool, test: Ints, predicted: Ints) -> dict[str, Any]:
-    """Accuracy with its interval by resampling trials, and the confusion of classes."""
-    right = pool.y[test] == predicted
-    low, high = bootstrap(right, pool.trial[test], SEED)
-    count, wrong = len(np.unique(pool.trial[test])), mistakes(pool.classes, pool.y[test], predicted)
-    return {"accuracy": float(right.mean()), "interval": [low, high], "trials": count, "wrong": wrong}
+    """Accuracy with Wilson's interval, each trial counting once, and the confusion of classes."""
+    right, count = float(np.mean(pool.y[test] == predicted)), len(np.unique(pool.trial[test]))
+    wrong = mistakes(pool.classes, pool.y[test], predicted)
+    return {"accuracy": right, "interval": list(metrics.wilson(right * count, count)), "trials": count, "wrong": wrong}
 
 
 def about(experiment: Experiment) -> dict[str, Any]:

@@ -42,6 +42,7 @@ from experiments._lib.benchmarks import (
     rounded,
 )
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import with_width
 from experiments.classification.table1_published import FIXED, NESTED
 from rcbht_jax.features import FeatureSpec, longest
 from rcbht_jax.io.store import read_recordings
@@ -138,14 +139,15 @@ def score(
 ) -> dict[str, Any]:
     """Repeated folds, each repeat on its own rows."""
     runs = []
-    for one in range(seed, seed + repeats):
+    for one in validation.repeat_seeds(seed, repeats):
         rows = drawn(items, balanced, one)
         y, trial = items.y[rows], items.trial[rows] if grouped else np.arange(len(rows))
         runs.append(validation.cross_validate(learn(rows), y, [grouped_folds(y, trial, FOLDS, one)], one).accuracy)
     scores = np.concatenate(runs)
     mean, low, high = corrected_interval(scores, 1 / (FOLDS - 1))
+    accuracy = with_width({"mean": mean, "low": low, "high": high}, len(np.unique(items.trial)))
     folds = [float(f(scores, axis=1).mean()) for f in (np.min, np.mean, np.max)]
-    return {"accuracy": {"mean": mean, "low": low, "high": high}, "fold_min_mean_max": folds}
+    return {"accuracy": accuracy, "fold_min_mean_max": folds}
 
 
 def measure(data: Data, row: Row, labels: str, repeats: int, seed: int) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from experiments._lib.benchmarks import with_interval
 from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
 from rcbht_jax.learning.svm import Grid, grouped_folds
-from rcbht_jax.learning.validation import CrossValidation, cross_validate, nested_svm
+from rcbht_jax.learning.validation import CrossValidation, cross_validate, nested_svm, repeat_seeds
 from rcbht_jax.robots.snap_assembly import STATES
 
 FIXED = Grid(kernels=("poly",), costs=(1.0,), scalings=(False,))
@@ -79,21 +79,23 @@ def resampled(golden: Path, row: str, count: int, seed: int) -> Iterator[tuple[D
         row.rsplit(" ", 1)[0]
     ]
     fixed = states(golden, name, "combined_" if "two-arm" in row else "") if row.endswith("states") else None
-    for repeat in range(count):
-        yield fixed or outcomes(golden, name, seed + repeat), seed + repeat
+    for one in repeat_seeds(seed, count):
+        yield fixed or outcomes(golden, name, one), one
 
 
 def run(golden: Path, row: str, grid: Grid, grouped: bool, count: int, seed: int) -> dict[str, Any]:
     """Scores of one cell of the table."""
     runs: list[CrossValidation] = []
+    trials = 0
     began = time.perf_counter()
     for (x, y, trial), one_seed in resampled(golden, row, count, seed):
+        trials = len(np.unique(trial))
         groups = trial if grouped else np.arange(len(y))
         folds = grouped_folds(y, groups, FOLDS, one_seed)
         runs.append(cross_validate(nested_svm({"": x}, y, groups, grid), y, [folds], one_seed))
     scores = np.concatenate([r.accuracy for r in runs])
     return {
-        **with_interval(scores, 1 / (FOLDS - 1), places=4),
+        **with_interval(scores, 1 / (FOLDS - 1), places=4, trials=trials),
         "fold_min_mean_max": [round(float(f(scores, axis=1).mean()), 4) for f in (np.min, np.mean, np.max)],
         "seconds": round(time.perf_counter() - began, 1),
     }

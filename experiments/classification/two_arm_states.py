@@ -11,6 +11,7 @@ from typing import Any
 from experiments._lib import tasks
 from experiments._lib.benchmarks import SIM2, published_words, rounded
 from experiments._lib.catalogue import DATA
+from experiments._lib.intervals import with_width
 from experiments._lib.results_io import write_result
 from experiments.classification.two_arm import as_recordings, simulated
 from rcbht_jax.features import FeatureSpec
@@ -57,9 +58,11 @@ def states(recorded: Recordings, sets: dict[str, Recordings]) -> dict[str, Any]:
                 kind: evaluate(both, tracks, task, spec, EvaluationProtocol(5, 3, SEED, grid, **split))
                 for kind, (spec, grid) in KINDS.items()
             }
-            row = {kind: rounded(one.score["accuracy"]) for kind, one in evaluations.items()}
-            row["duration alone"] = rounded(evaluations["words"].duration_baseline["accuracy"])
-            out[title] = row | {"trials": evaluations["words"].trials}
+            trials = evaluations["words"].trials
+            scores = {kind: one.score for kind, one in evaluations.items()}
+            scores["duration alone"] = evaluations["words"].duration_baseline
+            row = {kind: rounded(with_width(score["accuracy"], trials)) for kind, score in scores.items()}
+            out[title] = row | {"trials": trials}
     return out
 
 
@@ -70,7 +73,7 @@ def main() -> None:
     note = (
         "accuracy; W=5, preset thresholds, linear SVM chosen within training folds, recorded boundaries, both arms; "
         "words = sentence, histogram, ngram and attributes; richer words by ranks, levels as heavy as all others; "
-        "95 % intervals: corrected over folds, or by resampling the trials that are tested on"
+        "95 % intervals: corrected over folds, or Wilson's by trial, where these have no width and between sets"
     )
     result = {"measure": note, **states(recorded, sets)}
     write_result("two_arm_states", "python -m experiments.classification.two_arm_states", result, seed=SEED)

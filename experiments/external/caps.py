@@ -89,7 +89,8 @@ class Experiment:
 def _scored(truth: list[Any], predicted: list[Any], dt: float, groups: NDArray[Any]) -> dict[str, Any]:
     """Scores, and their intervals from runs drawn with replacement, as of Segmentation."""
     score, interval = score_and_interval(truth, predicted, dt, groups)
-    return rounded({"score": score.to_json(), "interval": {name: list(ends) for name, ends in interval.items()}})
+    ends = {name: [None if np.isnan(end) else end for end in pair] for name, pair in interval.items()}
+    return rounded({"score": score.to_json(), "interval": ends})
 
 
 def _by_run(found: Segmentation) -> dict[str, float]:

@@ -27,6 +27,7 @@ from sklearn.model_selection import StratifiedKFold
 from experiments._lib import early
 from experiments._lib.benchmarks import FOLDS, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import with_width
 from experiments.external import failures, method
 from rcbht_jax.learning import metrics
 
@@ -84,25 +85,26 @@ class Experiment:
     def folds(self, name: str) -> list[Fold]:
         return [Fold(self, name, *split) for split in self.splits(name)]
 
-    def summary(self, scores: list[dict[str, float]]) -> dict[str, Any]:
+    def summary(self, name: str, scores: list[dict[str, float]]) -> dict[str, Any]:
         """Means with corrected intervals over folds."""
-        out: dict[str, Any] = {}
+        records, out = len(self.source.data(name)[1].y), {}
         for measure in scores[0]:
             values = np.array([score[measure] for score in scores]).reshape(self.repeats, -1)
             mean, low, high = metrics.corrected_interval(values, 1 / (FOLDS - 1))
-            out[measure] = {"mean": mean, "low": low, "high": high}
+            trials = 0 if measure == "earliness" else records  # a rule may judge all records after the same time
+            out[measure] = with_width({"mean": mean, "low": low, "high": high}, trials)
         return rounded(out) | {"repeats": self.repeats}
 
     def prefix(self, name: str, at: int) -> dict[str, Any]:
         right = [(fold.seen[at].argmax(1) == fold.y_test).mean() for fold in self.folds(name)]
-        return self.summary([{"accuracy": float(score)} for score in right])
+        return self.summary(name, [{"accuracy": float(score)} for score in right])
 
     def rule(self, name: str, make: Rule) -> dict[str, Any]:
         found = []
         for fold in self.folds(name):
             at = make(fold)(fold.seen)
             found.append(dict(zip(MEASURES, early.worth(fold.seen, fold.y_test, fold.delay, at), strict=True)))
-        return self.summary(found)
+        return self.summary(name, found)
 
     def teaser(self, name: str) -> dict[str, Any]:
         from aeon.classification.early_classification import TEASER
@@ -118,7 +120,7 @@ class Experiment:
             _, accuracy, earliness = teaser.score(x[test], items.y[test])
             mean = early.harmonic_mean(accuracy, earliness)
             found.append(dict(zip(MEASURES, (float(accuracy), float(earliness), mean), strict=True)))
-        return self.summary(found)
+        return self.summary(name, found)
 
 
 def economy(fold: Fold) -> early.Rule:

@@ -25,6 +25,7 @@ from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, rounded, segments
 from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import of_folds, without
 from experiments._lib.other_robots import of_other_robot
 from experiments.external import method
 from rcbht_jax.errors import InputError
@@ -55,7 +56,7 @@ def folds_of(splitter: Any, y: method.Rows) -> list[Split]:
 
 def repeated_folds(y: method.Rows, repeats: int, seed: int) -> list[list[Split]]:
     """Stratified folds ``[repeat][fold]``."""
-    seeds = range(seed, seed + repeats)
+    seeds = validation.repeat_seeds(seed, repeats)
     return [folds_of(StratifiedGroupKFold(FOLDS, shuffle=True, random_state=one), y) for one in seeds]
 
 
@@ -145,11 +146,12 @@ class Experiment:
         x = np.stack([part.ravel() for part in segments(recordings, items)])
         return raw.estimator(x, items.y, lambda seed: GaussianNB())
 
-    def row(self, name: str, make: Make) -> Any:
+    def row(self, name: str, title: str) -> Any:
         y = self.data(name)[1].y
         splits = repeated_folds(y, self.repeats, self.seed)
-        scores = validation.cross_validate(make(name), y, splits, self.seed)
-        return rounded(scores.summary()) | {"repeats": self.repeats}
+        made = validation.cross_validate(self.makers()[title](name), y, splits, self.seed)
+        scores = of_folds(made.summary(), len(y))
+        return rounded(without(scores) if title == "majority" else scores) | {"repeats": self.repeats}
 
 
 def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:
@@ -159,9 +161,7 @@ def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:
     command = f"python -m experiments.external.failures --repeats {repeats} --seed {seed}"
     rows = Rows("external_failures", command, about, seed)
     wanted = {
-        f"{name} | {title}": partial(experiment.row, name, make)
-        for title, make in experiment.makers().items()
-        for name in sets()
+        f"{name} | {title}": partial(experiment.row, name, title) for title in experiment.makers() for name in sets()
     }
     rows.fill(wanted, only)
 

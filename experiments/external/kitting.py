@@ -41,6 +41,7 @@ from rcbht_jax.introspection.alarms import conformal_threshold, trials_needed
 from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import FEWEST, Watched, auroc, hold_out, judge
 from rcbht_jax.introspection.nominal_peers import IsolationForestMonitor, QuantileBand
+from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
 from rcbht_jax.types import Recordings
 
 CHANNELS = tuple(KITTING)
@@ -58,7 +59,7 @@ AFTER_LOOKING = (
     "train, which is so for skills 3, 4 and 5 and not for skill 7 (.992, .966). Look 5: levels of the channels whose "
     "offset between days is less than a half, the same, or twice the spread within a day (.974, .992, .969; .966 "
     "each), instead of the tactile ones by name. Chosen then: a half, by the false alarms of skills 3 and 4 (12, 23 "
-    "and 24 of 211)."
+    "and 24 of 211, by the threshold of that time)."
 )
 WORDS = labels.MEANING["llb"]
 ALPHA = 0.05
@@ -133,7 +134,10 @@ def thresholds(watched: dict[str, Watched]) -> dict[str, float]:
 
 
 def interval(one: Watched, rng: np.random.Generator) -> list[float] | None:
-    """95 % interval of the AUROC, both kinds drawn with replacement; None = one kind is missing."""
+    """95 % interval of the AUROC, both kinds drawn with replacement; None = one kind is missing.
+
+    Without width, as where no executions are in the wrong order, it is Wilson's for the fewer of the two.
+    """
     peak, draws = one.peaks(), []
     kinds = [np.flatnonzero(one.seen & one.nominal), np.flatnonzero(one.seen & ~one.nominal)]
     if not all(map(len, kinds)):
@@ -141,7 +145,10 @@ def interval(one: Watched, rng: np.random.Generator) -> list[float] | None:
     for _ in range(BOOTSTRAP):
         rows = np.concatenate([rng.choice(kind, len(kind)) for kind in kinds])
         draws.append(auroc(one.nominal[rows], peak[rows]))
-    return np.quantile(np.array(draws, float), [0.025, 0.975]).tolist()
+    fewer, known = min(map(len, kinds)), np.array(draws, float)
+    if fewer > 1 and has_width(*(ends := percentile_interval(known, fewer))):
+        return list(ends)
+    return list(wilson(known.mean() * fewer, fewer))
 
 
 def in_words(recordings: Recordings) -> Recordings:

@@ -30,7 +30,7 @@ def peers() -> Figure:
     """One panel per benchmark: accuracy of every method with its interval, best on top."""
     facts = committed("peers")["benchmarks"]
     figure = new_figure((12.5, 9.4), DPI)
-    measured = of_peers(*map(committed, ("peers", "grammar", "headline")))
+    measured = of_peers(*map(committed, ("peers", "grammar")))
     for number, (benchmark, methods) in enumerate(measured.items()):
         ax = figure.add_subplot(2, len(facts) // 2, number + 1)
         rows = {method: row for method, row in methods.items() if method != "majority"}

@@ -45,6 +45,7 @@ from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.validation import repeat_seeds
 
 SOURCES = (REAL, REAL_FAILURES)
 RATE = 10.0  # snapshots per second
@@ -161,10 +162,13 @@ def measure(w: Watched, row: str, x: Floats, repeats: int, seed: int) -> dict[st
     session = w.items.session
     y = (session == "B").astype(np.int64) if row == "sessions" else w.items.y
     runs = []
-    for s in tqdm(range(seed, seed + repeats), desc=row, file=sys.stderr, disable=None):
+    for s in tqdm(repeat_seeds(seed, repeats), desc=row, file=sys.stderr, disable=None):
         for train, test in SPLITS[row](session, np.random.default_rng(s)):
             runs.append(score(w, x, y, train, test, s))
-    return {name: with_interval([run[name] for run in runs]) for name in runs[0]}
+    classes = ("A", "B") if row == "sessions" else ("C", "AB")  # that count as failures and as successes
+    tested = [sum(str(one) in kind for one in session) for kind in classes]
+    counts = dict(zip(("failures alarmed", "successes alarmed"), tested, strict=True))
+    return {name: with_interval([run[name] for run in runs], trials=counts.get(name, sum(tested))) for name in runs[0]}
 
 
 def streamed() -> tuple[Watched, dict[str, NDArray[np.bool_]]]:

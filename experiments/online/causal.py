@@ -29,7 +29,7 @@ from sklearn.metrics import r2_score
 from experiments._lib import frozen
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import by_trial, with_width
+from experiments._lib.intervals import by_trial, drawn, sums, with_width
 from experiments._lib.tasks import states
 from experiments.online.detected_starts import detected_beginnings, with_beginnings
 from experiments.online.table2 import SETS, halves
@@ -48,6 +48,7 @@ from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.scaling import fit_scale
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
+from rcbht_jax.learning.validation import repeat_seeds
 from rcbht_jax.types import Recordings
 
 LAST = 0.1  # s of wrench that the baseline uses
@@ -229,20 +230,39 @@ def with_ends(scores: list[float], tested: int) -> dict[str, Any]:
 
 
 def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
-    """R^2 of the logarithm of elapsed time within each class, from features without duration and offset."""
+    """R^2 of the logarithm of elapsed time within each class, from features without duration and offset.
+
+    The median of the halves that test; its interval from trials drawn with replacement, the same for every half.
+    """
     made = stream()
     snapshots, columns = made.regular, made.columns("state", True)
     elapsed = np.log((snapshots.now - snapshots.begin) * made.data.dt)
     x, y = made.x("regular")[:, columns].astype(np.float64), made.items.y[snapshots.interval]
+    trial = made.items.trial[snapshots.interval]
+    counts = drawn(len(np.unique(trial)), 0)
     found: dict[str, list[float]] = {name: [] for name in made.items.classes}
+    draws: dict[str, list[NDArray[np.float64]]] = {name: [] for name in made.items.classes}
     for seed in seeds:
         inside = halves(made.items, seed)[snapshots.interval]
         for number, name in enumerate(made.items.classes):
             a, b = np.flatnonzero(inside & (y == number)), np.flatnonzero(~inside & (y == number))
             scale = fit_scale(x[a], True, 0.0, True)
             machine = RidgeCV(ALPHAS).fit(scale(x[a]), elapsed[a])
-            found[name].append(float(r2_score(elapsed[b], machine.predict(scale(x[b])))))
-    return rounded({name: float(np.median(values)) for name, values in found.items()})
+            predicted = machine.predict(scale(x[b]))
+            found[name].append(float(r2_score(elapsed[b], predicted)))
+            tested = np.isin(np.unique(trial), trial[b])
+            draws[name].append(drawn_r2(elapsed[b], predicted, trial[b], counts[:, tested]))
+    ends = {name: metrics.percentile_interval(np.median(each, 0), counts.shape[1]) for name, each in draws.items()}
+    return rounded(
+        {name: {"mean": float(np.median(found[name])), "low": low, "high": high} for name, (low, high) in ends.items()}
+    )
+
+
+def drawn_r2(true: Floats, predicted: Floats, trial: NDArray[Any], counts: NDArray[np.int64]) -> Floats:
+    """R^2 of each draw, where trials count so often ``[draw, trial]``."""
+    parts = np.stack([np.ones(len(true)), true, true**2, (true - predicted) ** 2], 1)
+    number, total, square, rest = (counts @ sums(parts, trial)).T
+    return np.asarray(1 - rest / (square - total**2 / number))
 
 
 def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
@@ -256,7 +276,7 @@ def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "belief of the method": method.streamed["belief"],
         "repeats": repeats,
     }
-    seeds = range(seed, seed + repeats)
+    seeds = repeat_seeds(seed, repeats)
     wanted: dict[str, Callable[[], Any]] = {
         name: partial(row, streams[source], sessions, seeds) for name, (source, sessions) in SPLITS.items()
     }

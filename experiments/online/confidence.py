@@ -26,6 +26,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.features.recipes import SUBTASK
 from rcbht_jax.introspection.training import Snapshots
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
+from rcbht_jax.learning.validation import repeat_seeds
 from rcbht_jax.types import Recordings
 
 PARTS = 20  # of a sub-task
@@ -42,7 +43,7 @@ def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[
     x = watched(recordings, items, EncoderConfig(dt=recordings.dt), MAIN_RATE)
     length = items.intervals[0].end - items.intervals[0].start
     parts = []
-    for one in tqdm(range(seed, seed + repeats), desc=name, file=sys.stderr, disable=None):
+    for one in tqdm(repeat_seeds(seed, repeats), desc=name, file=sys.stderr, disable=None):
         seen, p = beliefs(x, items, one)
         parts += [(items.y[s], held(seen, p, s, length[s])) for s in np.unique(seen.interval)]
     y, p = np.array([c for c, _ in parts]), np.array([course for _, course in parts])

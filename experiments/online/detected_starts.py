@@ -46,6 +46,7 @@ from rcbht_jax.introspection.training import (
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
+from rcbht_jax.learning.validation import repeat_seeds
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 
@@ -198,7 +199,7 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
     for kind, words in WORDS.items():
         for name in STREAMED:
             encoder = words.encoder(tolerance[SETS[name]], data.dt)
-            wanted[f"{name} | {kind}"] = partial(row, data, name, words, encoder, range(seed, seed + repeats))
+            wanted[f"{name} | {kind}"] = partial(row, data, name, words, encoder, repeat_seeds(seed, repeats))
     command = f"python -m experiments.online.detected_starts --repeats {repeats} --seed {seed}"
     Rows("detected_starts", command, about, seed).fill(wanted, only)
 

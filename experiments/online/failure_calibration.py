@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import drawn, sums
 from experiments._lib.tasks import failure_types
 from experiments.online.failure_types import FOLDS, METHODS, RATE, streamed, that_train, watched
 from rcbht_jax.introspection.training import regular_snapshots
@@ -34,6 +35,7 @@ from rcbht_jax.learning.tasks import labelled_intervals
 from rcbht_jax.learning.validation import repeated_folds
 
 TARGET = 0.08
+BINS = 10
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -58,20 +60,35 @@ def by_progress(p: Floats, y: Ints, fold: Ints, seconds: Floats, trial: NDArray[
     return out
 
 
-def errors(p: Floats, y: Ints, quarter: Ints, classes: tuple[str, ...]) -> dict[str, Any]:
+def errors(p: Floats, y: Ints, quarter: Ints, classes: tuple[str, ...], trial: NDArray[Any]) -> dict[str, Any]:
     """Calibration errors of each quarter of the record, of the likeliest class and of every class."""
-    found: dict[str, Any] = {"pooled": metrics.calibration_error(p, y)}
+    found: dict[str, Any] = {"pooled": metrics.calibration_error(p, y), "pooled interval": interval(p, y, trial)}
     for part in range(PARTS):
         mine = quarter == part
         alone = {name: one_class(p[mine, c], y[mine] == c) for c, name in enumerate(classes)}
         found[f"quarter {part + 1}"] = {
             "likeliest": metrics.calibration_error(p[mine], y[mine]),
+            "likeliest interval": interval(p[mine], y[mine], trial[mine]),
             "mean belief": float(p[mine].max(1).mean()),
             "accuracy": metrics.accuracy(y[mine], p[mine].argmax(1)),
             "worst class": max(alone.values()),
             "classes": alone,
         }
     return rounded(found)
+
+
+def interval(p: Floats, y: Ints, trial: NDArray[Any]) -> list[float]:
+    """95 % interval of the calibration error from trials drawn with replacement.
+
+    A draw adds noise, which an error counts as error: what the draws exceed it by in the mean is subtracted.
+    """
+    top = p.max(1)
+    index = np.minimum((top * BINS).astype(np.int64), BINS - 1)
+    gap = sums((top - (p.argmax(1) == y))[:, None] * (index[:, None] == np.arange(BINS)), trial)  # [trial, bin]
+    steps, counts = sums(np.ones(len(y)), trial), drawn(len(gap), 0)
+    found = np.abs(counts @ gap).sum(1) / (counts @ steps)
+    low, high = np.array(metrics.percentile_interval(found, len(gap))) - found.mean() + metrics.calibration_error(p, y)
+    return [max(float(low), 0.0), float(high)]
 
 
 def one_class(p: Floats, true: NDArray[np.bool_]) -> float:
@@ -98,7 +115,8 @@ def row(name: str, seed: int) -> dict[str, Any]:
     quarter = part_of(seconds / length[snapshots.interval] - 1e-9)
     calibrated = by_progress(p, y, fold, seconds, items.trial[snapshots.interval], planned)
     made = {"as they are": p, "by progress": calibrated}
-    return {kind: errors(q, y, quarter, items.classes) for kind, q in made.items()}
+    trial = items.trial[snapshots.interval]
+    return {kind: errors(q, y, quarter, items.classes, trial) for kind, q in made.items()}
 
 
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
@@ -106,7 +124,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
         "what": "calibration of streamed beliefs in types of the authors' simulated failures, by quarter of the record",
         "target": TARGET,
         "folds": FOLDS,
-        "bins": 10,
+        "bins": BINS,
     }
     wanted = {name: partial(row, name, seed) for name in ("richer words", "richer words, thresholds / 256")}
     command = f"python -m experiments.online.failure_calibration --seed {seed}"

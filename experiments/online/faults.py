@@ -26,6 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.benchmarks import rounded
+from experiments._lib.intervals import with_width
 from experiments._lib.results_io import write_result
 from experiments.online.fault_trials import GRADES, TAIL, Trials
 from experiments.online.fault_watch import CONFIG, Watched, alarms, monitor, watched
@@ -116,12 +118,14 @@ def _sum(marked: list[NDArray[np.bool_]]) -> int:
 
 
 def _share(counts: list[Any], totals: list[Any], test_to_train: float) -> dict[str, float] | None:
-    """Mean over the repeats, with its corrected 95 % interval where there are several."""
+    """Mean over the repeats, with its corrected 95 % interval; Wilson's where all are equal."""
     shares = np.array([count / total for count, total in zip(counts, totals, strict=True) if total])
     if len(shares) == 0:
         return None
-    interval = corrected_interval(shares, test_to_train) if len(shares) > 1 else (float(shares[0]),)
-    return {name: round(value, 4) for name, value in zip(("mean", "low", "high"), interval, strict=False)}
+    interval = corrected_interval(shares, test_to_train) if len(shares) > 1 else (float(shares[0]),) * 3
+    return rounded(
+        with_width(dict(zip(("mean", "low", "high"), interval, strict=True)), max(1, round(sum(totals) / len(totals))))
+    )
 
 
 def _median(values: list[NDArray[np.float64]]) -> float | None:

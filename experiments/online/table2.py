@@ -43,6 +43,7 @@ from rcbht_jax.introspection.training import (
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
+from rcbht_jax.learning.validation import repeat_seeds
 
 KINDS = {"all": SUBTASK, "relative": SUBTASK_RELATIVE}
 MAIN_RATE = 10.0
@@ -201,7 +202,7 @@ def measure(recordings: Any, name: str, rate: float, repeats: int, seed: int) ->
     for kind, families in KINDS.items():
         if kind == "relative" and rate != MAIN_RATE:
             continue
-        seeds = tqdm(range(seed, seed + repeats), desc=f"{name} {kind}", file=sys.stderr, disable=None)
+        seeds = tqdm(repeat_seeds(seed, repeats), desc=f"{name} {kind}", file=sys.stderr, disable=None)
         runs = [repeat(x, items, families, s, config.dt) for s in seeds]
         result[kind] = together(runs, seed) | summary(runs)
     return result

@@ -49,8 +49,7 @@ from rcbht_jax.features import FeatureSpec, Intervals, interval_features
 from rcbht_jax.introspection.fault_monitor import NOMINAL
 from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.probability import fit_probabilistic
-from rcbht_jax.learning.svm import SvmSpec
-from rcbht_jax.learning.validation import repeated_folds
+from rcbht_jax.learning.svm import SvmSpec, grouped_folds
 from rcbht_jax.robots.snap_assembly import RECORDED
 
 BEFORE = (8.0, 4.0, 2.0, 0.0)  # s before the end of the used part
@@ -209,9 +208,9 @@ def within(get: Callable[[str], Seen], session: str, name: str, repeats: int, se
     cells = np.unique(np.char.add(s.trials.kind, s.y.astype(str)), return_inverse=True)[1]
     if np.bincount(cells).min() < FOLDS:  # of a short run
         cells = s.y
-    for number, folds in enumerate(repeated_folds(cells, groups, FOLDS, repeats, seed)):
-        for train, test in folds:
-            p[:, test] += learner(x[:, train], y[train], x[:, test], seed + number) / repeats
+    for one in range(seed, seed + repeats):
+        for train, test in grouped_folds(cells, groups, FOLDS, one):
+            p[:, test] += learner(x[:, train], y[train], x[:, test], one) / repeats
     return scores(s, p, np.ones(len(y), bool))
 
 

@@ -5,15 +5,11 @@ from __future__ import annotations
 import statistics
 from typing import Any
 
-from experiments._lib.intervals import by_trial, tested
 from experiments.tables.cells import NONE, Lines, score, table
 
-# Beginning of a title -> benchmark of the headline whose trials were tested, of what is tested once.
-SPLITS = {"REAL A -> B": "REAL states, A to B", "REAL B -> A": "REAL states, B to A", "SIM1 -> REAL": "REAL states"}
 
-
-@table("calibration", "calibration", "headline")
-def calibration(result: dict[str, Any], headline: dict[str, Any]) -> Lines:
+@table("calibration", "calibration")
+def calibration(result: dict[str, Any]) -> Lines:
     """Thresholds by each method, words alone; the best of a line in bold."""
     methods = {
         "preset": "preset", "context": "context", "search, best": "search, best",
@@ -31,24 +27,24 @@ def calibration(result: dict[str, Any], headline: dict[str, Any]) -> Lines:
     for title, row in rows.items():
         found = {key: row[key]["words"]["accuracy"] for key in methods if key in row}
         best = max(value["mean"] for value in found.values())
-        cells = {key: _of(value, title, headline) for key, value in found.items()}
+        cells = {key: score(value) for key, value in found.items()}
         cells = {key: f"**{cell}**" if found[key]["mean"] == best else cell for key, cell in cells.items()}
         yield (title, *(cells.get(key, "not run") for key in methods))
 
 
-@table("calibration-near", "calibration_near", "headline")
-def calibration_near(result: dict[str, Any], headline: dict[str, Any]) -> Lines:
+@table("calibration-near", "calibration_near")
+def calibration_near(result: dict[str, Any]) -> Lines:
     """Thresholds near the preset: chosen, shrunk, averaged."""
     rows = result["rows"]
     sets = ("SIM1", "REAL A -> B", "REAL B -> A")
     methods = list(dict.fromkeys(name.split(" | ")[1] for name in rows))
     yield ("", *sets)
     for method in methods:
-        yield (method, *(_of(rows[f"{of} | {method}"]["accuracy"], of, headline) for of in sets))
+        yield (method, *(score(rows[f"{of} | {method}"]["accuracy"]) for of in sets))
 
 
-@table("calibration-bank", "calibration_bank", "headline")
-def calibration_bank(result: dict[str, Any], headline: dict[str, Any]) -> Lines:
+@table("calibration-bank", "calibration_bank")
+def calibration_bank(result: dict[str, Any]) -> Lines:
     """Kernels of many thresholds and windows: one chosen, several averaged."""
     rows = result["rows"]
     sets = ("REAL A -> B", "REAL B -> A")
@@ -58,7 +54,7 @@ def calibration_bank(result: dict[str, Any], headline: dict[str, Any]) -> Lines:
         gain = NONE
         if method != "preset":
             gain = f"{here['gain']['mean']:+.3f} ({here['gain']['low']:+.3f} to {here['gain']['high']:+.3f})"
-        there = [_of(rows[f"{spec} | {of} | {method}"]["accuracy"], of, headline) for of in sets]
+        there = [score(rows[f"{spec} | {of} | {method}"]["accuracy"]) for of in sets]
         yield (f"{spec}: {method}", score(here["accuracy"]), gain, *there)
 
 
@@ -119,11 +115,3 @@ def calibration_simulated(openhrp: dict[str, Any], hooked: dict[str, Any], trans
         yield (name, *own, *of_authors)
     durations = [score(scores["duration alone"]) for scores in presets.values()]
     yield ("duration alone", *durations, score(authors["duration alone"]["accuracy"]), NONE)
-
-
-def _of(accuracy: dict[str, float], title: str, headline: dict[str, Any]) -> str:
-    """A score of folds, or of one split with Wilson's interval, by trial."""
-    for start, benchmark in SPLITS.items():
-        if title.startswith(start):
-            return score(by_trial(accuracy["mean"], tested(headline, benchmark)))
-    return score(accuracy)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments._lib.intervals import by_trial
 from experiments.tables.cells import NONE, Lines, score, table
 
 SETS = {"lp1": "LP1", "lp2": "LP2", "lp4": "LP4"}
@@ -72,10 +71,7 @@ def kitting(result: dict[str, Any], more: dict[str, Any]) -> Lines:
 
 
 def _auroc(cell: dict[str, Any]) -> dict[str, float]:
-    """The AUROC with its interval, which is Wilson's where no drawn executions are in the wrong order."""
-    low, high = cell["auroc_interval"]
-    narrow = round(low, 3) == round(high, 3)
-    return by_trial(cell["auroc"], cell["anomalous"]) if narrow else {"mean": cell["auroc"], "low": low, "high": high}
+    return {"mean": cell["auroc"], **dict(zip(("low", "high"), cell["auroc_interval"], strict=True))}
 
 
 @table("external-kitting-types", "kitting_more")

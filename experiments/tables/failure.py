@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from experiments._lib.intervals import by_trial
 from experiments.tables.cells import NONE, Lines, score, table
 
 Result = dict[str, Any]
@@ -75,4 +76,5 @@ def types_across_recall(result: Result) -> Lines:
     }
     yield ("type", *columns)
     for name in result["classes"]:
-        yield (name, *(f"{rows[row]['recall'][name]:.2f}" for row in columns.values()))
+        cells = [rows[row] for row in columns.values()]
+        yield (name, *(score(by_trial(cell["recall"][name], sum(cell["true and said"][name]))) for cell in cells))

@@ -69,7 +69,7 @@ def time_known(result: Result) -> Lines:
     states = list(next(iter(rows.values())))
     yield ("within-class R² of log elapsed time", *states)
     for name, row in rows.items():
-        yield (name, *(f"{row[state]:.3f}" for state in states))
+        yield (name, *(score(row[state]) for state in states))
 
 
 @table("failure-calibration", "failure_calibration")
@@ -79,5 +79,8 @@ def failure_calibration(result: Result) -> Lines:
     yield ("", "beliefs", "pooled", *quarters)
     for name, kinds in result["rows"].items():
         for kind, row in kinds.items():
-            cells = [f"{row[part]['likeliest']:.3f} / {row[part]['worst class']:.3f}" for part in quarters]
-            yield (name, kind, f"{row['pooled']:.3f}", *cells)
+            likeliest = {
+                part: f"{row[part]['likeliest']:.3f}{ends(*row[part]['likeliest interval'])}" for part in quarters
+            }
+            cells = [f"{cell} / {row[part]['worst class']:.3f}" for part, cell in likeliest.items()]
+            yield (name, kind, f"{row['pooled']:.3f}{ends(*row['pooled interval'])}", *cells)

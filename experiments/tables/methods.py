@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
-from experiments._lib.scores import of_methods, of_peers, of_probes, of_table1, of_two_arms
+from experiments._lib.scores import by_benchmark, of_peers, of_probes, of_table1, of_two_arms
 from experiments.tables.cells import NONE, Lines, score, table
 
 FOLDED = ("REAL states", "SIM1 states", "SIM2 states", "failure types")
@@ -17,9 +17,9 @@ def _others(benchmarks: Iterable[str]) -> list[str]:
     return [name for name in benchmarks if name not in FOLDED]
 
 
-def _peers(peers: Result, grammar: Result, headline: Result, folded: bool) -> Lines:
+def _peers(peers: Result, grammar: Result, folded: bool) -> Lines:
     """Other methods and words, by cross-validation or from one session to another."""
-    nested = of_peers(peers, grammar, headline)
+    nested = of_peers(peers, grammar)
     benchmarks = FOLDED if folded else _others(nested)
     kinds = {method: row["kind"] for rows in nested.values() for method, row in rows.items()}
     yield ("", *benchmarks)
@@ -29,13 +29,13 @@ def _peers(peers: Result, grammar: Result, headline: Result, folded: bool) -> Li
             yield (f"*{method}*" if kind == "probe" else method, *map(score, scores))
 
 
-table("peers-folds", "peers", "grammar", "headline")(partial(_peers, folded=True))
-table("peers-sessions", "peers", "grammar", "headline")(partial(_peers, folded=False))
+table("peers-folds", "peers", "grammar")(partial(_peers, folded=True))
+table("peers-sessions", "peers", "grammar")(partial(_peers, folded=False))
 
 
-def _grammar(result: Result, headline: Result, folded: bool) -> Lines:
+def _grammar(result: Result, folded: bool) -> Lines:
     """Words of several kinds, by cross-validation or from one session or batch to another."""
-    nested = of_methods(result, headline)
+    nested = by_benchmark(result["rows"])
     benchmarks = FOLDED if folded else _others(result["benchmarks"])
     yield ("", *benchmarks)
     for method in dict.fromkeys(method for rows in nested.values() for method in rows):
@@ -43,8 +43,8 @@ def _grammar(result: Result, headline: Result, folded: bool) -> Lines:
         yield (method, *map(score, scores))
 
 
-table("grammar-folds", "grammar", "headline")(partial(_grammar, folded=True))
-table("grammar-sessions", "grammar", "headline")(partial(_grammar, folded=False))
+table("grammar-folds", "grammar")(partial(_grammar, folded=True))
+table("grammar-sessions", "grammar")(partial(_grammar, folded=False))
 
 
 @table("table1", "table1_ours")

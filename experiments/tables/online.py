@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments._lib.intervals import with_width
 from experiments.tables.cells import NONE, Lines, score, streamed_score, table
 
 Result = dict[str, Any]
@@ -52,7 +51,7 @@ def faults(result: Result) -> Lines:
         for part, title in zip(WARNED, (kind.replace("-", " "), "those at the boundary of success"), strict=True):
             cells = [preset["kinds"][kind][part] for preset in presets.values()]
             if kind != "missing-tab" or part == WARNED[0]:
-                yield (title, *map(_counted, cells, presets.values()))
+                yield (title, *map(_counted, cells))
     yield (FALSE, *(_false(preset) for preset in presets.values()))
 
 
@@ -63,7 +62,7 @@ def faults_apart(result: Result) -> Lines:
     yield ("", *presets)
     for kind in ("wedging", "moved-part", "early-stop"):
         cells = [preset["kinds"][kind]["without contact"] for preset in presets.values()]
-        yield (f"{kind.replace('-', ' ')} without contact", *map(_counted, cells, presets.values()))
+        yield (f"{kind.replace('-', ' ')} without contact", *map(_counted, cells))
     stops = [preset["kinds"]["early-stop"]["with contact"] for preset in presets.values()]
     for title, name in (("by the words", "by the words"), ("before the clock", "by the words, before the clock")):
         counts = (f"{cell[name]} of {cell['failures streamed']}" for cell in stops)
@@ -80,7 +79,7 @@ def faults_across(result: Result) -> Lines:
     yield ("session", "fault", *(TRAINED[way] for way in next(iter(result["presets"].values()))))
     for session, ways in result["presets"].items():
         for kind in ways["own"]["kinds"]:
-            cells = [_counted(row["kinds"][kind], {**row, **row["kinds"][kind]}) for row in ways.values()]
+            cells = [_counted(row["kinds"][kind]) for row in ways.values()]
             yield (session, kind.replace("-", " "), *cells)
         yield (session, FALSE, *(_false(_most(row)) for row in ways.values()))
 
@@ -99,19 +98,12 @@ def _most(row: dict[str, Any]) -> dict[str, Any]:
     return max(row["kinds"].values(), key=lambda kind: kind[FALSE]["mean"])
 
 
-def _counted(cell: dict[str, Any], preset: dict[str, Any]) -> str:
+def _counted(cell: dict[str, Any]) -> str:
     if not cell["failures streamed"]:
         return NONE
-    once = round(cell["failures streamed"] / len(preset["false alarms in each repeat"]))  # repeats share their trials
-    return f"{_share(cell['share detected'], once)}; {cell['detected']} of {cell['failures streamed']}"
+    return f"{score(cell['share detected'])}; {cell['detected']} of {cell['failures streamed']}"
 
 
 def _false(preset: dict[str, Any]) -> str:
     alarms, trials = sum(preset["false alarms in each repeat"]), sum(preset["nominal trials streamed in each repeat"])
-    once = preset["nominal trials streamed in each repeat"][0]  # repeats share their trials
-    return f"{_share(preset[FALSE], once)}; {alarms} of {trials}"
-
-
-def _share(share: dict[str, float], trials: int) -> str:
-    """A share with its interval; one of a single repeat has Wilson's."""
-    return score(with_width({"low": share["mean"], "high": share["mean"], **share}, trials))
+    return f"{score(preset[FALSE])}; {alarms} of {trials}"

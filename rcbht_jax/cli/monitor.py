@@ -30,7 +30,6 @@ Group = Annotated[str, option("Column of the days or sessions between which reco
 FalseAlarms = Annotated[float, option("Share of nominal recordings that may raise an alarm.")]
 ScoreRate = Annotated[float, option("Scores per second.")]
 AUTO, NONE = ("auto",), ("none",)
-FEW_GROUPS = 4  # with which thresholds of --exact alone keep their promise, as docs/howto/monitor.md says
 Levels = Annotated[
     tuple[str, ...],
     option(
@@ -87,14 +86,11 @@ class MonitorFit(Command):
         from rcbht_jax.introspection.alarms import rounded_up
 
         count = f"{plural(result['recordings'], 'nominal recording')} of {plural(result['groups'], 'group')}"
-        text = (
+        return (
             f"{result['monitor']}: {count}; "
             f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
             f"the smallest share of false alarms that it can promise is {rounded_up(result['fewest_false_alarms']):g}"
         )
-        if 1 < result["groups"] <= FEW_GROUPS and result["held_out"] == result["recordings"]:
-            text += "\nWith so few groups more successes may raise an alarm than promised; --exact keeps the promise."
-        return text
 
 
 @dataclass(frozen=True)

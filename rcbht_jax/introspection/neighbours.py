@@ -33,6 +33,11 @@ class Bank:
     drift: float  # share of the elapsed time
     neighbours: int
 
+    def take(self, recordings: Int[np.ndarray, " some"]) -> Bank:
+        """Some of the recordings, with the scales and usual distances of all."""
+        kept = np.ascontiguousarray(np.transpose(self.described, READ)[..., recordings])
+        return replace(self, described=np.transpose(kept, np.argsort(READ)))
+
 
 def make_bank(
     described: list[Float[np.ndarray, "_ channel kind"]],

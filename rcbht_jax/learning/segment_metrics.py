@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.learning.metrics import has_width, wilson
+from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
 
 RESAMPLES = 1000
 FEWEST_GROUPS = 8  # of fewer, drawn groups vary too little: half of the intervals from two groups hold the truth
@@ -100,10 +100,10 @@ def segmentation_score(truth: Sequence[Labels], predicted: Sequence[Labels], dt:
 def segmentation_interval(
     truth: Sequence[Labels], predicted: Sequence[Labels], dt: float, groups: NDArray[Any], seed: int = 0
 ) -> dict[str, tuple[float, float]]:
-    """95 % interval of every score: percentiles of scores of groups that are drawn with replacement.
+    """95 % interval of every score: expanded percentiles of scores of groups that are drawn with replacement.
 
     With fewer than eight groups, or without width, as without a mistake, the interval is Wilson's, with each group
-    counting once. The delay, which is no share, has none with fewer than eight groups: both ends are NaN.
+    counting once. The delay, which is no share, then has none: both ends are NaN.
 
     Args:
         truth: class of each sample, one array per recording; UNKNOWN = not annotated.
@@ -122,7 +122,7 @@ def segmentation_interval(
         >>> predicted = [np.repeat([0, 1], (first, 20 - first)) for first in (10, 10, 11, 11, 11, 12, 12, 14)]
         >>> interval = segmentation_interval(truth, predicted, 0.1, np.arange(8))
         >>> [round(float(end), 3) for end in interval["accuracy"]]
-        [0.887, 0.969]
+        [0.869, 0.975]
     """
     return score_and_interval(truth, predicted, dt, groups, seed)[1]
 
@@ -141,12 +141,10 @@ def score_and_interval(
     out = {}
     for name, value in whole.to_json().items():
         known = [score[name] for score in scores if not np.isnan(score[name])]
-        low, high = np.quantile(known, [0.025, 0.975]) if known else (np.nan, np.nan)
-        few = len(names) < FEWEST_GROUPS
-        if name != "delay" and (few or not has_width(low, high)):
-            low, high = wilson(value * len(names), len(names))
-        elif few:
-            low, high = np.nan, np.nan
+        enough = len(known) > 0 and len(names) >= FEWEST_GROUPS
+        low, high = percentile_interval(known, len(names)) if enough else (np.nan, np.nan)
+        if not has_width(low, high):
+            low, high = (np.nan, np.nan) if name == "delay" else wilson(value * len(names), len(names))
         out[name] = (float(low), float(high))
     return whole, out
 

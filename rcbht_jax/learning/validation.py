@@ -30,6 +30,7 @@ Prediction = tuple[NDArray[np.int64], dict[str, Any]]
 Estimator = Callable[[NDArray[np.int64], NDArray[np.int64], int], Prediction]
 
 _TREES = 50
+_SEEDS_APART = 1000
 
 
 def nested_svm(
@@ -129,8 +130,23 @@ def _interval(scores: NDArray[np.float64], run: CrossValidation, trials: int, it
 def repeated_folds(
     y: Ints, groups: NDArray[Any], folds: int, repeats: int, seed: int, group: str = "trial"
 ) -> list[list[Split]]:
-    """``grouped_folds`` for the seeds ``seed`` ... ``seed + repeats - 1``: ``[repeat][fold]``."""
-    return [grouped_folds(y, groups, folds, seed + repeat, group) for repeat in range(repeats)]
+    """``grouped_folds`` for each of ``repeat_seeds``: ``[repeat][fold]``."""
+    return [grouped_folds(y, groups, folds, one, group) for one in repeat_seeds(seed, repeats)]
+
+
+def repeat_seeds(seed: int, repeats: int) -> range:
+    """Seeds of repetitions, of which two different seeds share none.
+
+    Raises:
+        InputError: more than 1000 repetitions.
+
+    Example:
+        >>> list(repeat_seeds(0, 3)), list(repeat_seeds(1, 3))
+        ([0, 1, 2], [1000, 1001, 1002])
+    """
+    if repeats > _SEEDS_APART:
+        raise InputError(f"There are {repeats} repeats; expected at most {_SEEDS_APART}.")
+    return range(_SEEDS_APART * seed, _SEEDS_APART * seed + repeats)
 
 
 def cross_validate(estimator: Estimator, y: Ints, splits: Sequence[Sequence[Split]], seed: int = 0) -> CrossValidation:

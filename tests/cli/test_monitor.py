@@ -96,16 +96,6 @@ def test_values_are_compared_of_axes_without_a_bias(store: Path, capsys: pytest.
         )
 
 
-@pytest.mark.parametrize(("words", "few"), [(("--group", "day"), True), (("--group", "trial"), False)])
-def test_a_threshold_from_few_groups_is_said_to_keep_no_promise(
-    store: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], few: bool
-) -> None:
-    fit = ["monitor", "fit", str(store), "--where", "skill=5", *words, "-o", str(store.parent / "few.monitor")]
-    for exact in ((), ("--exact",)):
-        assert main([*fit, *exact]) == 0
-        assert ("With so few groups" in capsys.readouterr().out) == (few and not exact)
-
-
 def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["monitor", "evaluate", store, "--where", "skill=5", "--group", "day", "--onset", "began"]
     (found,) = lines(capsys, *words, "--false-alarms", 0.1, "--json")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments._lib.results_io import committed
-from experiments.online.failure_calibration import by_progress, errors, one_class
+from experiments.online.failure_calibration import by_progress, errors, interval, one_class
 from rcbht_jax.learning.progress import PARTS, mixed, part_of
 
 STEPS, CLASSES, FOLDS = 4000, 5, 5
@@ -31,8 +31,8 @@ def beliefs() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 def test_beliefs_are_calibrated_in_each_quarter(beliefs: tuple[np.ndarray, ...]) -> None:
     p, y, fold, seconds = beliefs
     quarter, names = part_of(seconds / 8), tuple("abcde")
-    before = errors(p, y, quarter, names)
-    after = errors(by_progress(p, y, fold, seconds, TRIAL, PLANNED), y, quarter, names)
+    before = errors(p, y, quarter, names, TRIAL)
+    after = errors(by_progress(p, y, fold, seconds, TRIAL, PLANNED), y, quarter, names, TRIAL)
     for part in range(1, PARTS + 1):
         assert before[f"quarter {part}"]["likeliest"] > 0.25
         assert after[f"quarter {part}"]["likeliest"] < 0.08
@@ -61,3 +61,14 @@ def test_the_committed_errors_are_whole() -> None:
     assert result["complete"]
     for row in result["rows"].values():
         assert all(len(row["by progress"][f"quarter {part}"]["classes"]) == 13 for part in range(1, PARTS + 1))
+
+
+def test_intervals_of_calibration_errors_hold_the_truth() -> None:
+    """Beliefs of 0.8 that are right in 0.6 of the steps, more often in some trials than in others."""
+    trial, held = np.repeat(np.arange(30), 10), 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        y = (rng.random(300) > np.repeat(rng.beta(6, 4, 30), 10)).astype(int)
+        low, high = interval(np.tile([0.8, 0.2], (300, 1)), y, trial)
+        held += low <= 0.2 <= high
+    assert held >= 90

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sklearn.metrics import r2_score
 
 from experiments._lib import frozen, intervals
 from experiments._lib.results_io import COMMITTED, committed
@@ -240,3 +241,13 @@ def test_counting_told_beginnings_is_enough_and_time_alone_is_not(stream: Spoilt
     assert alone["macro step accuracy"] < 0.5  # all states last equally long
     since_start = causal.little(stream, stream.inside, SEED, from_trial=True, wrench=False)
     assert since_start["macro step accuracy"] == 1
+
+
+def test_r2_of_drawn_trials_is_that_of_their_steps() -> None:
+    rng, trial = np.random.default_rng(0), np.repeat(np.arange(6), 5)
+    true = rng.normal(size=30)
+    predicted = true + 0.3 * rng.normal(size=30)
+    drawn = np.array([[1] * 6, [2, 0, 1, 1, 1, 1]])
+    rows = np.concatenate([np.flatnonzero(trial == one) for one in (0, 0, 2, 3, 4, 5)])
+    expected = [r2_score(true, predicted), r2_score(true[rows], predicted[rows])]
+    np.testing.assert_allclose(causal.drawn_r2(true, predicted, trial, drawn), expected)

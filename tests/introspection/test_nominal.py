@@ -176,6 +176,18 @@ def test_false_alarms_of_new_recordings_are_as_promised(calibration: str) -> Non
     assert alpha - 0.08 - 3 * error < np.mean(alarms) < alpha + 3 * error
 
 
+def test_few_groups_keep_the_promise() -> None:
+    """Of three groups, a fifth of these new recordings exceeded the threshold for a tenth."""
+    alpha, fits, tests, count, alarms = 0.1, 60, 10, 30, []
+    for seed in range(fits):
+        series = np.cumsum(np.random.default_rng(seed).normal(size=(count + tests, 12, 2)), 1)
+        monitor = NominalMonitor(rate=10, score_rate=10, memory=0.5, levels=())
+        level = monitor.fit(series[:count], groups=np.arange(count) % 3).threshold(alpha)
+        alarms += [monitor.scores(part).max() > level for part in series[count:]]
+    error = np.sqrt(alpha * (1 - alpha) * (1 / (fits * tests) + 1 / (fits * count)))  # of recordings and of thresholds
+    assert 0.02 < np.mean(alarms) < alpha + 3 * error
+
+
 def test_what_sets_an_exact_threshold_has_no_part_in_the_monitor() -> None:
     """The axes whose values are compared are chosen on the training half, as all else is."""
     rng, days = np.random.default_rng(0), np.repeat(np.arange(3), 8)

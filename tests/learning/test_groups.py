@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -127,3 +128,14 @@ def test_groups_go_to_classifiers_that_take_them(classifier):
     groups = np.tile([0, 1], 4)
     found = StateClassifier(classifier=classifier).fit(made.wrench, made.outcome, groups=groups)
     assert found.predict(made.wrench).tolist() == made.outcome.tolist()
+
+
+def test_two_seeds_share_no_repetition() -> None:
+    y, trial = np.arange(160) % 4, np.arange(160) // 4
+    made = {seed: repeated_folds(y, trial, 5, 10, seed) for seed in range(3)}
+    tests = {seed: [{test.tobytes() for _, test in folds} for folds in runs] for seed, runs in made.items()}
+    assert tests[0] == [{test.tobytes() for _, test in grouped_folds(y, trial, 5, repeat)} for repeat in range(10)]
+    for one, other in itertools.combinations(made, 2):
+        assert not any(a & b for a in tests[one] for b in tests[other])
+    with pytest.raises(InputError, match="There are 1001 repeats; expected at most 1000"):
+        repeated_folds(y, trial, 5, 1001, 0)

@@ -150,3 +150,15 @@ def test_true_probabilities_are_calibrated():
     truth = (rng.uniform(size=40_000) > first).astype(np.int64)
     assert metrics.calibration_error(np.stack([first, 1 - first], 1), truth) < 0.01
     assert metrics.calibration_error(np.stack([first**3, 1 - first**3], 1), truth) > 0.05
+
+
+@pytest.mark.parametrize(("groups", "plain", "expanded"), [(5, 0.83, 0.91), (8, 0.88, 0.93), (14, 0.91, 0.94)])
+def test_intervals_from_drawn_groups_hold_the_truth_more_often_than_plain_percentiles(groups, plain, expanded):
+    """The shares of docs/evaluation.md, for groups whose own shares are 0.8 in the mean."""
+    rng, held = np.random.default_rng(groups), []
+    for _ in range(1000):
+        share = rng.beta(4, 1, groups)
+        draws = rng.multinomial(groups, np.full(groups, 1 / groups), 1000) @ share / groups
+        ends = np.quantile(draws, [0.025, 0.975]), metrics.percentile_interval(draws, groups)
+        held.append([low <= 0.8 <= high for low, high in ends])
+    assert np.mean(held, 0) == pytest.approx([plain, expanded], abs=0.025)

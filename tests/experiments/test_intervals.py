@@ -1,0 +1,67 @@
+"""Intervals of the committed results, and what makes them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments._lib.benchmarks import with_interval
+from experiments._lib.intervals import of_folds, with_width, without
+from experiments._lib.results_io import COMMITTED
+from rcbht_jax.learning.metrics import has_width, wilson
+
+
+def pairs(value: Any) -> Iterator[tuple[float, float]]:
+    """Every pair of numbers in what is named an interval."""
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if len(parts) == 2 and all(isinstance(part, int | float) and not isinstance(part, bool) for part in parts):
+        low, high = parts
+        yield low, high
+    else:
+        for part in parts:
+            yield from pairs(part)
+
+
+def intervals(value: Any, place: str = "") -> Iterator[tuple[str, float, float]]:
+    """Every interval of a result, and where it is."""
+    for key, part in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        if "interval" in str(key) or str(key).endswith("95_percent"):
+            yield from ((f"{place} > {key}", *ends) for ends in pairs(part))
+        yield from intervals(part, f"{place} > {key}")
+    if isinstance(value, dict) and all(isinstance(value.get(end), int | float) for end in ("low", "high")):
+        yield place, value["low"], value["high"]
+
+
+@pytest.mark.parametrize("path", sorted(COMMITTED.glob("*.json")), ids=lambda path: path.stem)
+def test_no_committed_interval_has_zero_width(path: Any) -> None:
+    found = list(intervals(json.loads(path.read_text(encoding="utf-8"))))
+    assert [place for place, low, high in found if not has_width(low, high)] == []
+    assert all(low < high for _, low, high in found)
+
+
+def test_the_search_finds_every_form_of_an_interval() -> None:
+    forms = {
+        "a": {"low": 1, "high": 1}, "interval": [1.0, 1.0], "auroc_interval": [0, 0], "share_95_percent": [1, 1],
+        "intervals": {"x": [1, 1], "y": [0, 1]}, "rows": [{"interval": {"delay": [0.0, 0.0], "edit": [None, None]}}],
+    }  # fmt: skip
+    assert sum(low == high for _, low, high in intervals(forms)) == 6
+
+
+def test_scores_of_folds_that_all_agree_have_wilsons_interval_by_trial() -> None:
+    same, other = {"mean": 1.0, "low": 1.0, "high": 1.0}, {"mean": 0.9, "low": 0.8, "high": 1.0}
+    made = of_folds({"accuracy": same, "balanced_accuracy": other, "fold_min_mean_max": [1, 1, 1]}, 12)
+    assert (made["accuracy"]["low"], made["accuracy"]["high"]) == wilson(12, 12)
+    assert made["balanced_accuracy"] == {**other, "interval by": "corrected resampled t"}
+    assert with_width(made["accuracy"], 12) == made["accuracy"]  # which says how it was made
+    assert without(made) == {
+        "accuracy": {"mean": 1.0},
+        "balanced_accuracy": {"mean": 0.9},
+        "fold_min_mean_max": [1, 1, 1],
+    }
+    assert with_width(same, 0) == {"mean": 1.0}
+    assert with_interval(np.ones((3, 5)), trials=12)["interval"] == [round(end, 3) for end in wilson(12, 12)]
+    assert with_interval(np.ones((3, 5))) == {"mean": 1.0}
