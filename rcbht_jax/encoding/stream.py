@@ -134,7 +134,8 @@ class Encoder:
     The encoder keeps a state of fixed size and less than one window of samples. Labels are LabelTracks ``[axis, slot]``
     of host arrays, with one slot per window or, at the end, 1 + 2, 1 + 5 and 1 + 8 slots (by the fit rule 1 + 5 each);
     label 0 marks a slot where nothing was published. They equal those of :func:`rcbht_jax.encode` bit for bit, however
-    the samples are divided into chunks.
+    the samples are divided into chunks; on a GPU, where division may round differently, but for the last digit of
+    means and slopes.
 
     Args:
         config: static configuration; its type chooses the rule.
