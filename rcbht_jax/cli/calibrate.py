@@ -23,6 +23,7 @@ from rcbht_jax.cli.command import (
     Store,
     Task,
     checked_tolerance,
+    chosen_task,
     option,
     progress_bar,
     unset,
@@ -97,7 +98,7 @@ class Calibrate(RuleCommand):
     """File of thresholds to write; an existing one is replaced."""
     method: Literal["rest", "context", "search", "gradient"] = "search"
     """Calibration method; rest needs neither annotations nor classes and fits any robot."""
-    task: Task = "states"
+    task: Task = ""
     """Task whose classes the labels should separate."""
     boundaries: Boundaries = "harmonised"
     arm: Arm = "R"
@@ -151,7 +152,7 @@ class Calibrate(RuleCommand):
         compile_cache.use(self.compile_cache)
         if self.method == "rest":
             return self._rest(read_sample(self.store, self._everything))
-        spec = TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session)
+        spec = TaskSpec(chosen_task(self.task, self.store), self.boundaries, self.arm, self.source, self.session)
         sample = read_sample(self.store, spec)
         recordings = sample.recordings
         config = self.config(recordings.dt)

@@ -28,6 +28,7 @@ from rcbht_jax.cli.command import (
     Sources,
     Task,
     Weighing,
+    chosen_task,
     left_out,
     option,
     progress_bar,
@@ -55,7 +56,7 @@ Family = Literal[
 @dataclass(frozen=True)
 class _Learning(Command):
     store: LabelledStore
-    task: Task = "states"
+    task: Task = ""
     tracks: Annotated[tuple[str, ...], unset()] = ()
     """Label tracks to use; A+B concatenates their features. Cross-validation selects one of several choices."""
     boundaries: Boundaries = "harmonised"
@@ -84,7 +85,8 @@ class _Learning(Command):
     def spec(self) -> TaskSpec:
         from rcbht_jax.learning.tasks import TaskSpec
 
-        return TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session, self.outcome or None)
+        task = chosen_task(self.task, self.store)
+        return TaskSpec(task, self.boundaries, self.arm, self.source, self.session, self.outcome or None)
 
     @property
     def grid(self) -> Grid:

@@ -26,8 +26,8 @@ from rcbht_jax.cli.command import (
     Sessions,
     Sources,
     Store,
-    Task,
     Weighing,
+    chosen_task,
     left_out,
     option,
     progress_bar,
@@ -57,8 +57,9 @@ class TrainOnline(RuleCommand):
 
     store: Store
     """Store of recordings; label tracks are not needed."""
-    task: tuple[Task, ...] = ("states",)
-    """Tasks, each with a classifier of its own."""
+    task: Annotated[
+        tuple[str, ...], option("Tasks, each with a classifier of its own.", "the only track of the store, else states")
+    ] = ()
     detect: Flag = False
     """Also learn to detect when a sub-task of the first track in --task begins, for streams that do not say so."""
     false_alarms: Annotated[
@@ -102,10 +103,11 @@ class TrainOnline(RuleCommand):
 
         recordings = read_recordings(self.store)
         filters = TaskSpec("", sources=self.source, sessions=self.session, outcomes=self.outcome or None)
-        tasks = [replace(filters, task=task, seconds=self.first_seconds) for task in self.task]
+        names = self.task or (chosen_task("", self.store),)
+        tasks = [replace(filters, task=name, seconds=self.first_seconds) for name in names]
         phases = [task for task in tasks if track_of(recordings, task)][:1] if self.detect else []
         if self.detect and not phases:
-            raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(self.task)}.")
+            raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(names)}.")
         specs = tuple(
             HeadSpec(
                 task,
