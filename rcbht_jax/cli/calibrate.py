@@ -146,13 +146,15 @@ class Calibrate(RuleCommand):
         from rcbht_jax.calibration.sample import read_sample
         from rcbht_jax.encoding.limit_files import write_limits
         from rcbht_jax.encoding.rules import config_fields
+        from rcbht_jax.io.store import read_table
         from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 
         self._check()
         compile_cache.use(self.compile_cache)
         if self.method == "rest":
             return self._rest(read_sample(self.store, self._everything))
-        spec = TaskSpec(chosen_task(self.task, self.store), self.boundaries, self.arm, self.source, self.session)
+        task = chosen_task(self.task, read_table(self.store))
+        spec = TaskSpec(task, self.boundaries, self.arm, self.source, self.session)
         sample = read_sample(self.store, spec)
         recordings = sample.recordings
         config = self.config(recordings.dt)

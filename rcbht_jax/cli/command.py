@@ -109,12 +109,8 @@ Outcomes = Annotated[
     tuple[str, ...], option("Outcomes to use.", "for a track, successes if there are any; for a column, all")
 ]
 Arm = Annotated[str, option("Arm whose wrench to use, if the store has several.")]
-Task = Annotated[
-    str,
-    option(
-        "Track of annotations, or column, whose classes to distinguish.", "the only track of the store, else states"
-    ),
-]
+ONLY_TRACK = "the only track of the store, else states"
+Task = Annotated[str, option("Track of annotations, or column, whose classes to distinguish.", ONLY_TRACK)]
 Boundaries = Annotated[
     str,
     option(
@@ -383,11 +379,9 @@ def belief_rate(chosen: float | None) -> float | Literal["auto"] | None:
     return "auto" if chosen is None else chosen or None
 
 
-def chosen_task(task: str, store: Path) -> str:
-    """The task that an option names; where it names none the only track of a store, else states."""
-    from rcbht_jax.io.store import read_table
-
-    tracks = () if task else read_table(store).annotations.tracks
+def chosen_task(task: str, recordings: Recordings) -> str:
+    """The task that an option names; where it names none the only track of the recordings, else states."""
+    tracks = recordings.annotations.tracks
     return task or (tracks[0] if len(tracks) == 1 else "states")
 
 

@@ -81,11 +81,10 @@ class _Learning(Command):
 
     FORMER: ClassVar[dict[str, str]] = {"--arms": "--arm", "--ranks": ""}
 
-    @property
-    def spec(self) -> TaskSpec:
+    def spec(self, recordings: Recordings) -> TaskSpec:
         from rcbht_jax.learning.tasks import TaskSpec
 
-        task = chosen_task(self.task, self.store)
+        task = chosen_task(self.task, recordings)
         return TaskSpec(task, self.boundaries, self.arm, self.source, self.session, self.outcome or None)
 
     @property
@@ -148,8 +147,9 @@ class Evaluate(_Learning):
         families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
         folds = 1 if self.train_on else (self.folds or FOLDS) * self.repeats
         recordings, facts = table_and_facts(self.store)
+        spec = self.spec(recordings)
         with progress_bar("evaluate", "folds", folds) as bar:
-            result = evaluate(recordings, grammars, self.spec, families, protocol, how, bar.update, facts=facts)
+            result = evaluate(recordings, grammars, spec, families, protocol, how, bar.update, facts=facts)
         return {"tracks": " ".join(grammars), **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -201,8 +201,9 @@ class Train(_Learning):
         grammars, how = self.read_tracks()
         families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
         (recordings, facts), grid = table_and_facts(self.store), self.grid
+        spec = self.spec(recordings)
         with progress_bar("train", "folds", grid.inner) as bar:
-            model = train(recordings, grammars, self.spec, families, grid, how, self.seed, bar.update, facts)
+            model = train(recordings, grammars, spec, families, grid, how, self.seed, bar.update, facts)
         save(self.out, model)
         chosen = model.svm.spec
         return {

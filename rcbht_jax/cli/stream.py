@@ -18,6 +18,7 @@ import tyro
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     ONLINE_MODEL,
+    ONLY_TRACK,
     Command,
     Flag,
     Outcomes,
@@ -57,9 +58,7 @@ class TrainOnline(RuleCommand):
 
     store: Store
     """Store of recordings; label tracks are not needed."""
-    task: Annotated[
-        tuple[str, ...], option("Tasks, each with a classifier of its own.", "the only track of the store, else states")
-    ] = ()
+    task: Annotated[tuple[str, ...], option("Tasks, each with a classifier of its own.", ONLY_TRACK)] = ()
     detect: Flag = False
     """Also learn to detect when a sub-task of the first track in --task begins, for streams that do not say so."""
     false_alarms: Annotated[
@@ -103,7 +102,7 @@ class TrainOnline(RuleCommand):
 
         recordings = read_recordings(self.store)
         filters = TaskSpec("", sources=self.source, sessions=self.session, outcomes=self.outcome or None)
-        names = self.task or (chosen_task("", self.store),)
+        names = self.task or (chosen_task("", recordings),)
         tasks = [replace(filters, task=name, seconds=self.first_seconds) for name in names]
         phases = [task for task in tasks if track_of(recordings, task)][:1] if self.detect else []
         if self.detect and not phases:
