@@ -22,7 +22,8 @@ from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
 MAX_CHANNELS = 64  # where every numeric column is one
-_BAD = re.compile(r"anomal|fault|fail|error|defect|collision|nok", re.IGNORECASE)
+_BAD = re.compile(r"anomal|(?<!de)fault|fail|error|defect|collision|unsuccess|reject|fehler|^(?:nok|nio|ng)$")
+_DENIAL = re.compile(r"(?:no|non|not|without|ohne|free|frei)$|[a-z]+(?:less|free|frei)$")
 
 
 def outcome_words(column: str) -> dict[str, str]:
@@ -30,9 +31,13 @@ def outcome_words(column: str) -> dict[str, str]:
 
     >>> outcome_words("result")["true"], outcome_words("anomaly")["true"], outcome_words("anomaly")["ok"]
     ('success', 'failure', 'success')
+    >>> outcome_words("no_fault")["true"], outcome_words("not_ok")["true"]
+    ('success', 'failure')
     """
     turned = {"1": "failure", "true": "failure", "0": "success", "false": "success"}
-    return OUTCOMES | turned if _BAD.search(column) else OUTCOMES
+    words = re.split(r"[\W\d_]+", names.snake(column))
+    denied = sum(bool(_DENIAL.match(word)) for word in words) % 2 == 1
+    return OUTCOMES | turned if any(map(_BAD.search, words)) != denied else OUTCOMES
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 
 from rcbht_jax._util.columns import base_and_unit
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.guess import guess
+from rcbht_jax.io.importing.guess import guess, outcome_words
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.names import wrenches
 from rcbht_jax.io.importing.table import Table
@@ -324,3 +324,15 @@ def test_times_of_exports_of_plotjuggler_and_foxglove(name: str) -> None:
 def test_a_named_column_that_is_missing_is_told(base: Mapping) -> None:
     with pytest.raises(InputError, match=r"^a\.csv has no column 'nope'; it has t, Fz\.$"):
         guess(Table("a.csv", {"t": np.arange(9) * 0.1, "Fz": np.ones(9)}), base)
+
+
+@pytest.mark.parametrize("column", ["anomaly", "isFaulty", "error_code", "NOK", "not_ok", "non-success", "unsuccessful"])
+def test_what_is_true_in_a_column_named_after_an_error_is_a_failure(column: str) -> None:
+    words = outcome_words(column)
+    assert (words["1"], words["0"], words["ok"]) == ("failure", "success", "success")
+
+
+@pytest.mark.parametrize("column", ["result", "default", "ok", "no_fault", "failure_free", "errorless", "fehlerfrei"])
+def test_what_is_true_in_a_column_that_denies_an_error_is_a_success(column: str) -> None:
+    words = outcome_words(column)
+    assert (words["true"], words["false"], words["nok"]) == ("success", "failure", "failure")
