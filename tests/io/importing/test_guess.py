@@ -326,7 +326,9 @@ def test_a_named_column_that_is_missing_is_told(base: Mapping) -> None:
         guess(Table("a.csv", {"t": np.arange(9) * 0.1, "Fz": np.ones(9)}), base)
 
 
-@pytest.mark.parametrize("column", ["anomaly", "isFaulty", "error_code", "NOK", "not_ok", "non-success", "unsuccessful"])
+@pytest.mark.parametrize(
+    "column", ["anomaly", "isFaulty", "error_code", "NOK", "not_ok", "non-success", "unsuccessful"]
+)
 def test_what_is_true_in_a_column_named_after_an_error_is_a_failure(column: str) -> None:
     words = outcome_words(column)
     assert (words["1"], words["0"], words["ok"]) == ("failure", "success", "success")
