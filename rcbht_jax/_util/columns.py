@@ -19,6 +19,7 @@ TIMES = (
     "__time", "publish_time", "log_time",
 )  # fmt: skip
 
+_TAILS = ("N", "Nm", "mN", "mNm", "Nmm", "Ncm", "kN", "kNm", "kgf", "lbf")  # that end a name after "_"
 _PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅-](?=[a-z])")  # N-m, N·mm, lbf in
 _AFTER = re.compile(r"^(.*?[^\s,/])(?:\s*[,/]\s*|\s+in\s+)([a-zA-Zµ]+(?:[ .*·⋅-][a-zA-Z]+)?)$")  # Fx/N, Fx, N; Fx in N
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
@@ -41,7 +42,7 @@ def split_unit(name: str) -> tuple[str, str]:
     if after and unit and ("N" in after[2] or unit[:3] in ("kgf", "lbf") or after[1].lower() in TIMES):
         return after[1], unit
     head, _, tail = name.strip().rpartition("_")
-    if head and (tail in ("N", "Nm", "mN", "mNm") or tail.lower() in ("ms", "us", "ns", "sec", "s")):
+    if head and (tail in _TAILS or tail.lower() in ("ms", "us", "ns", "sec", "s")):
         return head, UNITS[tail.lower()]
     return name.strip(), ""
 

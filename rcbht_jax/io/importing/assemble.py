@@ -14,7 +14,8 @@ from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
-from rcbht_jax.io.importing.names import column_name
+from rcbht_jax.io.importing.families import numbered
+from rcbht_jax.io.importing.names import GROUPS, column_name
 from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.report import ImportReport
 from rcbht_jax.io.store import VARIABLES
@@ -145,11 +146,17 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
 
 
 def _folders(records: list[Record]) -> list[str]:
-    """The folder of each recording; where every file has a folder of its own within others, that around it."""
+    """The folder of each recording; where every file has a folder of its own, that around it, if it is not a session.
+
+    Folders directly in the source, with one file each, are trials if they are called so: trial_0, run_1, ...
+    """
     files = {record.file: record.folder for record in records}
     outer = [str(PurePosixPath(record.folder).parent) for record in records]
-    own = 1 < len(files) == len(set(files.values())) and "." not in outer
-    return outer if own else [record.folder for record in records]
+    own = 1 < len(files) == len(set(files.values()))
+    trials = all(numbered(folder.rstrip("0123456789")) in GROUPS for folder in files.values())
+    if own and "." not in outer:
+        return outer
+    return [""] * len(records) if own and trials else [record.folder for record in records]
 
 
 def _trials(records: list[Record]) -> list[str]:
@@ -157,8 +164,7 @@ def _trials(records: list[Record]) -> list[str]:
     short = []
     for record in records:
         stem = PurePosixPath(record.file).with_suffix("").as_posix()
-        part = "" if record.part == record.arm else record.part
-        short.append("-".join(filter(None, [stem, part])))
+        short.append("-".join(filter(None, [stem, record.trial_part])))
     pairs = Counter(zip(short, (record.arm for record in records), strict=True))
     if max(pairs.values()) > 1:
         return [record.name for record in records]

@@ -205,10 +205,8 @@ def _check_axes(table: Table, free: list[str]) -> None:
 
 def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
-    found = names.wrenches(numeric)
-    if found:
-        best = max(found, key=lambda wrench: (not names.is_demanded(wrench["Fx"]), len(wrench)))
-        return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in best.items())
+    if wrench := names.preferred(names.wrenches(numeric)):
+        return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in wrench.items())
     other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]
     rest = [name for name in rest if np.isfinite(table.columns[name]).any()]  # an empty column is none

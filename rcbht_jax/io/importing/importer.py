@@ -3,8 +3,8 @@
 Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at its own rate), ``resampled:RATE`` (from
 that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
 ``stuck:AXIS``, ``counts`` (were divided), ``other-arrays:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
-``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples), ``cp1252``,
-``changes:COLUMN`` (one that should be constant), ``beginning-of:OTHER``, ``copy-of:OTHER``,
+``unordered:COUNT``, ``windows:COUNT``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples),
+``cp1252``, ``changes:COLUMN`` (one that should be constant), ``beginning-of:OTHER``, ``copy-of:OTHER``,
 ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
@@ -21,6 +21,7 @@ from rcbht_jax._util.untrusted import check_inside, leads_out
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.importing import arrays, columnar, marks
+from rcbht_jax.io.importing.arms import PLACE, tables_of_arms
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.blocks import read_blocks
 from rcbht_jax.io.importing.constants import constants_of, describe
@@ -32,6 +33,7 @@ from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Lacks, Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
+from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.ts import read_ts
@@ -84,13 +86,18 @@ def read_source(
             )
         return _exported(source, items[0])
     report = ImportReport()
-    if others := [name for name in others if name not in marks.described_by(base, items)]:
+    others = [name for name in others if name not in marks.described_by(base, items)]
+    beside = sidecars_of(source, items, others)
+    if others := [name for name in others if name not in beside.files]:
         listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
         were = plural(len(others), "other file was", "other files were")
         report.remarks.append(f"{were} not read: {listed}.")
-    read, used, tables, constants = _read(source, items, base, report, progress)
+    if beside.files:
+        were = plural(len(beside.files), "JSON object describes recordings", "JSON objects describe recordings")
+        report.remarks.append(f"{were}: {some(beside.files)}.")
+    read, used, tables, constants = _read(source, items, base, beside, report, progress)
     found = [record for record, _ in read]
-    names = marks.Names((record.file, record.part) for record in found)
+    names = marks.Names(((record.file, record.part) for record in found), [record.arm for record in found])
     _beside(source, read, [track for track in base.annotations if not track.column], names, report)
     _attach(found, tables, names, report)
     found = [_bounded(record, report) for record in found]
@@ -101,12 +108,14 @@ def read_source(
     described = describe(found, constants)
     recordings = assemble(found, source, base.rate, report)
     first, rows = used[found[0].name]
+    if any(PLACE in channel.column for channel in first.channels):
+        first = replace(first, arms=base.arms or tuple(dict.fromkeys(str(one.columns["arm"]) for one in found)))
     first = replace(first, columns={**first.columns, **{column_name(name): Value(name) for name in described}})
     taken = {row.column: row for _, others in used.values() for row in others if row.role != "left out"}
     taken |= {name: Understood(name, f"column {column_name(name)}") for name in described}
     # a column may be empty in the first file, and state something in others
     report.understood = [asdict(taken.get(row.column, row) if row.role == "left out" else row) for row in rows]
-    report.content_sha256 = _digest(source, items)
+    report.content_sha256 = _digest(source, [*items, *(Item(name, source / name, "json") for name in beside.files)])
     return Imported(recordings, first, report)
 
 
@@ -166,12 +175,12 @@ def _exported(source: Path, item: Item) -> Imported:
 
 
 def _read(
-    source: Path, items: list[Item], base: Mapping, report: ImportReport, progress: Progress
+    source: Path, items: list[Item], base: Mapping, beside: Sidecars, report: ImportReport, progress: Progress
 ) -> tuple[list[tuple[Record, Item]], dict[str, tuple[Mapping, list[Understood]]], list[Table], Constants]:
     """The recordings of all files and where each is from, the mapping of each, tables of intervals, and constants."""
     found: list[tuple[Record, Item]] = []
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
-    beside: list[Table] = []
+    marked: list[Table] = []
     constants: Constants = {}
     listing: Table | None = None
     if not base.table and source.is_dir():
@@ -186,12 +195,12 @@ def _read(
         try:
             if source.is_dir():
                 check_inside(item.path, source)
-            for table in read_item(item, base):
+            for table in (arm for whole in read_item(item, base) for arm in tables_of_arms(whole, base)):
                 if item.kind == "csv" and marks.is_intervals(table.columns):
-                    beside.append(table)
+                    marked.append(table)
                     continue
                 try:
-                    for record, meaning in _understood(table, base, rows, report):
+                    for record, meaning in _understood(beside.described(table), base, rows, report):
                         found.append((record, item))
                         used[record.name] = meaning
                         if not base.channels and not meaning[0].group:
@@ -203,7 +212,7 @@ def _read(
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
     report.warnings += lacks.warnings()
-    return found, used, beside, constants
+    return found, used, marked, constants
 
 
 def _understood(
@@ -272,10 +281,10 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
             continue
         meant = {word: names.meant(word if marks.is_naming(table.columns) else own) for word, _ in rows}
         for word, interval in rows:
-            if len(meant[word]) == 1:
-                record = found[min(meant[word])]
+            for place in meant[word] if names.of_one_trial(meant[word]) else ():
+                record = found[place]
                 record.intervals.append(_from_start(record, interval))
-        twofold = [word or own for word, places in meant.items() if len(places) > 1]
+        twofold = [word or own for word, places in meant.items() if places and not names.of_one_trial(places)]
         report.warnings += [(table.name, marks.ambiguous(word)) for word in twofold]
         if not any(meant.values()):
             report.warnings.append(

@@ -89,6 +89,7 @@ class Mapping:
     rotation: tuple[tuple[float, ...], ...] = ()  # 3x3, applied to forces and moments; or one row x, y, z, w
     rate: float | None = None  # samples per second of the store
     files: tuple[str, ...] = ()  # patterns such as "*_ft.csv" of the files that are recordings; none = all
+    arms: tuple[str, ...] = ()  # of a table with columns of several; "{arm}" is their place in the names of columns
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -273,6 +274,8 @@ def check(mapping: Mapping) -> Mapping:
             f"bias has {plural(len(mapping.bias), 'value')} for {plural(len(mapping.channels), 'channel')}."
         )
     _check_rotation(mapping)
+    if "" in mapping.arms or len({arm.lower() for arm in mapping.arms}) < len(mapping.arms):
+        raise InputError(f"two arms have one name, or one has none: {', '.join(map(repr, mapping.arms))}.")
     for track in mapping.annotations:
         sources = [bool(name) for name in (track.column, track.file, track.ends, track.starts)]
         pairs = [(track.ends, track.ids), (track.starts, track.labels)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
@@ -16,7 +16,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import LABELS, column_name, wrenches
-from rcbht_jax.io.importing.record import OUTCOMES, Row, is_outcome, text
+from rcbht_jax.io.importing.record import OUTCOMES, Row, is_outcome, text, without_arm
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import STANDARD_COLUMNS
@@ -24,25 +24,34 @@ from rcbht_jax.types import STANDARD_COLUMNS
 HEAD = 4096  # bytes of a table in which a recording is named, if it lists them
 _NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
 _LABELS = ("label", "text", "description", *LABELS)
-_STARTS = ("start", "start_time", "begin", "onset", "t_start")
-_ENDS = ("end", "end_time", "stop", "stop_time", "offset", "t_end")
+_STARTS = ("start", "start_time", "begin", "begin_time", "onset", "t_start", "time_start", "starttime", "tmin", "from")
+_ENDS = (
+    "end", "end_time", "stop", "stop_time", "offset", "t_end", "time_end", "endtime", "tmax", "to", "finish",
+    "finish_time",
+)  # fmt: skip
+_DURATIONS = ("duration", "dur", "length")
 
 
 def is_intervals(columns: Iterable[str]) -> bool:
     """Whether a table with these columns is one of annotations: label and start, or like names and an end.
 
-    >>> is_intervals(["label", "start"]), is_intervals(["Action", "start_time [s]", "end_time [s]"])
+    >>> is_intervals(["label", "start"]), is_intervals(["Action", "Start time [s]", "duration [s]"])
     (True, True)
     """
     fields = _fields(columns)
     plain = {name.lower() for name in columns}
-    return {"label", "start"} <= plain or ({"label", "start", "end"} <= set(fields) and not wrenches(columns))
+    whole = {"label", "start"} <= set(fields) and not {"end", "duration"}.isdisjoint(fields)
+    return {"label", "start"} <= plain or (whole and not wrenches(columns))
 
 
 def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
-    """Label, start, end, track and recording of a table of annotations -> its column, and s per unit of a time."""
-    parsed = {base: (name, SECONDS.get(unit, 1.0)) for name in columns for base, unit in (base_and_unit(name),)}
-    kinds = {"label": _LABELS, "start": _STARTS, "end": _ENDS, "track": ("track",), "recording": _NAMES}
+    """Label, start, end, duration, track and recording of annotations -> its column, and s per unit of a time."""
+    pairs = ((name, *base_and_unit(name)) for name in columns)
+    parsed = {base.replace(" ", "_"): (name, SECONDS.get(unit, 1.0)) for name, base, unit in pairs}
+    kinds = {
+        "label": _LABELS, "start": _STARTS, "end": _ENDS, "duration": _DURATIONS, "track": ("track",),
+        "recording": _NAMES,
+    }  # fmt: skip
     found = {kind: next((parsed[word] for word in words if word in parsed), None) for kind, words in kinds.items()}
     return {kind: place for kind, place in found.items() if place is not None}
 
@@ -60,12 +69,12 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     fields = _fields(table.columns)
     columns = {kind: table.columns[name] for kind, (name, _) in fields.items()}
     count = len(columns["label"])
-    for key in {"start", "end"} & set(columns):
+    for key in {"start", "end", "duration"} & set(columns):
         name, seconds = fields[key]
         if columns[key].dtype.kind == "U":
             raise InputError(f"{table.name}: column {name} is text; expected seconds.")
         columns[key] = columns[key] * seconds
-    ends = columns.get("end", np.full(count, np.nan))
+    ends = columns.get("end", columns["start"] + columns.get("duration", np.nan))
     tracks = columns.get("track", np.full(count, track.track))
     names = columns.get("recording", np.full(count, ""))
     found = []
@@ -98,22 +107,35 @@ class Names:
     >>> names = Names([("run1.csv", ""), ("monday/run1.csv", ""), ("monday/run2.csv", "")])
     >>> names.meant("run1"), names.meant("run2.csv"), names.meant("run3")
     ({0}, {2}, set())
+    >>> arms = Names([("run1.csv", "left"), ("run1.csv", "right")], ["left", "right"])
+    >>> arms.meant("run1"), arms.of_one_trial(arms.meant("run1"))
+    ({0, 1}, True)
     """
 
-    def __init__(self, recordings: Iterable[tuple[str, str]]) -> None:
-        """Take the file and the part of each recording; "" = the whole file."""
+    def __init__(self, recordings: Iterable[tuple[str, str]], arms: Sequence[str] = ()) -> None:
+        """Take the file and the part of each recording, "" = the whole file, and the arm of each; none = all of one."""
         self._ranks: tuple[dict[str, set[int]], ...] = ({}, {}, {})
+        self._trials: list[tuple[str, str]] = []
         for place, (name, part) in enumerate(recordings):
-            file, tail = PurePosixPath(name), f"#{part}" if part else ""
-            bare = {f"{file.name}{tail}", f"{file.stem}{tail}", part} - {""}
-            for rank, words in zip(self._ranks, ({name + tail}, {f"{file.with_suffix('')}{tail}"}, bare), strict=True):
-                for word in words:
-                    rank.setdefault(word, set()).add(place)
+            shared = without_arm(part, arms[place]) if arms else part
+            self._trials.append((name, shared))
+            file = PurePosixPath(name)
+            for one in dict.fromkeys((part, shared)):
+                tail = f"#{one}" if one else ""
+                bare = {f"{file.name}{tail}", f"{file.stem}{tail}", one} - {""}
+                words = ({name + tail}, {f"{file.with_suffix('')}{tail}"}, bare)
+                for rank, those in zip(self._ranks, words, strict=True):
+                    for word in those:
+                        rank.setdefault(word, set()).add(place)
 
     def meant(self, word: str) -> set[int]:
-        """Indices of the recordings that the word means; more than one if it is ambiguous."""
+        """Indices of the recordings that the word means; more than one if it is ambiguous, or names all arms."""
         word = spelled(word)
         return set(next((rank[word] for rank in self._ranks if word in rank), ()))
+
+    def of_one_trial(self, places: Iterable[int]) -> bool:
+        """Whether recordings are the arms of one trial: a word that means them is not ambiguous."""
+        return len({self._trials[place] for place in places}) == 1
 
 
 def beside(source: Path, file: Path, pattern: str) -> Path:
@@ -177,9 +199,10 @@ def track_intervals(
         rows = intervals_of(table, track)
         if is_naming(table.columns):
             meant = {word: names.meant(word) for word, _ in rows}
-            ambiguities = [(path.name, ambiguous(word)) for word, places in meant.items() if len(places) > 1]
+            twofold = (word for word, places in meant.items() if places and not names.of_one_trial(places))
+            ambiguities = [(path.name, ambiguous(word)) for word in twofold]
             warnings += [row for row in ambiguities if row not in warnings]  # the file may be read for every recording
-            rows = [(word, interval) for word, interval in rows if meant[word] == {place}]
+            rows = [row for row in rows if place in meant[row[0]] and names.of_one_trial(meant[row[0]])]
         return [interval for _, interval in rows]
     if track.starts:
         return _successive(beside(source, file, track.starts), track)

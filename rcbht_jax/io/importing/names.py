@@ -11,7 +11,7 @@ from rcbht_jax.labels import AXES
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanoseconds")
 COUNTERS = (
     "index", "sample", "samples", "frame", "frame_index", "step", "row", "seq", "header.seq", "unnamed: 0",
-    "field.header.seq", "task_index", "next.done",
+    "field.header.seq", "task_index", "next.done", "__index_level_0__",
 )  # fmt: skip
 GROUPS = (
     "instance", "episode", "recording", "series", "run", "demo", "sequence", "trial", "experiment", "traj",
@@ -26,17 +26,28 @@ LABELS = (
 
 FORCES, MOMENTS = ("N", "mN", "kN", "kgf", "lbf"), ("Nm", "mNm", "Nmm", "Ncm", "kNm", "lbf in", "lbf ft")
 WHOLE = ("wrench", "force", "forces", "torque", "torques", "moment", "moments", "ft")  # of several axes in one column
-_DEMANDED = {"desired", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "setpoint", "next"}
+_DEMANDED = {
+    "desired", "des", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "setpoint", "next", "err",
+    "error", "dot", "std", "var", "bias",
+}  # fmt: skip
+_RAW, _COMPENSATED = {"raw", "uncompensated"}, {"compensated", "comp", "tared"}
+_QUALIFIERS = (
+    "continuous|raw|filtered|compensated|comp|measured|meas|ext|external|data|values?|sensor|tcp|tool|ee|base|world|"
+    "history|calibrated|tared|est|estimated|left|right|l|r"
+)
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX
 _AXIS = re.compile(
-    r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?[._/ \-]*([xyz])(?:[._/](?:data|values?))?$"
+    r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
+    r"((?:[._/ \-][\w{}]+)?)$"
 )
 # in any language, where a unit tells the quantity
-_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)[._/ \-]*([xyz])$")
+_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)[._/ \-]*([xyz])()$")
+_AXIS_FIRST = re.compile(r"^(|.*[._/ \-])([xyz])[._/ \-]*([^\W\d_]+)((?:[._/ \-][\w{}]+)?)$")  # x_force
 _ELEMENT = re.compile(
     r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
-    r"(?:[._/](?:signals[._/])?(?:data|values?))?(_|\[|\()(\d+)[\])]?$"
+    r"((?:_(?:" + _QUALIFIERS + r"|\{arm\}))*)"
+    r"(?:[._/](?:signals[._/])?(?:data|values?))?(_|\[|\(|)(\d+)[\])]?$"
 )
 _SIX = ("wrench", "force_torque", "forcetorque", "ft", "ft_sensor", "f_ext_hat_k")
 
@@ -48,30 +59,34 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     [{'Fx': 'a.force.x', 'Fy': 'a.force.y', 'Fz': 'a.force.z'}]
     >>> wrenches(["Kraft_x [N]", "Kraft_y [N]", "Kraft_z [N]"])
     [{'Fx': 'Kraft_x [N]', 'Fy': 'Kraft_y [N]', 'Fz': 'Kraft_z [N]'}]
+    >>> wrenches(["x_force", "y_force", "z_force"])
+    [{'Fx': 'x_force', 'Fy': 'y_force', 'Fz': 'z_force'}]
     """
     found: dict[str, dict[str, str]] = {}
-    rows: dict[tuple[str, str, str], dict[int, str]] = {}
+    rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
     for name in names:
         base, unit = split_unit(name)
         base = _TWICE.sub(r"\1", snake(base))
-        if match := _AXIS.match(base) or (_WORD.match(base) if unit in (*FORCES, *MOMENTS) else None):
-            kind = "F" if unit in FORCES or match[2] in ("force", "f") else "M"
-            axes = found.setdefault(match[1] + match[3], {})
-            if match[2] in ("torque", "moment", "tau", "m"):  # then tx is a translation
-                axes[kind + match[4]] = name
-            axes.setdefault(kind + match[4], name)
-        elif match := _ELEMENT.match(base):
-            rows.setdefault((match[1], match[2], match[3]), {})[int(match[4])] = name
-    for (prefix, kind, bracket), elements in rows.items():
+        if part := _axis_of(base, unit):
+            place, kind, letter, certain = part
+            axes = found.setdefault(place, {})
+            if certain:
+                axes[kind + letter] = name
+            axes.setdefault(kind + letter, name)
+        elif (match := _ELEMENT.match(base)) and (match[4] or match[2] in _SIX):  # F1, F2, ... may be of one axis each
+            rows.setdefault((match[1], match[2], match[3], match[4]), {})[int(match[5])] = name
+    for (prefix, kind, qualifiers, bracket), elements in rows.items():
         # F_1, F_2, ... may be sensors of one axis each
         first = min(elements) if bracket != "_" or kind in _SIX else 0
         numbers = {number - first: name for number, name in elements.items()}
         if first <= 1 and set(numbers) == set(range(6)) and not kind.startswith(("t", "m")):
-            found.setdefault(f"{prefix}{kind}_", {}).update(zip(AXES, (numbers[n] for n in range(6)), strict=True))
+            found.setdefault(f"{prefix}{kind}_{qualifiers}", {}).update(
+                zip(AXES, (numbers[n] for n in range(6)), strict=True)
+            )
         elif first <= 1 and set(numbers) == {0, 1, 2} and kind not in _SIX:
             letter = "F" if kind.startswith("f") else "M"
             for number, axis in enumerate("xyz"):
-                found.setdefault(prefix, {}).setdefault(letter + axis, numbers[number])
+                found.setdefault(prefix + qualifiers, {}).setdefault(letter + axis, numbers[number])
     complete = []
     for axes in found.values():
         if {"Fx", "Fy", "Fz"} <= set(axes):
@@ -79,13 +94,41 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     return complete
 
 
-def is_demanded(name: str) -> bool:
-    """Whether a column is what was wanted by its name, or a copy of the next sample, and not what was measured.
+def _axis_of(base: str, unit: str) -> tuple[str, str, str, bool] | None:
+    """What sets a wrench apart from others, F or M, x, y or z, and whether a T cannot be a translation; None = no axis.
 
-    >>> is_demanded("desired_wrench_0"), is_demanded("wrench_0")
-    (True, False)
+    >>> _axis_of("left.torque_x", "")
+    ('left.', 'M', 'x', True)
     """
-    return bool(_DEMANDED & set(re.split(r"[\W_]+", snake(name))))
+    known = unit in (*FORCES, *MOMENTS)
+    last, first = _AXIS.match(base) or (_WORD.match(base) if known else None), _AXIS_FIRST.match(base)
+    if last:
+        before, word, number, letter, after = last.groups()
+    elif first and (known or first[3] in ("force", "torque", "moment")):
+        before, letter, word, after, number = *first.groups(), ""
+    else:
+        return None
+    kind = "F" if unit in FORCES or word in ("force", "f") else "M"
+    return f"{before}{number}{after}", kind, letter, word in ("torque", "moment", "tau", "m")
+
+
+def preference(name: str) -> int:
+    """How much a wrench is worth, by the name of a column: what is compensated most, then raw, what is demanded least.
+
+    >>> [preference(name) for name in ("ft_compensated/force_x", "Fx", "Fx_raw", "desired_wrench_0")]
+    [3, 2, 1, 0]
+    """
+    words = set(re.split(r"[\W_]+", snake(name)))
+    return 0 if words & _DEMANDED else 1 if words & _RAW else 3 if words & _COMPENSATED else 2
+
+
+def preferred(found: Iterable[dict[str, str]]) -> dict[str, str]:
+    """The wrench of several that an import takes: by the names of its columns, then that of the most axes; {} = none.
+
+    >>> preferred(wrenches(f"{what}_{axis}" for what in ("desired_force", "force") for axis in "xyz"))["Fx"]
+    'force_x'
+    """
+    return max(found, key=lambda wrench: (preference(wrench["Fx"]), len(wrench)), default={})
 
 
 def snake(name: str) -> str:

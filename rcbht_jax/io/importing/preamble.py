@@ -32,6 +32,9 @@ def line_of_names(lines: list[bytes]) -> int:
     2
     """
     filled = [number for number, line in enumerate(lines) if line.strip()]
+    ends = [place for place, number in enumerate(filled) if lines[number].startswith(b"***End_of_Header***")]
+    if ends and ends[-1] + 1 < len(filled):  # of LabVIEW
+        return filled[ends[-1] + 1]
     if len(filled) < 3:
         return 0
     delimiter = cells.delimiter_of(lines[filled[-1]])
@@ -49,24 +52,30 @@ def line_of_names(lines: list[bytes]) -> int:
 
 
 def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
-    """What pairs of a word and a value say about the columns: the rate, and counts per unit of force and of torque.
+    """What pairs of a word and a value say about the columns: the rate, counts per unit of force and of torque, units.
 
     >>> found = stated([b"Sample Rate:,500", b"Force Units:,N", b"Counts per Unit Force:,1000"], ["Fx", "Fy", "Fz"])
     >>> found.rate, found.counts["Fz"], found.units["Fz"]
     (500.0, 1000.0, 'N')
     """
-    pairs = dict(filter(None, map(_pair, lines)))
-    rates = (number(text) for key, text in pairs.items() if key.endswith(_RATES))
+    lines, names = list(lines), list(names)
+    said = dict(filter(None, map(_pair, lines)))
+    rates = (number(text) for key, text in said.items() if key.endswith(_RATES))
     counts: dict[str, float] = {}
     units: dict[str, str] = {}
     axes = [pair for wrench in wrenches(names) for pair in wrench.items()]
     for quantity, letter in (("force", "F"), ("torque", "M")):
-        per = number(pairs.get(f"counts per unit {quantity}", pairs.get(f"counts per {quantity}", "")))
+        per = number(said.get(f"counts per unit {quantity}", said.get(f"counts per {quantity}", "")))
         if per > 0:
             those = [column for axis, column in axes if axis.startswith(letter)]
             counts |= dict.fromkeys(those, per)
-            unit = UNITS.get(re.sub(r"[ -]", "", pairs.get(f"{quantity} units", "").lower()), "")
+            unit = UNITS.get(re.sub(r"[ -]", "", said.get(f"{quantity} units", "").lower()), "")
             units |= dict.fromkeys(those, unit) if unit else {}
+    for line in lines:
+        if line.startswith(b"Y_Unit_Label"):  # of LabVIEW; the first column is that of the time
+            row = cells.split(line, cells.delimiter_of(line))
+            pairs = zip(names[1:], map(str.lower, row[1:]), strict=False)  # a comment has no unit
+            units |= {name: UNITS[cell] for name, cell in pairs if cell in UNITS}
     return Stated(next((rate for rate in rates if rate > 0), None), counts, units)
 
 

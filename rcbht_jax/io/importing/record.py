@@ -58,6 +58,11 @@ class Record:
         return self.part if self.part.startswith("/") else str(self.columns.get("arm", ""))
 
     @property
+    def trial_part(self) -> str:
+        """The part without the arm: that of the trial."""
+        return without_arm(self.part, self.arm)
+
+    @property
     def folder(self) -> str:
         """The folder of the file, relative to the source; "" = the source itself."""
         parent = str(PurePosixPath(self.file).parent)
@@ -114,6 +119,15 @@ def records(
             yield replace(record, part=place, listed=row is not None)
         except InputError as error:
             yield name, str(error)
+
+
+def without_arm(part: str, arm: str) -> str:
+    """The part of a file without the arm that it names.
+
+    >>> without_arm("demo_0#left", "left"), without_arm("/ft_sensor", "/ft_sensor")
+    ('demo_0', '')
+    """
+    return "#".join(word for word in part.split("#") if word != arm)
 
 
 def text(value: Any) -> str:

@@ -64,7 +64,8 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     Beside a wrench or a time ``[row, element]`` of its length, it is a matrix for every row, and left out.
     Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own.
     Scalars called dt or rate state the sampling, other scalars are facts, but for those of numbered groups of
-    annotations (:func:`~rcbht_jax.io.importing.segments.segments`).
+    annotations (:func:`~rcbht_jax.io.importing.segments.segments`). Of windows of the last samples,
+    ``[row, sample, element]``, each of which is the one before and a new sample, the newest sample is a row.
 
     >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.array(0.01)})
     >>> list(table.columns), table.rate
@@ -86,6 +87,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     intervals, arrays = segments(arrays)
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
     rate, facts = _scalars({key: array for key, array in arrays.items() if array.ndim == 0})
+    arrays, windows = _newest(arrays)
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
     if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
         cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
@@ -126,9 +128,24 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     rows = max(sampled, key=lambda length: (lengths.count(length), length))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
     others = tuple(key for key in flat if key not in chosen)
-    notes = (f"other-arrays:{len(others)}",) if others else ()
+    notes = tuple(f"windows:{windows[key]}" for key in chosen if key in windows)[:1]
+    notes += (f"other-arrays:{len(others)}",) if others else ()
     columns = _columns(path, chosen)
     yield Table(name, columns, rate, facts=facts, intervals=tuple(intervals), notes=notes, others=others, part=part)
+
+
+def _newest(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
+    """The arrays, of those that hold the last samples at every time the newest sample alone, and how many these held.
+
+    Such an array ``[time, sample, axis]`` repeats itself: each row is the one before without its oldest sample.
+    """
+    found, windows = dict(arrays), dict[str, int]()
+    for key, array in arrays.items():
+        if array.ndim == 3 and array.dtype.kind in "fiu" and min(array.shape[:2]) > 2 and len(array) > array.shape[1]:
+            moved = all(np.array_equal(some[1:, :-1], some[:-1, 1:]) for some in (array[:3], array))
+            if moved and (array != array[0, 0]).any():
+                found[key], windows[key] = array[:, -1], array.shape[1]
+    return found, windows
 
 
 def _titles(arrays: Mapping[str, NDArray[Any]], rows: int) -> list[str]:

@@ -51,12 +51,14 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
             before = _preamble(file)
             head, comment, comments = _head(file, path)
             delimiter = cells.delimiter_of(head)
-            titles = cells.split(head, delimiter, encoding)
-            titled = comment or cells.is_title(titles, _below(file, delimiter, encoding))
+            titles, below = cells.split(head, delimiter, encoding), _below(file, delimiter, encoding)
+            if before and titles[-1] == "Comment" and len(titles) == len(below) + 1:
+                titles = titles[:-1]  # LabVIEW names it whether or not rows have one
+            titled = comment or cells.is_title(titles, below)
             body = file.tell() if titled else file.tell() - len(head)
-            units, below = _units_below(file, delimiter, encoding) if titled else ([], body)
+            units, first = _units_below(file, delimiter, encoding) if titled else ([], body)
             if titles and len(units) == len(titles):
-                body = below
+                body = first
                 titles = [f"{title} [{unit}]" if unit else title for title, unit in zip(titles, units, strict=True)]
             names = _names(titles, path) if titled else [f"c{number}" for number in range(len(titles))]
             read = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names, encoding)

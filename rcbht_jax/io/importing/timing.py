@@ -71,7 +71,7 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
 def _likely_time(table: Table, free: list[str]) -> str:
     """A column that grows and is called like a time, lies in a group of times, or has no name; "" = there is none."""
     growing = [name for name in free if _grows(table, name)]
-    axes = "".join(column for wrench in names.wrenches(free) for column in wrench.values())
+    axes = "".join(names.preferred(names.wrenches(free)).values())
     paths = {name: re.split(r"[./]", names.snake(split_unit(name)[0])) for name in growing}
     called = [
         name for name, parts in paths.items() if set(parts[:-1]) & set(TIMES) or _is_called(table, name, parts[-1])

@@ -250,13 +250,13 @@ def test_two_arms_in_one_table_are_two_recordings_of_a_trial(tmp_path: Path) -> 
 
 
 def test_a_slow_clock_and_a_second_wrench_are_said(tmp_path: Path) -> None:
-    axes = [f"{side}.force.{axis}" for side in ("left", "right") for axis in "xyz"]
+    axes = [f"{side}.force.{axis}" for side in ("base", "tool") for axis in "xyz"]
     rows = [",".join(map(str, [k * 2000, *np.random.default_rng(k).normal(size=6)])) for k in range(9)]
     (tmp_path / "a.csv").write_text("\n".join([",".join(["t [ms]", *axes]), *rows]))
     report = read_source(tmp_path).report
     assert report.warnings == [("a.csv", "has 0.5 samples per second. Is the unit of time right?")]
     assert report.remarks[0].startswith(
-        "2 wrenches were found, and that of left.force.x was taken; to import that of 'r"
+        "2 wrenches were found, and that of base.force.x was taken; to import that of 't"
     )
 
 

@@ -121,6 +121,27 @@ def test_a_logger_states_something_about_every_column(tmp_path: Path) -> None:
     np.testing.assert_allclose(recordings.wrench[0], WRENCH[:, [0, 2]], atol=1e-5)
 
 
+def test_labview_names_a_comment_that_no_row_has(tmp_path: Path) -> None:
+    about = ["LabVIEW Measurement\t", "Separator\tTab", "***End_of_Header***\t", "\t", "Channels\t6",
+             "Samples" + "\t400" * 6, "Y_Unit_Label" + "\tN" * 3 + "\tNm" * 3, "X_Dimension\tTime", "X0\t0",
+             "Delta_X\t0.002", "***End_of_Header***", "\t".join(["X_Value", *AXES, "Comment"])]  # fmt: skip
+    lines = ["\t".join(map(repr, row)) for row in np.column_stack([TIME, WRENCH]).tolist()]
+    (tmp_path / "run.lvm").write_text("\n".join([*about, *lines]) + "\n")
+    recordings = read_source(tmp_path, "csv").recordings
+    assert (recordings.axes, recordings.units) == (AXES, ("N",) * 3 + ("Nm",) * 3)
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
+
+
+def test_of_windows_of_the_last_samples_the_newest_is_taken(tmp_path: Path) -> None:
+    """As robots that learn by imitation store their sensors."""
+    padded = np.concatenate([np.repeat(WRENCH[:1], 7, 0), WRENCH])
+    windows = np.stack([padded[k : k + N] for k in range(8)], 1)
+    np.savez(tmp_path / "demo.npz", ee_forces_continuous=windows, actions=np.zeros((N, 7)), rate=500)
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.axes, recordings.note.tolist()) == (AXES, ["windows:8"])
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
+
+
 def test_a_first_row_with_a_word_is_no_line_of_names(tmp_path: Path) -> None:
     """As ``ros2 topic echo --csv`` writes a wrench."""
     lines = [f"{1700000000 + k // 500},{k % 500 * 2_000_000},tool0,{row}" for k, row in enumerate(rows(WRENCH).split())]
@@ -213,11 +234,15 @@ def test_comments_state_the_rate(tmp_path: Path) -> None:
     assert read_source(tmp_path).recordings.dt == DT
 
 
-@pytest.mark.parametrize("heads", ["label,start_time,end_time", "Phase,onset_ms,offset_ms", "label,start,end"])
+@pytest.mark.parametrize(
+    "heads",
+    ["label,start_time,end_time", "Phase,onset_ms,offset_ms", "label,start,end", "Phase,Begin (s),Finish (s)",
+     "label,start,duration"],
+)  # fmt: skip
 def test_annotations_of_other_names(heads: str, tmp_path: Path) -> None:
-    scale = 1000 if "ms" in heads else 1
+    scale, last = 1000 if "ms" in heads else 1, 0.1 if "duration" in heads else 0.2
     (tmp_path / "run.csv").write_text(f"t,{','.join(AXES)}\n{rows(np.column_stack([TIME, WRENCH]))}\n")
-    (tmp_path / "marks.csv").write_text(f"file_name,{heads}\nrun.csv,push,{0.1 * scale},{0.2 * scale}\n")
+    (tmp_path / "marks.csv").write_text(f"file_name,{heads}\nrun.csv,push,{0.1 * scale},{last * scale}\n")
     imported = read_source(tmp_path)
     annotations = imported.recordings.annotations
     assert (annotations.start.tolist(), annotations.end.tolist()) == ([0.1], [0.2])
@@ -233,9 +258,13 @@ def test_a_wrench_of_other_columns_than_most_is_told(tmp_path: Path) -> None:
         (tmp_path / f"run{number}.csv").write_text(f"t,{','.join(names)}\n{rows(table)}\n")
     warnings = read_source(tmp_path).report.warnings
     text = (
-        "its axes are the columns 'right.Fx', ...; those of most recordings are 'left.Fx', .... Is it the same sensor?"
+        "its axes are the columns 'right.Fx', ...; those of most recordings are '{arm}.Fx', .... Is it the same sensor?"
     )
     assert warnings == [("run0.csv", text)]
+    named = read_source(tmp_path, mapping=Mapping(arms=("left", "right")))
+    assert not named.report.warnings
+    assert named.recordings.arm.tolist() == ["right", "left", "right", "left", "right"]
+    assert named.recordings.trial.tolist() == ["run0", "run1", "run1", "run2", "run2"]
 
 
 def test_the_file_whose_reason_is_told_is_named(tmp_path: Path) -> None:

@@ -1,0 +1,84 @@
+"""Several arms side by side in one table, such as ``left_fx ... right_tz``: a table for each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from itertools import combinations
+
+from rcbht_jax._util.columns import split_unit
+from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.importing.names import preference, wrenches
+from rcbht_jax.io.importing.table import Table
+
+PLACE = "{arm}"  # of the arm's name in that of a column
+_SIDES = (("left", "right"), ("l", "r"))
+_NUMBERED = re.compile(r"(?<![A-Za-z])(?i:(?:robot|arm|hand|panda|ur|yumi|iiwa)_?\d+)(?!\d)")
+
+
+def arms_of(names: Iterable[str]) -> tuple[str, ...]:
+    """The arms that columns name, each of which has a wrench with the same columns; () = there are not several.
+
+    >>> arms_of([f"{side}_f{axis}" for side in ("left", "right") for axis in "xyz"])
+    ('left', 'right')
+    >>> arms_of([f"robot{number}/force_{axis}" for number in (0, 1) for axis in "xyz"])
+    ('robot0', 'robot1')
+    >>> arms_of(["Fx", "Fy", "Fz", "raw_fx", "raw_fy", "raw_fz"])
+    ()
+    """
+    found = wrenches(names)
+    best = max((preference(wrench["Fx"]) for wrench in found), default=0)
+    firsts = [split_unit(wrench["Fx"])[0] for wrench in found if preference(wrench["Fx"]) == best]
+    for sides in _SIDES:
+        if any(_same(one, other, sides) for one, other in combinations(firsts, 2)):
+            return sides
+    numbered = dict.fromkeys(word for first in firsts for word in _NUMBERED.findall(first))
+    same = (pair for pair in combinations(numbered, 2) for two in combinations(firsts, 2) if _same(*two, pair))
+    return tuple(sorted({arm for pair in same for arm in pair}))
+
+
+def tables_of_arms(table: Table, mapping: Mapping) -> Iterator[Table]:
+    """The table of each arm: its own columns, with "{arm}" for its name, and those that name no arm.
+
+    A table of one arm, or one whose mapping states channels and no arms, is left as it is.
+
+    >>> import numpy as np
+    >>> table = Table("a.csv", {"t": np.arange(2.0), "left_fx": np.ones(2), "right_fx": np.zeros(2)})
+    >>> left, right = tables_of_arms(table, Mapping(arms=("left", "right")))
+    >>> right.name, list(right.columns), right.facts
+    ('a.csv#right', ['t', '{arm}_fx'], {'arm': 'right'})
+
+    Args:
+        table: of all arms.
+        mapping: names the arms, as the columns have them in any case of letters; else they are found.
+    """
+    arms = mapping.arms
+    if not (arms or mapping.channels or "arm" in mapping.columns or "arm" in table.facts):
+        arms = arms_of(name for name, values in table.columns.items() if values.dtype.kind != "U")
+    marks = {arm: _mark(arm) for arm in arms}
+    owners = {name: next((arm for arm, mark in marks.items() if mark.search(name)), "") for name in table.columns}
+    there = [arm for arm in arms if arm in owners.values()]
+    if not there:
+        yield table
+    for arm in there:
+        own = {name: marks[arm].sub(PLACE, name) for name, owner in owners.items() if owner in ("", arm)}
+        columns = {title: table.columns[name] for name, title in own.items()}
+        units = {title: table.units[name] for name, title in own.items() if name in table.units}
+        part = f"{table.part}#{arm}" if table.part else arm
+        facts = {**table.facts, "arm": arm}
+        yield replace(table, name=f"{table.name}#{arm}", columns=columns, units=units, facts=facts, part=part)
+
+
+def _same(one: str, other: str, sides: tuple[str, ...]) -> bool:
+    """Whether two names differ in nothing but the arm."""
+    for first, second in (sides, sides[::-1]):
+        here, there = _mark(first), _mark(second)
+        if here.search(one) and here.sub(PLACE, one) == there.sub(PLACE, other) and there.search(other):
+            return True
+    return False
+
+
+def _mark(arm: str) -> re.Pattern[str]:
+    """Finds an arm as a word of a name, also one that only a capital separates from others."""
+    return re.compile(rf"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))(?i:{re.escape(arm)})(?![a-z])(?!(?<=\d)\d)")

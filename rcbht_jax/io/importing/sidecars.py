@@ -1,0 +1,96 @@
+"""JSON objects that describe recordings: ``run1.json`` beside ``run1.csv``, or ``meta.json`` in a folder of its own."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+from rcbht_jax._util.untrusted import check_inside, read_json
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.find import Item
+from rcbht_jax.io.importing.table import RATE_NAMES, Table
+
+MAX_FACTS, MAX_WORD = 64, 200  # of one object; characters of one text
+Facts = dict[str, str | float]
+
+
+@dataclass(frozen=True)
+class Sidecars:
+    """What JSON objects state about recordings."""
+
+    facts: dict[str, Facts]  # file of a recording -> name -> value
+    files: tuple[str, ...]  # that were read
+
+    def described(self, table: Table) -> Table:
+        """The table with the facts about its file; its own come first."""
+        own = self.facts.get(table.file, {})
+        rates = (value for key, value in own.items() if key.lower() in RATE_NAMES and isinstance(value, float))
+        rate = table.rate or next((value for value in rates if value > 0), None)
+        return replace(table, facts={**own, **table.facts}, rate=rate) if own else table
+
+
+def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> Sidecars:
+    """The objects among other files of a folder: one named like a recording describes it, else one alone in a folder
+    below the source all recordings there.
+
+    Objects of numbers, texts and truth values count, and those within them; lists do not.
+
+    Args:
+        source: a folder; a file has no other files beside it.
+        items: the recordings.
+        others: names of the files that are none.
+    """
+    files: defaultdict[str, list[str]] = defaultdict(list)
+    for item in items:
+        files[str(PurePosixPath(item.name).parent)].append(item.name)
+    facts: defaultdict[str, Facts] = defaultdict(dict)
+    alone: defaultdict[str, list[tuple[str, Facts]]] = defaultdict(list)
+    read: list[str] = []
+    for name in others:
+        path = PurePosixPath(name)
+        folder = str(path.parent)
+        if path.suffix.lower() != ".json" or folder not in files or not (found := _facts(source, name)):
+            continue
+        own = [file for file in files[folder] if _names(path.stem, PurePosixPath(file).stem)]
+        if own:
+            read.append(name)
+            for file in own:
+                facts[file] |= found
+        elif folder != ".":
+            alone[folder].append((name, found))
+    for folder, objects in alone.items():
+        if len(objects) == 1:
+            [(name, found)] = objects
+            read.append(name)
+            for file in files[folder]:
+                facts[file] = {**found, **facts[file]}
+    return Sidecars(dict(facts), tuple(read))
+
+
+def _names(stem: str, recording: str) -> bool:
+    """Whether a file is named after a recording: run1, run1_meta."""
+    return stem == recording or (stem.startswith(recording) and stem[len(recording)] in "_-.")
+
+
+def _facts(source: Path, name: str) -> Facts:
+    """Numbers and texts of an object, and of those within it as "outer.inner"; {} = it is none, or has too many."""
+    try:
+        check_inside(source / name, source)
+        content = read_json(source / name)
+    except (OSError, InputError):  # it is listed as a file that was not read
+        return {}
+    if not isinstance(content, dict):
+        return {}
+    inner = ((f"{key}.{one}", value) for key, group in content.items() if isinstance(group, dict)
+             for one, value in group.items())  # fmt: skip
+    found: Facts = {}
+    for key, value in [*content.items(), *inner]:
+        if isinstance(value, bool):
+            found[key] = str(value).lower()
+        elif isinstance(value, int | float):
+            found[key] = float(value)
+        elif isinstance(value, str) and len(value) <= MAX_WORD and value.isprintable():
+            found[key] = value
+    return found if len(found) <= MAX_FACTS else {}

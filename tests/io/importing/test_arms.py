@@ -1,0 +1,107 @@
+"""Columns of several arms in one table, and what describes recordings beside them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.io.importing.arms import arms_of
+from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.mapping import Mapping, read_mapping, write_mapping
+from rcbht_jax.labels import AXES
+
+N, DT = 400, 0.002
+TIME = np.arange(N) * DT
+LEFT, RIGHT = np.random.default_rng(5).normal(size=(2, N, 6))
+NAMES = {
+    "left, right": [f"{side}_{axis}" for side in ("left", "right") for axis in ("fx", "fy", "fz", "tx", "ty", "tz")],
+    "L, R last": [f"{axis}_{side}" for side in "LR" for axis in AXES],
+    "camel": [f"wrench{side}.{what}.{axis}" for side in ("Left", "Right") for what in ("force", "torque")
+              for axis in "xyz"],
+    "elements": [f"robot{k}/ft_{n}" for k in (0, 1) for n in range(6)],
+}  # fmt: skip
+
+
+def csv(path: Path, names: list[str], values: np.ndarray) -> None:
+    np.savetxt(path, np.column_stack([TIME, values]), header=",".join(["t", *names]), delimiter=",", comments="")
+
+
+@pytest.mark.parametrize("names", NAMES.values(), ids=NAMES)
+def test_columns_of_two_arms_are_two_recordings_of_a_trial(names: list[str], tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    csv(tmp_path / "runs/run1.csv", [*names, "lift"], np.hstack([LEFT, RIGHT, TIME[:, None]]))
+    (tmp_path / "runs/run1_labels.csv").write_text("label,start,end\npush,0.1,0.2\n")
+    imported = read_source(tmp_path / "runs")
+    recordings = imported.recordings
+    assert (recordings.axes, recordings.trial.tolist()) == (AXES, ["run1", "run1"])
+    assert recordings.arm.tolist() == list(imported.mapping.arms)
+    np.testing.assert_allclose(recordings.wrench, np.stack([LEFT, RIGHT]), atol=1e-5)
+    assert recordings.starts("label").tolist() == [[pytest.approx(0.1)]] * 2
+    assert not imported.report.warnings
+    write_mapping(tmp_path / "map.toml", imported.mapping)
+    again = read_source(tmp_path / "runs", mapping=read_mapping(tmp_path / "map.toml")).recordings
+    np.testing.assert_array_equal(again.wrench, recordings.wrench)
+    assert again.arm.tolist() == recordings.arm.tolist()
+
+
+def test_a_raw_and_a_compensated_wrench_are_no_arms(tmp_path: Path) -> None:
+    names = [f"{what}.{axis}" for what in ("raw", "compensated") for axis in AXES]
+    assert arms_of(names) == ()
+    csv(tmp_path / "run1.csv", names, np.hstack([LEFT, RIGHT]))
+    recordings = read_source(tmp_path).recordings
+    np.testing.assert_allclose(recordings.wrench, RIGHT[None], atol=1e-5)
+
+
+def test_arms_of_wrenches_that_differ_otherwise_are_left_alone() -> None:
+    assert arms_of([f"left_raw_f{axis}" for axis in "xyz"] + [f"right_base_f{axis}" for axis in "xyz"]) == ()
+
+
+@pytest.mark.parametrize("arms", [("left", "Left"), ("",)])
+def test_arms_of_one_name_are_refused(arms: tuple[str, ...], tmp_path: Path) -> None:
+    csv(tmp_path / "run1.csv", ["left_fz"], LEFT[:, :1])
+    with pytest.raises(ValueError, match="two arms have one name, or one has none"):
+        read_source(tmp_path, mapping=Mapping(arms=arms))
+
+
+def described(folder: Path, **files: object) -> None:
+    for name, content in files.items():
+        (folder / f"{name}.json").write_text(json.dumps(content))
+
+
+def test_objects_beside_recordings_describe_them(tmp_path: Path) -> None:
+    for number in range(3):
+        folder = tmp_path / f"trial_{number}"
+        folder.mkdir()
+        csv(folder / "ft.csv", list(AXES), LEFT + number)
+        described(folder, meta={"success": number != 1, "part": {"name": "A"}, "gains": [1, 2], "speed": 0.1 * number})
+    imported = read_source(tmp_path)
+    recordings = imported.recordings
+    assert recordings.outcome.tolist() == ["success", "failure", "success"]
+    assert recordings.columns["part.name"].tolist() == ["A"] * 3
+    assert recordings.columns["speed"].tolist() == pytest.approx([0, 0.1, 0.2])
+    assert len(set(recordings.session.tolist())) == 1  # folders of one recording each are no sessions
+    assert imported.report.remarks[0].startswith("3 JSON objects describe recordings: 'trial_0/meta.json'")
+    described(tmp_path / "trial_1", meta={"success": True})
+    assert read_source(tmp_path).report.content_sha256 != imported.report.content_sha256
+
+
+def test_an_object_describes_only_what_it_is_named_after(tmp_path: Path) -> None:
+    for name in ("run1", "run10"):
+        csv(tmp_path / f"{name}.csv", list(AXES), LEFT + len(name))
+    described(tmp_path, run1_meta={"operator": "ann"}, setup={"operator": "bob"}, run10=[1, 2])
+    imported = read_source(tmp_path)
+    assert imported.recordings.columns["operator"].tolist() == ["ann", ""]
+    assert imported.report.remarks[0] == "2 other files were not read: run10.json, setup.json."
+
+
+def test_a_hostile_object_is_no_description(tmp_path: Path) -> None:
+    csv(tmp_path / "run1.csv", list(AXES), LEFT)
+    (tmp_path / "run1.json").write_text("[" * 100_000)
+    (tmp_path / "run1_many.json").write_text(json.dumps({f"k{n}": n for n in range(1000)}))
+    (tmp_path / "run1_link.json").symlink_to("/etc/hostname")
+    imported = read_source(tmp_path)
+    assert not imported.recordings.columns
+    assert imported.report.remarks[0].startswith("3 other files were not read")
