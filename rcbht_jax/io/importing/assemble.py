@@ -21,6 +21,7 @@ from rcbht_jax.io.importing.report import ImportReport
 from rcbht_jax.io.store import VARIABLES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
+FAST = 100_000  # samples per second that no sensor of forces has
 _TAKEN = (*VARIABLES, "dt", "axis", "time", "axes", "units", "annotations", "columns", "rate")  # names of other things
 
 
@@ -42,8 +43,8 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     values: list[NDArray[np.float32]] = []
     rates: Counter[str] = Counter()
     filtered = uneven = 0
-    slow = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if one.period > 1]
-    report.warnings += [(name, f"has {rate:.3g} samples per second. Is the unit of time right?") for name, rate in slow]
+    odd = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if not 1 <= one.rate <= FAST]
+    report.warnings += [(name, f"has {rate:.3g} samples per second. Is the unit of time right?") for name, rate in odd]
     for record, source_clock in zip(records, clocks, strict=True):
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
@@ -68,6 +69,9 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
         report.remarks.append(text)
     if held := sum(note.startswith("held:") for record in kept for note in record.notes):
         text = f"{plural(held, 'log', 'logs')} held each value for several rows; the repeats were left out."
+        report.remarks.append(text)
+    if parts := sum(note.startswith("restarts:") for record in kept for note in record.notes):
+        text = f"{plural(parts, 'recording is', 'recordings are')} from tables in which the time starts anew."
         report.remarks.append(text)
     if coded := sum("cp1252" in record.notes for record in kept):
         were = plural(coded, "recording is", "recordings are")

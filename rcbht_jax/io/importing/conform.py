@@ -98,6 +98,24 @@ def tidy(
     return time, values, notes
 
 
+def restarts(time: Float[np.ndarray, " sample"]) -> NDArray[np.int64]:
+    """Where the time of a table begins again, each time about where it began first; empty = it does not.
+
+    >>> restarts(np.tile(np.arange(20) * 0.01, 3)).tolist()
+    [20, 40]
+
+    Args:
+        time: s, of recordings one after the other, each of ``HELD`` samples or more.
+    """
+    starts = np.flatnonzero(np.diff(time) < 0) + 1
+    if not len(starts) or not np.isfinite(time).all():
+        return starts[:0]
+    bounds = np.concatenate([[0], starts, [len(time)]])
+    shortest = (time[bounds[1:] - 1] - time[bounds[:-1]]).min()
+    near = np.abs(time[starts] - time[0]) <= 0.1 * shortest
+    return starts if near.all() and np.diff(bounds).min() >= HELD else starts[:0]
+
+
 def _equal(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.bool_]:
     return (one == other) | (np.isnan(one) & np.isnan(other))
 

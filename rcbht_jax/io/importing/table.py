@@ -128,10 +128,12 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     rows = max(sampled, key=lambda length: (lengths.count(length), length))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
     others = tuple(key for key in flat if key not in chosen)
-    notes = tuple(f"windows:{windows[key]}" for key in chosen if key in windows)[:1]
-    notes += (f"other-arrays:{len(others)}",) if others else ()
+    notes = (f"other-arrays:{len(others)}",) if others else ()
+    last = [f"windows:{windows[key]}" for key in chosen if key in windows][:1]
     columns = _columns(path, chosen)
-    yield Table(name, columns, rate, facts=facts, intervals=tuple(intervals), notes=notes, others=others, part=part)
+    yield Table(
+        name, columns, rate, facts=facts, intervals=tuple(intervals), notes=(*last, *notes), others=others, part=part
+    )
 
 
 def _newest(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:

@@ -142,6 +142,27 @@ def test_of_windows_of_the_last_samples_the_newest_is_taken(tmp_path: Path) -> N
     np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
 
 
+def test_a_time_that_starts_anew_separates_recordings(tmp_path: Path) -> None:
+    table = np.column_stack([np.tile(TIME[:100], 4) + np.repeat([0, 0.001, 0.002, 0], 100), WRENCH])
+    np.savetxt(tmp_path / "log.csv", table, header=",".join(["t", *AXES]), delimiter=",", comments="")
+    imported = read_source(tmp_path)
+    recordings = imported.recordings
+    assert (recordings.trial.tolist(), recordings.note.tolist()) == (
+        [f"log-{k}" for k in range(1, 5)],
+        ["restarts:3"] * 4,
+    )
+    np.testing.assert_allclose(recordings.wrench, WRENCH.reshape(4, 100, 6), atol=1e-6)
+    assert "4 recordings are from tables in which the time starts anew." in imported.report.remarks
+
+
+@pytest.mark.parametrize("unit", ["ms", "h"])
+def test_a_rate_that_no_sensor_has_is_told(unit: str, tmp_path: Path) -> None:
+    names = ",".join([f"t [{unit}]", *AXES])
+    np.savetxt(tmp_path / "run.csv", np.column_stack([TIME, WRENCH]), header=names, delimiter=",", comments="")
+    [(_, warning)] = read_source(tmp_path).report.warnings
+    assert warning.endswith("samples per second. Is the unit of time right?")
+
+
 def test_a_first_row_with_a_word_is_no_line_of_names(tmp_path: Path) -> None:
     """As ``ros2 topic echo --csv`` writes a wrench."""
     lines = [f"{1700000000 + k // 500},{k % 500 * 2_000_000},tool0,{row}" for k, row in enumerate(rows(WRENCH).split())]
