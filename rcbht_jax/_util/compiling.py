@@ -7,14 +7,24 @@ host calls, not for those that users may call under ``jax.jit``.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import cache, update_wrapper
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 
 # JAX 0.10's default emitters also make batched kinematics a hundred times slower on a CPU.
 _CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+
+
+def full_precision() -> AbstractContextManager[None]:
+    """Products of matrices that are traced in this context keep all digits: a GPU would round the factors to ten bits.
+
+    >>> with full_precision():
+    ...     x = jnp.ones((2, 2)) @ jnp.ones(2)
+    """
+    return cast("AbstractContextManager[None]", jax.default_matmul_precision("highest"))
 
 
 @cache
@@ -30,20 +40,41 @@ def compiler_options(backend: str) -> dict[str, str | bool]:
     return _CPU_OPTIONS
 
 
-class Jitted:
-    """A function that is compiled at its first call, not at import, for the backend that is the default then."""
+def host_device() -> jax.Device | None:
+    """The processor, for streams: the launches for one window take a GPU longer than the work takes a processor.
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+    None: JAX's default device is the processor, or JAX has only others (``JAX_PLATFORMS``).
+    """
+    if jax.default_backend() == "cpu":
+        return None
+    try:
+        return jax.local_devices(backend="cpu")[0]
+    except RuntimeError:
+        return None
+
+
+class Jitted:
+    """A function that is compiled at its first call, not at import, for the backend that is the default then.
+
+    Args:
+        function: to compile.
+        options: of ``jax.jit``.
+        host: its arguments are on :func:`host_device`.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any], host: bool = False) -> None:
         self.on = cache(lambda backend: jax.jit(function, compiler_options=compiler_options(backend), **options))
+        self._host = host
         update_wrapper(self, function)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """What ``jax.jit`` of the function returns."""
-        return self.on(jax.default_backend())(*args, **kwargs)
+        backend = "cpu" if self._host and host_device() is not None else jax.default_backend()
+        return self.on(backend)(*args, **kwargs)
 
 
-def jit(**options: Any) -> Callable[[Callable[..., Any]], Jitted]:
-    """A decorator like ``partial(jax.jit, **options)``.
+def jit(host: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Jitted]:
+    """A decorator like ``partial(jax.jit, **options)``; ``host`` as in :class:`Jitted`.
 
     >>> @jit(static_argnums=0)
     ... def times(count, x):
@@ -51,4 +82,4 @@ def jit(**options: Any) -> Callable[[Callable[..., Any]], Jitted]:
     >>> float(times(3, 2.0))
     6.0
     """
-    return lambda function: Jitted(function, options)
+    return lambda function: Jitted(function, options, host)

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax._util.compiling import full_precision
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.objective import ridge_leave_one_out
@@ -117,6 +118,13 @@ def loss(
     With ``fit`` it is the leave-one-trial-out unexplained variance of a ridge classifier
     (:func:`rcbht_jax.calibration.objective.ridge_leave_one_out`).
     """
+    with full_precision():
+        return _loss(config, options, parameters, batch, temperature)
+
+
+def _loss(
+    config: AnyConfig, options: GradientOptions, parameters: Parameters, batch: Batch, temperature: Array | float
+) -> Array:
     limits = limits_from(parameters.free)
     labels = soft_encode(
         config, limits, batch.wrench, batch.length, temperature, straight_through=options.straight_through

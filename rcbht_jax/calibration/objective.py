@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax._util.compiling import full_precision
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES
 from rcbht_jax.types import Array
@@ -95,7 +96,7 @@ def score_block(
         accuracy, fit = ridge_leave_one_out(jnp.sqrt(x), target, y.shape[1])
         return jnp.stack([accuracy, fit, _fisher(x, target), _information(x, target), _agreement(x, target)])
 
-    with jax.default_matmul_precision("highest"):  # a GPU would round the factors to ten bits
+    with full_precision():
         return jax.vmap(one)(times)
 
 

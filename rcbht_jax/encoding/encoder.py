@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from rcbht_jax.encoding import composition, pipe, segments
+from rcbht_jax.encoding import composition, division, pipe, segments
 from rcbht_jax.encoding.choices import check_choices, make_plain
 from rcbht_jax.encoding.pipe import PipeRules
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of
@@ -392,7 +392,7 @@ def unpack_segments(ints: Array, reals: Array) -> list[Segment]:
     ]
 
 
-def track_of(x: Segment, emit: Array, divide: Callable[[Array, Array], Array] = jnp.true_divide) -> LabelTrack:
+def track_of(x: Segment, emit: Array, divide: segments.Divide = division.quotient) -> LabelTrack:
     """Published form of segments: means instead of sums, zeros where empty."""
     samples = jnp.maximum(x.t1 - x.t0, 1).astype(x.area.dtype)
     avg, grad = divide(x.area, samples), divide(x.rise, samples)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from rcbht_jax.encoding import composition, pipe
+from rcbht_jax.encoding import composition, division, pipe
 from rcbht_jax.encoding.choices import check_choices, make_plain
 from rcbht_jax.encoding.encoder import (
     EncoderState,
@@ -27,7 +27,7 @@ from rcbht_jax.encoding.encoder import (
     unpack,
     unpack_segments,
 )
-from rcbht_jax.encoding.fit_line import Line, best_break, fenced, join, residuals_after, span_line
+from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
 from rcbht_jax.encoding.segments import gradient_label, varying_as, whole_windows
 from rcbht_jax.encoding.tolerance import by_lane
 from rcbht_jax.errors import InputError
@@ -339,15 +339,15 @@ def advance(
 def primitive_of(config: FitConfig, limits: Array, t0: Array, t1: Array, line: Line) -> Segment:
     """The labelled segment of a run."""
     n = jnp.maximum(line.count, 1).astype(line.mean.dtype)
-    slope = fenced(line.slope * (1 / config.dt))
+    slope = division.fenced(line.slope * (1 / config.dt))
     label = gradient_label(slope, limits[:4])
     long = line.count > round(config.impulse_below / config.dt)
     label = jnp.where(long & (label == Primitive.PIMP), jnp.int32(Primitive.BPOS), label)
     label = jnp.where(long & (label == Primitive.NIMP), jnp.int32(Primitive.BNEG), label)
     level = line.slope * line.slope * ((n - 1) * (n + 1)) <= 12 * limits[4] * limits[4]
     label = jnp.where(level, jnp.int32(Primitive.CONS), label)
-    half = fenced(jnp.abs(line.slope) * (n - 1) * 0.5)
-    return Segment(label, t0, t1, line.mean + half, line.mean - half, fenced(line.mean * n), fenced(slope * n))
+    half = division.fenced(jnp.abs(line.slope) * (n - 1) * 0.5)
+    return Segment(label, t0, t1, line.mean + half, line.mean - half, *map(division.fenced, (line.mean * n, slope * n)))
 
 
 def _above(

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax.encoding.division import fenced, quotient
 from rcbht_jax.encoding.segments import unrolled
 from rcbht_jax.types import Array
 
@@ -33,11 +34,6 @@ class Line:
     count: Int[Array, "*lanes"]  # int32, samples; 0 = no line
     mean: Float[Array, "*lanes"]  # N or Nm, value in the middle
     slope: Float[Array, "*lanes"]  # N or Nm per sample
-
-
-def fenced(product: Array) -> Array:
-    """A product that may be added to something: no compiler contracts the two into one operation."""
-    return jnp.maximum(product, float(np.finfo(product.dtype).min))
 
 
 def span_line(samples: Float[Array, " window *lanes"], start: Int[Array, "*lanes"], stop: Int[Array, "*lanes"]) -> Line:
@@ -68,7 +64,8 @@ def span_line(samples: Float[Array, " window *lanes"], start: Int[Array, "*lanes
     index = jnp.arange(length, dtype=jnp.int32)
     (total, moment), _ = jax.lax.scan(add, (zero, zero), (index, samples), unroll=unrolled(length))
     # Quotients, because a compiler that fuses a step into one loop per output repeats products, but no division.
-    return Line(count, origin + total / jnp.maximum(count, 1).astype(samples.dtype), moment / spread)
+    mean = origin + quotient(total, jnp.maximum(count, 1).astype(samples.dtype))
+    return Line(count, mean, quotient(moment, spread))
 
 
 class _Growing(NamedTuple):
@@ -90,7 +87,7 @@ class _Growing(NamedTuple):
 
 def _share(n: Array) -> Array:
     """Of an error in what a line of n samples tells of the next one: apart, because a loop with divisions is slow."""
-    return 1 / ((n + 1) * (n + 2))
+    return quotient(jnp.ones_like(n), (n + 1) * (n + 2))
 
 
 def residuals_after(
@@ -175,11 +172,11 @@ def join(a: Line, b: Line) -> Line:
     """
     na, nb = a.count.astype(a.mean.dtype), b.count.astype(a.mean.dtype)
     n = na + nb
-    step = (b.mean - a.mean) / jnp.maximum(n, 1)
+    step = quotient(b.mean - a.mean, jnp.maximum(n, 1))
     whole = jnp.maximum(_spread(n), 1)
     third = 3 * na * nb * n  # _spread(na) + _spread(nb) + third == _spread(n)
-    slope = a.slope + fenced(_spread(nb) / whole * (b.slope - a.slope))
-    slope = slope + fenced(third / whole * (2 * step - a.slope))
+    slope = a.slope + fenced(quotient(_spread(nb), whole) * (b.slope - a.slope))
+    slope = slope + fenced(quotient(third, whole) * (2 * step - a.slope))
     return Line(a.count + b.count, a.mean + fenced(nb * step), slope)
 
 

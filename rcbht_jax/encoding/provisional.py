@@ -14,9 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import fit, pipe
+from rcbht_jax.encoding.division import fenced, quotient
 from rcbht_jax.encoding.encoder import EncoderState, join_tracks, unpack
 from rcbht_jax.encoding.fit import FitConfig, primitive_of
-from rcbht_jax.encoding.fit_line import Line, best_break, fenced, join, residuals_after, span_line
+from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
 from rcbht_jax.encoding.tolerance import by_lane
 from rcbht_jax.types import Array, LabelTracks, Segment
 
@@ -85,7 +86,7 @@ def _saved(tolerance: Array, state: EncoderState, samples: Array, kept: int, cou
     t0, t1, line, _ = fit.opened(state)
     start, stop = kept - (t1 - t0 - line.count), kept + count
     _, saved = best_break(line, samples, residuals_after(samples, stop), start, stop, fit.SHORTEST)
-    return saved / (tolerance * tolerance)
+    return quotient(saved, tolerance * tolerance)
 
 
 def _ahead(config: FitConfig, line: Line, samples: Array, stop: Array, count: Array) -> Line:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from rcbht_jax.encoding.division import fenced, quotient
 from rcbht_jax.labels import Primitive
 from rcbht_jax.types import Array, Segment
 
@@ -55,7 +56,7 @@ def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Seg
 
 def line_of(
     total: Array, moment: Array, n: Array, spread: Array, period: Array, t0: Array, count: Array,
-    divide: Divide = jnp.true_divide,
+    divide: Divide = quotient,
 ) -> tuple[Array, Segment]:  # fmt: skip
     """What :func:`line` returns, from the sums over ``n`` samples; the compiler must not know ``n`` and ``spread``.
 
@@ -88,8 +89,7 @@ def sums(samples: Array, count: Array, middle: Array) -> tuple[Array, Array]:
 
 def accumulate(sums: tuple[Array, Array], index: Array, y: Array, count: Array, middle: Array) -> tuple[Array, Array]:
     """The sums with one more sample, if it counts."""
-    lowest = float(np.finfo(y.dtype).min)
-    product = jnp.maximum((index.astype(y.dtype) - middle) * y, lowest)  # fence: no fused multiply-add
+    product = fenced((index.astype(y.dtype) - middle) * y)
     on = index < count
     return sums[0] + jnp.where(on, y, 0), sums[1] + jnp.where(on, product, 0)
 

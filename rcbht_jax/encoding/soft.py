@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
+from rcbht_jax._util.compiling import full_precision
 from rcbht_jax.encoding import composition, encoder, fit, segments, soft_runs
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
@@ -93,8 +94,9 @@ def soft_encode(
         voted = jnp.where(counts, gradient_label(slope, jnp.moveaxis(lane_limits[:, None], -1, 0)), 0)
         p = parts = _vote(soft, voted, stages[0])
     primitive, pairs, mc, joints, llb = stages
-    m = _vote(_composition(parts, pairs, primitive), pairs.label, mc)
-    l = _vote(_behaviour(m, joints, mc), joints.label, llb)
+    with full_precision():
+        m = _vote(_composition(parts, pairs, primitive), pairs.label, mc)
+        l = _vote(_behaviour(m, joints, mc), joints.label, llb)
     if straight_through:
         p, m, l = (_straight(x, hard.label) for x, hard in ((p, primitive), (m, mc), (l, llb)))
     return SoftLabels(*(x.reshape(trials, axes, *x.shape[1:]) for x in (p, m, l)))
@@ -112,7 +114,8 @@ def soft_shares(labels: SoftLabels, weights: Array) -> Array:
     """
     parts = []
     for x in (labels.primitive, labels.mc, labels.llb):
-        time = jnp.einsum("tsw,tawl->tsal", weights, x)
+        with full_precision():
+            time = jnp.einsum("tsw,tawl->tsal", weights, x)
         parts.append(time / jnp.maximum(time.sum(-1, keepdims=True), 1))
     joined = jnp.concatenate(parts, -1)
     return joined.reshape(*joined.shape[:2], -1)

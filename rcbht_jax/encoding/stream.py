@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.compiling import jit
+from rcbht_jax._util.compiling import host_device, jit
 from rcbht_jax._util.signals import in_precision, numbers_of
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
@@ -22,25 +22,25 @@ from rcbht_jax.types import Array, LabelTracks
 
 MOST_SAMPLES = 2**31 - 2**20  # of a stream without a new start: samples are counted in 32 bits
 
-_unpack = jit()(unpack)
+_unpack = jit(host=True)(unpack)
 BLOCK = 64  # most windows in one call of a compiled loop
 
 StraightLines = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.floating], NDArray[np.floating]]
 
 
-@jit(static_argnums=0)
+@jit(host=True, static_argnums=0)
 def _step(config: AnyConfig, limits: Array, state: EncoderState, window: Array) -> tuple[EncoderState, PackedLabels]:
     return rule_of(config).step(config, limits, state, window)
 
 
-@jit(static_argnums=(0, 1))
+@jit(host=True, static_argnums=(0, 1))
 def _held(
     labels: Callable[..., LabelTracks], config: AnyConfig, limits: Array, state: EncoderState, rest: Array, count: Array
 ) -> LabelTracks:
     return labels(config, limits, state, rest, count)
 
 
-@jit(static_argnums=0)
+@jit(host=True, static_argnums=0)
 def _lines(
     config: FitConfig, limits: Array, state: EncoderState, windows: Float[Array, "block window axis"], count: Array
 ) -> tuple[EncoderState, Any]:
@@ -123,9 +123,9 @@ def held(
         buffer: the samples since then.
         ends: the labels are those that an end of the stream would publish, in place of provisional ones.
     """
-    count = jnp.full(limits.shape[0], buffer.count, jnp.int32)
+    count = np.full(limits.shape[0], buffer.count, np.int32)
     labels = rule_of(config).flush if ends else rule_of(config).provisional  # one program where they are the same
-    return jax.tree.map(np.asarray, _held(labels, config, limits, state, jnp.array(buffer.samples), count))
+    return jax.tree.map(np.asarray, _held(labels, config, limits, state, buffer.samples.copy(), count))
 
 
 class Encoder:
@@ -134,8 +134,7 @@ class Encoder:
     The encoder keeps a state of fixed size and less than one window of samples. Labels are LabelTracks ``[axis, slot]``
     of host arrays, with one slot per window or, at the end, 1 + 2, 1 + 5 and 1 + 8 slots (by the fit rule 1 + 5 each);
     label 0 marks a slot where nothing was published. They equal those of :func:`rcbht_jax.encode` bit for bit, however
-    the samples are divided into chunks; on a GPU, where division may round differently, but for the last digit of
-    means and slopes.
+    the samples are divided into chunks. The encoder runs on the processor, also where JAX has a GPU.
 
     Args:
         config: static configuration; its type chooses the rule.
@@ -162,9 +161,9 @@ class Encoder:
         if dtype not in (np.float32, np.float64) or jax.dtypes.canonicalize_dtype(dtype) != dtype:
             raise InputError(f"A stream of {dtype} was asked for; expected float32, or float64 in JAX's 64-bit mode.")
         self._config = config
-        self._limits = jnp.array(limits, dtype)  # a copy, which no caller can change
+        self._limits = jax.device_put(np.array(limits, dtype), host_device())  # a copy, which no caller can change
         self._axes = limits.shape[0]
-        self._state: EncoderState = rule.init(config, (self._axes,), dtype)
+        self._state: EncoderState = jax.device_put(rule.init(config, (self._axes,), dtype), host_device())
         self._buffer = WindowBuffer(config.window, self._axes, dtype)
 
     @property
@@ -187,7 +186,7 @@ class Encoder:
         while len(chunk):
             chunk = self._buffer.fill(chunk, self._config.window)
             if not self._buffer.room:
-                window, self._buffer.count = jnp.array(self._buffer.samples), 0
+                window, self._buffer.count = self._buffer.samples.copy(), 0
                 self._state, packed = _step(self._config, self._limits, self._state, window)
                 yield jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(packed))
 
@@ -245,5 +244,6 @@ class Encoder:
 
     def restart(self) -> None:
         """Start a new stream and discard the labels still held."""
-        self._state = rule_of(self._config).init(self._config, (self._axes,), self._buffer.samples.dtype)
+        state = rule_of(self._config).init(self._config, (self._axes,), self._buffer.samples.dtype)
+        self._state = jax.device_put(state, host_device())
         self._buffer.count = self._buffer.taken = 0

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.compiling import jit
+from rcbht_jax._util.compiling import host_device, jit
 from rcbht_jax._util.signals import check_names
 from rcbht_jax._util.values import expect, number
 from rcbht_jax.encoding.encoder import PackedLabels
@@ -113,7 +113,7 @@ def infer(
     return state, tuple(probabilities), published
 
 
-_infer = jit(static_argnums=0)(infer)
+_infer = jit(host=True, static_argnums=0)(infer)
 _begin = jit(static_argnums=(0, 1, 2))(begin_stream)  # one small program in place of one per field
 
 
@@ -164,8 +164,8 @@ class Introspector:
         self._chain = Chain.of(model)
         self._config = model.encoder
         self._every = _samples_between(rate, model.encoder)
-        self._limits = jax.device_put(model.stacked_limits.astype(np.float32))
-        self._heads = tuple(jax.device_put(head_arrays(head)) for head in model.heads)
+        self._limits = jax.device_put(model.stacked_limits.astype(np.float32), host_device())
+        self._heads = tuple(jax.device_put(head_arrays(head), host_device()) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
         detector = _detector(model) if detect else None
@@ -178,7 +178,8 @@ class Introspector:
         self._restart()
 
     def _restart(self) -> None:
-        self._state: StreamState = _begin(self._config, self._chain.views, self.labels.shape[2])
+        state = _begin(self._config, self._chain.views, self.labels.shape[2])
+        self._state: StreamState = jax.device_put(state, host_device())
         self._buffer = WindowBuffer(self._config.window, self.labels.shape[2], np.float32)
         self._begins: NDArray[np.int32] = np.zeros(len(self._chain.scopes), np.int32)
         self._time: float | None = None

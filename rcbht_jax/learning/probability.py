@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.compiling import full_precision
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.class_groups import fewest_groups
 from rcbht_jax.learning.scaling import SPREAD
@@ -294,7 +295,8 @@ def probability_jax(arrays: SvmArrays, kernel: str, gamma: float, classes: int, 
         x: float32 features.
     """
     scaled = _scaled_jax(arrays, x)
-    decision = _kernel_jax(arrays, kernel, gamma, scaled) @ arrays.weight + arrays.intercept
+    with full_precision():
+        decision = _kernel_jax(arrays, kernel, gamma, scaled) @ arrays.weight + arrays.intercept
     pair = jax.nn.sigmoid(-(decision * arrays.sigmoid[:, 0] + arrays.sigmoid[:, 1]))
     return couple_jax(jnp.clip(pair, CERTAIN, 1 - CERTAIN), classes)
 
