@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import combinations
 
 from rcbht_jax._util.columns import split_unit
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.importing.names import preference, wrenches
 from rcbht_jax.io.importing.table import Table
 
+MOST_ARMS = 16
 PLACE = "{arm}"  # of the arm's name in that of a column
 _SIDES = (("left", "right"), ("l", "r"))
 _NUMBERED = re.compile(r"(?<![A-Za-z])(?i:(?:robot|arm|hand|panda|ur|yumi|iiwa)_?\d+)(?!\d)")
@@ -30,12 +31,15 @@ def arms_of(names: Iterable[str]) -> tuple[str, ...]:
     found = wrenches(names)
     best = max((preference(wrench["Fx"]) for wrench in found), default=0)
     firsts = [split_unit(wrench["Fx"])[0] for wrench in found if preference(wrench["Fx"]) == best]
-    for sides in _SIDES:
-        if any(_same(one, other, sides) for one, other in combinations(firsts, 2)):
-            return sides
-    numbered = dict.fromkeys(word for first in firsts for word in _NUMBERED.findall(first))
-    same = (pair for pair in combinations(numbered, 2) for two in combinations(firsts, 2) if _same(*two, pair))
-    return tuple(sorted({arm for pair in same for arm in pair}))
+    for left, right in _SIDES:
+        if _without(left, firsts) & _without(right, firsts):
+            return left, right
+    shared: defaultdict[str, set[str]] = defaultdict(set)
+    for first in firsts:
+        for arm in _NUMBERED.findall(first):
+            shared[_mark(arm).sub(PLACE, first)].add(arm)
+    arms = {arm for several in shared.values() if len(several) > 1 for arm in several}
+    return tuple(sorted(arms)) if len(arms) <= MOST_ARMS else ()
 
 
 def tables_of_arms(table: Table, mapping: Mapping) -> Iterator[Table]:
@@ -70,13 +74,10 @@ def tables_of_arms(table: Table, mapping: Mapping) -> Iterator[Table]:
         yield replace(table, name=f"{table.name}#{arm}", columns=columns, units=units, facts=facts, part=part)
 
 
-def _same(one: str, other: str, sides: tuple[str, ...]) -> bool:
-    """Whether two names differ in nothing but the arm."""
-    for first, second in (sides, sides[::-1]):
-        here, there = _mark(first), _mark(second)
-        if here.search(one) and here.sub(PLACE, one) == there.sub(PLACE, other) and there.search(other):
-            return True
-    return False
+def _without(arm: str, names: Iterable[str]) -> set[str]:
+    """The names that hold an arm, with its place for it."""
+    mark = _mark(arm)
+    return {mark.sub(PLACE, name) for name in names if mark.search(name)}
 
 
 def _mark(arm: str) -> re.Pattern[str]:

@@ -17,6 +17,7 @@ from rcbht_jax.io.importing import conform
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.names import GROUPS, column_name
 from rcbht_jax.io.importing.record import Record
+from rcbht_jax.io.importing.record import text as as_text
 from rcbht_jax.io.importing.report import ImportReport
 from rcbht_jax.io.store import VARIABLES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
@@ -119,7 +120,7 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
         values = [{column_name(key): value for key, value in record.columns.items()}.get(name) for record in records]
         target = f"c_{name}" if name in _TAKEN and name not in (*STANDARD_COLUMNS, "trial") else name
         if name in STANDARD_COLUMNS or name == "trial" or any(isinstance(value, str) for value in values):
-            columns[target] = np.array(["" if value is None else str(value) for value in values], np.str_)
+            columns[target] = np.array(["" if value is None else as_text(value) for value in values], np.str_)
         else:
             columns[target] = np.array([np.nan if value is None else value for value in values], np.float64)
     folders = _folders(records)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from rcbht_jax._util.columns import base_and_unit, split_unit
+from rcbht_jax._util.columns import TIMES, base_and_unit, split_unit
 from rcbht_jax.labels import AXES
 
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanoseconds")
@@ -62,7 +62,7 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     >>> wrenches(["x_force", "y_force", "z_force"])
     [{'Fx': 'x_force', 'Fy': 'y_force', 'Fz': 'z_force'}]
     """
-    found: dict[str, dict[str, str]] = {}
+    found: dict[tuple[str, str], dict[str, str]] = {}  # by what stands before and after an axis
     rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
     for name in names:
         base, unit = split_unit(name)
@@ -80,25 +80,22 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
         first = min(elements) if bracket != "_" or kind in _SIX else 0
         numbers = {number - first: name for number, name in elements.items()}
         if first <= 1 and set(numbers) == set(range(6)) and not kind.startswith(("t", "m")):
-            found.setdefault(f"{prefix}{kind}_{qualifiers}", {}).update(
-                zip(AXES, (numbers[n] for n in range(6)), strict=True)
-            )
+            axes = found.setdefault((f"{prefix}{kind}_{qualifiers}", ""), {})
+            axes.update(zip(AXES, (numbers[n] for n in range(6)), strict=True))
         elif first <= 1 and set(numbers) == {0, 1, 2} and kind not in _SIX:
             letter = "F" if kind.startswith("f") else "M"
             for number, axis in enumerate("xyz"):
-                found.setdefault(prefix + qualifiers, {}).setdefault(letter + axis, numbers[number])
-    complete = []
-    for axes in found.values():
-        if {"Fx", "Fy", "Fz"} <= set(axes):
-            complete.append({axis: axes[axis] for axis in AXES if axis in axes})
-    return complete
+                found.setdefault((prefix + qualifiers, ""), {}).setdefault(letter + axis, numbers[number])
+    plain_first = sorted(found.items(), key=lambda item: item[0][1] != "")  # Fx before Fx_tool
+    complete = (axes for _, axes in plain_first if {"Fx", "Fy", "Fz"} <= set(axes))
+    return [{axis: axes[axis] for axis in AXES if axis in axes} for axes in complete]
 
 
-def _axis_of(base: str, unit: str) -> tuple[str, str, str, bool] | None:
-    """What sets a wrench apart from others, F or M, x, y or z, and whether a T cannot be a translation; None = no axis.
+def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | None:
+    """What stands before and after an axis, F or M, x, y or z, and whether a T cannot be a translation; None = no axis.
 
     >>> _axis_of("left.torque_x", "")
-    ('left.', 'M', 'x', True)
+    (('left.', ''), 'M', 'x', True)
     """
     known = unit in (*FORCES, *MOMENTS)
     last, first = _AXIS.match(base) or (_WORD.match(base) if known else None), _AXIS_FIRST.match(base)
@@ -108,8 +105,10 @@ def _axis_of(base: str, unit: str) -> tuple[str, str, str, bool] | None:
         before, letter, word, after, number = *first.groups(), ""
     else:
         return None
+    if after[1:] in (*TIMES, *NANOSECONDS):  # of its samples
+        return None
     kind = "F" if unit in FORCES or word in ("force", "f") else "M"
-    return f"{before}{number}{after}", kind, letter, word in ("torque", "moment", "tau", "m")
+    return (f"{before}{number}", after), kind, letter, word in ("torque", "moment", "tau", "m")
 
 
 def preference(name: str) -> int:

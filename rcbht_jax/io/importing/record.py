@@ -109,7 +109,7 @@ def records(
         bounds = np.cumsum(np.bincount(which, minlength=len(values)))[:-1]
         pairs = zip(values, np.split(order, bounds), strict=True)
         parts = {text(value): part for value, part in pairs if text(value)}
-    elif mapping.time and len(starts := conform.restarts(_stamps(table, mapping, parts[""]))):
+    elif mapping.time and 0 < len(starts := conform.restarts(_stamps(table, mapping, parts[""]))) < MAX_GROUPS:
         parts = {str(number): part for number, part in enumerate(np.split(parts[""], starts), 1)}
         table = replace(table, notes=(*table.notes, f"restarts:{len(starts)}"))
     for value, part in parts.items():

@@ -87,6 +87,8 @@ def _facts(source: Path, name: str) -> Facts:
              for one, value in group.items())  # fmt: skip
     found: Facts = {}
     for key, value in [*content.items(), *inner]:
+        if key.rpartition(".")[2].lower() in ("trial", "note"):  # names are those of files, notes those of the import
+            continue
         if isinstance(value, bool):
             found[key] = str(value).lower()
         elif isinstance(value, int | float):

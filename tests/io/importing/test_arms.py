@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,13 @@ def test_arms_of_wrenches_that_differ_otherwise_are_left_alone() -> None:
     assert arms_of([f"left_raw_f{axis}" for axis in "xyz"] + [f"right_base_f{axis}" for axis in "xyz"]) == ()
 
 
+def test_columns_of_hundreds_of_arms_are_no_arms() -> None:
+    start = time.perf_counter()
+    assert arms_of([f"arm{k}_f{axis}" for k in range(3000) for axis in "xyz"]) == ()
+    assert arms_of([f"{side}_{k}_f{axis}" for k in range(1500) for side in ("left", "right") for axis in "xyz"])
+    assert time.perf_counter() - start < 10
+
+
 @pytest.mark.parametrize("arms", [("left", "Left"), ("",)])
 def test_arms_of_one_name_are_refused(arms: tuple[str, ...], tmp_path: Path) -> None:
     csv(tmp_path / "run1.csv", ["left_fz"], LEFT[:, :1])
@@ -86,6 +94,16 @@ def test_objects_beside_recordings_describe_them(tmp_path: Path) -> None:
     assert imported.report.remarks[0].startswith("3 JSON objects describe recordings: 'trial_0/meta.json'")
     described(tmp_path / "trial_1", meta={"success": True})
     assert read_source(tmp_path).report.content_sha256 != imported.report.content_sha256
+
+
+def test_names_in_objects_are_no_names_of_trials(tmp_path: Path) -> None:
+    for number in range(2):
+        (tmp_path / f"run_{number}").mkdir()
+        csv(tmp_path / f"run_{number}/ft.csv", list(AXES), LEFT + number)
+        described(tmp_path / f"run_{number}", meta={"trial": 1, "note": "x", "session": 7})
+    recordings = read_source(tmp_path).recordings
+    assert recordings.trial.tolist() == ["run_0/ft", "run_1/ft"]
+    assert (recordings.note.tolist(), recordings.session.tolist()) == (["", ""], ["7", "7"])
 
 
 def test_an_object_describes_only_what_it_is_named_after(tmp_path: Path) -> None:

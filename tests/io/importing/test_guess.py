@@ -74,6 +74,7 @@ def test_infinite_and_huge_values_are_no_warning_of_numpy(value: float) -> None:
         ("Fx_tool Fy_tool Fz_tool Mx_tool My_tool Mz_tool", "Fx Fy Fz Mx My Mz", ",,,,,"),
         (" ".join(f"ee_force_filtered_{k}" for k in range(6)), "Fx Fy Fz Mx My Mz", ",,,,,"),
         ("Fx_dot Fy_dot Fz_dot Fx Fy Fz", "Fx Fy Fz", ",,"),
+        ("Fx_tool Fy_tool Fz_tool Fx Fy Fz", "Fx Fy Fz", ",,"),
         ("Fx/N Fy/N Fz/N Mx/Ncm My/Ncm Mz/Ncm", "Fx Fy Fz Mx My Mz", "N,N,N,Ncm,Ncm,Ncm"),
         ("force_x force_y force_z " + " ".join(f"joint_torque_{k}" for k in range(7)), "Fx Fy Fz", ",,"),
     ],
