@@ -29,6 +29,7 @@ from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
 from rcbht_jax.io.importing.json_lines import read_json_lines
+from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Lacks, Record, Row, bounded, records
@@ -195,7 +196,8 @@ def _read(
         try:
             if source.is_dir():
                 check_inside(item.path, source)
-            for table in (arm for whole in read_item(item, base) for arm in tables_of_arms(whole, base)):
+            wide = (widened(table, base) for table in read_item(item, base))
+            for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
                 if item.kind == "csv" and marks.is_intervals(table.columns):
                     marked.append(table)
                     continue

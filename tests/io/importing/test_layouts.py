@@ -142,6 +142,29 @@ def test_of_windows_of_the_last_samples_the_newest_is_taken(tmp_path: Path) -> N
     np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
 
 
+@pytest.mark.parametrize("stacked", [True, False])
+def test_a_table_in_long_form_has_a_column_per_channel(stacked: bool, tmp_path: Path) -> None:
+    cells = [(TIME[k], axis, WRENCH[k, place], "N" if place < 3 else "Nm", "free" if k < 200 else "push")
+             for k in range(N) for place, axis in enumerate(AXES)]  # fmt: skip
+    lines = [",".join(map(str, row)) for row in (sorted(cells, key=lambda row: row[1]) if stacked else cells)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,channel,value,unit,phase", *lines]) + "\n")
+    imported = read_source(tmp_path)
+    recordings = imported.recordings
+    assert (recordings.axes, recordings.units) == (AXES, ("N",) * 3 + ("Nm",) * 3)
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
+    np.testing.assert_allclose(recordings.starts("phase"), [[0, 0.4]], atol=1e-9)
+    again = read_source(tmp_path, mapping=imported.mapping).recordings
+    np.testing.assert_array_equal(again.wrench, recordings.wrench)
+
+
+def test_a_long_form_with_a_missing_row_is_left_alone(tmp_path: Path) -> None:
+    cells = ((k, axis, place) for k in range(20) for place, axis in enumerate(AXES) if (k, axis) != (7, "Fy"))
+    lines = [f"{k},{axis},{k + place}" for k, axis, place in cells]
+    (tmp_path / "log.csv").write_text("\n".join(["time,channel,value", *lines]) + "\n")
+    with pytest.raises(InputError, match="time stamps repeat"):
+        read_source(tmp_path)
+
+
 def test_a_time_that_starts_anew_separates_recordings(tmp_path: Path) -> None:
     table = np.column_stack([np.tile(TIME[:100], 4) + np.repeat([0, 0.001, 0.002, 0], 100), WRENCH])
     np.savetxt(tmp_path / "log.csv", table, header=",".join(["t", *AXES]), delimiter=",", comments="")
