@@ -119,10 +119,10 @@ def loss(
     (:func:`rcbht_jax.calibration.objective.ridge_leave_one_out`).
     """
     with full_precision():
-        return _loss(config, options, parameters, batch, temperature)
+        return _mean_loss(config, options, parameters, batch, temperature)
 
 
-def _loss(
+def _mean_loss(
     config: AnyConfig, options: GradientOptions, parameters: Parameters, batch: Batch, temperature: Array | float
 ) -> Array:
     limits = limits_from(parameters.free)
