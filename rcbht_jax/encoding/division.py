@@ -31,6 +31,7 @@ def fenced(product: Array) -> Array:
     return jnp.maximum(product, float(np.finfo(product.dtype).min))
 
 
+@jax.custom_jvp
 def corrected(x: Array, y: Array) -> Array:
     """The quotient of single-precision arrays of one shape, from one that is a few digits off."""
     rough = jax.lax.div(x, y)
@@ -41,6 +42,14 @@ def corrected(x: Array, y: Array) -> Array:
     nearer = 2 * jnp.abs(rest) > jnp.abs(y) * jnp.abs(other - near)  # without rounding, and never equal
     found = jnp.where(nearer, other, near)
     return jnp.where(jnp.isfinite(found), found, rough)
+
+
+@corrected.defjvp
+def _derivative(at: tuple[Array, Array], along: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Of the quotient itself: its corrections have none of any use."""
+    (x, y), (dx, dy) = at, along
+    found = corrected(x, y)
+    return found, jax.lax.div(dx - found * dy, y)
 
 
 def _remainder(x: Array, q: Array, y: Array) -> Array:

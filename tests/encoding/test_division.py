@@ -72,6 +72,16 @@ def test_a_quotient_is_the_same_program_on_a_processor(monkeypatch: pytest.Monke
     assert "4.097" in text
 
 
+def test_derivatives_are_those_of_a_quotient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    x, y = jnp.asarray([2.0, -3.0, 5.0]), jnp.asarray([3.0, 7.0, 11.0])
+    for function in (division.corrected, division.quotient):
+        total = lambda x, y, f=function: f(x, y).sum()  # noqa: E731
+        for found, expected in zip(jax.grad(total, (0, 1))(x, y), (1 / y, -x / (y * y)), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-6)
+        np.testing.assert_allclose(jax.vmap(jax.grad(function))(x, y), 1 / y, rtol=1e-6)
+
+
 def test_streams_run_on_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where JAX has a GPU, whose launches would take longer."""
     wrench = np.cumsum(np.random.default_rng(0).normal(size=(300, 6)), 0)
