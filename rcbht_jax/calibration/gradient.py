@@ -118,13 +118,6 @@ def loss(
     With ``fit`` it is the leave-one-trial-out unexplained variance of a ridge classifier
     (:func:`rcbht_jax.calibration.objective.ridge_leave_one_out`).
     """
-    with full_precision():
-        return _mean_loss(config, options, parameters, batch, temperature)
-
-
-def _mean_loss(
-    config: AnyConfig, options: GradientOptions, parameters: Parameters, batch: Batch, temperature: Array | float
-) -> Array:
     limits = limits_from(parameters.free)
     labels = soft_encode(
         config, limits, batch.wrench, batch.length, temperature, straight_through=options.straight_through
@@ -133,8 +126,10 @@ def _mean_loss(
     if options.loss == "fit":
         flat = x.reshape(-1, x.shape[-1])
         target = jax.nn.one_hot(batch.y.reshape(-1), parameters.bias.shape[0], dtype=x.dtype)
-        return 1 - ridge_leave_one_out(jnp.sqrt(flat + _FLOOR), target, batch.y.shape[1])[1]
-    logits = _GAIN * x @ parameters.weights + parameters.bias[None, None]
+        with full_precision():
+            return 1 - ridge_leave_one_out(jnp.sqrt(flat + _FLOOR), target, batch.y.shape[1])[1]
+    with full_precision():
+        logits = _GAIN * x @ parameters.weights + parameters.bias[None, None]
     if options.loss == "logistic":
         return optax.softmax_cross_entropy_with_integer_labels(logits, batch.y).mean()
     # Crammer and Singer (2001): the margin over the best wrong class.

@@ -154,7 +154,7 @@ class Encoder:
     """
 
     def __init__(self, config: AnyConfig, thresholds: AnyLimits, dtype: type[np.floating] = np.float32) -> None:
-        rule = rule_of(config)
+        self._rule = rule_of(config)
         limits = checked_limits(config, thresholds)
         if limits.ndim != 2:
             raise InputError(f"Thresholds have shape {(*limits.shape[:-1], 4)}; a stream expects [axis, 4].")
@@ -163,8 +163,8 @@ class Encoder:
         self._config = config
         self._limits = jax.device_put(np.array(limits, dtype), host_device())  # a copy, which no caller can change
         self._axes = limits.shape[0]
-        self._state: EncoderState = jax.device_put(rule.init(config, (self._axes,), dtype), host_device())
         self._buffer = WindowBuffer(config.window, self._axes, dtype)
+        self._state = self._begun()
 
     @property
     def received(self) -> int:
@@ -244,6 +244,8 @@ class Encoder:
 
     def restart(self) -> None:
         """Start a new stream and discard the labels still held."""
-        state = rule_of(self._config).init(self._config, (self._axes,), self._buffer.samples.dtype)
-        self._state = jax.device_put(state, host_device())
-        self._buffer.count = self._buffer.taken = 0
+        self._state, self._buffer.count, self._buffer.taken = self._begun(), 0, 0
+
+    def _begun(self) -> EncoderState:
+        state: EncoderState = self._rule.init(self._config, (self._axes,), self._buffer.samples.dtype)
+        return jax.device_put(state, host_device())

@@ -156,12 +156,11 @@ def cross_axis(x: ResampledSignal) -> Float[Array, "*interval pair column"]:
     """Joint signs and correlations of two axes; a correlation is 0 where one of them does not change."""
     xp, (first, second) = x.xp, np.triu_indices(x.sign.shape[-2], 1)
     signs = xp.stack([x.sign > 0, x.sign < 0, x.sign == 0], axis=-3).astype(x.level.dtype)
-    with full_precision():
-        shares = xp.einsum("...aim,...bjm->...ijab", signs, signs)[..., first, second, :, :] / MOMENTS
     # The root keeps a single snap from deciding the correlation of slopes.
     root = xp.sign(x.slope) * xp.sqrt(abs(x.slope))
     both = xp.stack([x.relative, _centred(root)], axis=-3)
     with full_precision():
+        shares = xp.einsum("...aim,...bjm->...ijab", signs, signs)[..., first, second, :, :] / MOMENTS
         product = both @ xp.swapaxes(both, -1, -2)
     size = xp.sqrt(xp.diagonal(product, axis1=-2, axis2=-1))
     correlation = xp.clip(ratio(product[..., first, second], size[..., first] * size[..., second]), -1, 1)

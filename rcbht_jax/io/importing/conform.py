@@ -107,9 +107,11 @@ def restarts(time: Float[np.ndarray, " sample"]) -> NDArray[np.int64]:
     Args:
         time: s, of recordings one after the other, each of ``HELD`` samples or more.
     """
+    if not np.isfinite(time).all():
+        return np.zeros(0, np.int64)
     starts = np.flatnonzero(np.diff(time) < 0) + 1
-    if not len(starts) or not np.isfinite(time).all():
-        return starts[:0]
+    if not len(starts):
+        return starts
     bounds = np.concatenate([[0], starts, [len(time)]])
     shortest = (time[bounds[1:] - 1] - time[bounds[:-1]]).min()
     near = np.abs(time[starts] - time[0]) <= 0.1 * shortest

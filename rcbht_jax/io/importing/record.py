@@ -96,6 +96,7 @@ def records(
     _check(table, mapping)
     count = len(next(iter(table.columns.values())))
     parts: dict[str, NDArray[Any]] = {"": np.arange(count)}
+    stamps: NDArray[np.float64] | None = None
     if mapping.group:
         group = table.columns[mapping.group]
         if ((group == "") if group.dtype.kind == "U" else ~np.isfinite(group)).any():
@@ -109,16 +110,18 @@ def records(
         bounds = np.cumsum(np.bincount(which, minlength=len(values)))[:-1]
         pairs = zip(values, np.split(order, bounds), strict=True)
         parts = {text(value): part for value, part in pairs if text(value)}
-    elif mapping.time and 0 < len(starts := conform.restarts(_stamps(table, mapping, parts[""]))) < MAX_GROUPS:
-        parts = {str(number): part for number, part in enumerate(np.split(parts[""], starts), 1)}
-        table = replace(table, notes=(*table.notes, f"restarts:{len(starts)}"))
+    elif (stamps := _readable_stamps(table, mapping, parts[""])) is not None:
+        starts = conform.restarts(stamps)
+        if 0 < len(starts) < MAX_GROUPS:
+            parts = {str(number): part for number, part in enumerate(np.split(parts[""], starts), 1)}
+            table = replace(table, notes=(*table.notes, f"restarts:{len(starts)}"))
     for value, part in parts.items():
         name = f"{table.name}#{value}" if value else table.name
         place = "#".join(filter(None, [table.part, value]))
         row = next((rows[key] for key in (name, place, table.file) if key in rows), None) if rows else None
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
-                record = _record(table, mapping, part, name, row or {})
+                record = _record(table, mapping, part, name, row or {}, stamps)
             yield replace(record, part=place, listed=row is not None)
         except InputError as error:
             yield name, str(error)
@@ -218,9 +221,14 @@ def _check(table: Table, mapping: Mapping) -> None:
         raise InputError(f"{table.name} has no column of time; name it in a map, or give --source-rate.")
 
 
-def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: Row) -> Record:
+def _record(
+    table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: Row, known_stamps: NDArray[np.float64] | None
+) -> Record:
     rows, raw, padded = _with_values(table, mapping, rows)
-    stamps = _stamps(table, mapping, rows)
+    if known_stamps is not None and len(known_stamps) == len(rows):
+        stamps = known_stamps  # to read texts again takes long
+    else:
+        stamps = _stamps(table, mapping, rows)
     new = conform.fresh(raw)
     padded += [f"held:{len(raw) - len(new)}"] if len(new) < len(raw) else []
     values = raw * [channel.scale for channel in mapping.channels] + [channel.offset for channel in mapping.channels]
@@ -283,6 +291,15 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
             raise InputError(f"column {mapping.time!r} holds {str(column[0])!r}, which is not a time.") from None
     scaled: NDArray[np.float64] = column * SECONDS[mapping.time_unit]
     return scaled + table.columns[mapping.nanoseconds][rows] * 1e-9 if mapping.nanoseconds else scaled
+
+
+def _readable_stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.float64] | None:
+    """Times of rows, s; None = there is no column of times, or one is none, perhaps in a row without values."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return _stamps(table, mapping, rows) if mapping.time else None
+    except InputError:
+        return None
 
 
 def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | float | None:

@@ -178,6 +178,14 @@ def test_a_time_that_starts_anew_separates_recordings(tmp_path: Path) -> None:
     assert "4 recordings are from tables in which the time starts anew." in imported.report.remarks
 
 
+def test_a_last_row_without_values_need_not_have_a_time(tmp_path: Path) -> None:
+    lines = [f"2024-05-01T12:00:00.{2 * k:03},{row}" for k, row in enumerate(rows(WRENCH).split())]
+    (tmp_path / "log.csv").write_text("\n".join([",".join(["time", *AXES]), *lines, "end" + "," * 6]) + "\n")
+    recordings = read_source(tmp_path).recordings
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
+    assert recordings.note.tolist() == ["padded:1"]
+
+
 @pytest.mark.parametrize("unit", ["ms", "h"])
 def test_a_rate_that_no_sensor_has_is_told(unit: str, tmp_path: Path) -> None:
     names = ",".join([f"t [{unit}]", *AXES])
