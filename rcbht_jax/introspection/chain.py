@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from rcbht_jax._util.compiling import jit
+from rcbht_jax._util.compiling import host_device, jit
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.errors import InputError
@@ -106,7 +106,7 @@ def step(
     return StreamState(encoder, tuple(next_stats)), tuple(features), labels
 
 
-@jit(static_argnums=(0, 1))
+@jit(host=True, static_argnums=(0, 1))  # the steps of one recording: bit for bit those of a stream
 def _scan(
     config: AnyConfig, view: FeatureView, limits: Array, state: StreamState, rows: tuple[Array, ...]
 ) -> tuple[StreamState, Array]:
@@ -149,8 +149,10 @@ def online_features(
     check_online(view.spec)
     _check(wrench, begin, now)
     rows, wanted = _schedule(config.window, wrench, begin, now)
-    limits = jnp.asarray(checked_limits(config, thresholds), jnp.float32)
-    state = begin_stream(config, (view,), wrench.shape[1])
+    limits, state = jax.device_put(
+        (np.asarray(checked_limits(config, thresholds), np.float32), begin_stream(config, (view,), wrench.shape[1])),
+        host_device(),
+    )
     out = np.empty((len(now), len(names(view.spec, wrench.shape[-1]))), np.float32)
     for start in range(0, len(rows[1]), _STEPS):
         state, features = _scan(config, view, limits, state, tuple(row[start : start + _STEPS] for row in rows))

@@ -53,17 +53,15 @@ def test_quotients_in_the_middle_between_two_numbers_are_corrected(monkeypatch: 
         np.testing.assert_array_equal(jax.jit(lambda x, y: division.corrected(x, y))(*pair), np.divide(*pair))
 
 
-@pytest.mark.parametrize("x", [0.0, np.inf, -np.inf, np.nan, 3e38])
-def test_values_that_cannot_be_corrected_stay(x: float) -> None:
-    y = np.array([1, 3, 1e-30, 1e30], np.float32)
-    with np.errstate(all="ignore"):
-        expected = np.float32(x) / y
-    np.testing.assert_array_equal(division.corrected(jnp.full(4, x, jnp.float32), jnp.asarray(y)), expected)
+@pytest.mark.parametrize("value", [0.0, np.inf, -np.inf, np.nan, 3e38])
+def test_values_that_cannot_be_corrected_stay(value: float) -> None:
+    x, y = jnp.full(4, value, jnp.float32), jnp.asarray([1, 3, 1e-30, 1e30], jnp.float32)
+    np.testing.assert_array_equal(division.corrected(x, y), PLAIN(x, y))
 
 
 def test_a_quotient_is_the_same_program_on_a_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     ones = jnp.ones(3)
-    plain = jax.jit(division.quotient).lower(ones, ones).as_text()
+    plain = jax.jit(division.quotient).trace(ones, ones).lower(lowering_platforms=("cpu",)).as_text()
     assert "4.097" not in plain
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     other = jax.jit(lambda x, y: division.quotient(x, y))
@@ -109,6 +107,7 @@ def test_without_a_processor_a_stream_runs_where_it_can(monkeypatch: pytest.Monk
     def none(backend: str) -> list[jax.Device]:
         raise RuntimeError(f"Unknown backend {backend}")
 
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
     assert host_device() is None
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert host_device() == jax.devices("cpu")[0]
