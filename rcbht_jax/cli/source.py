@@ -306,7 +306,7 @@ class Source(RuleCommand):
         return WordIntrospector(config, limits, recordings.axes, recordings.units), messages
 
     def _messages(self, model: IntrospectionModel | None) -> Messages:
-        from rcbht_jax.io.importing.find import SUFFIXES
+        from rcbht_jax.io.importing.find import kind_of
         from rcbht_jax.io.messages import read_live
         from rcbht_jax.io.playback import play, read_folder
         from rcbht_jax.io.rosbags import is_bag, read_bag
@@ -328,7 +328,7 @@ class Source(RuleCommand):
         if path.is_dir():
             return read_folder(path, self.arm, starts)
         if path.is_file():
-            kind = SUFFIXES.get(path.suffix.lower(), "csv")
+            kind = kind_of(path.name) or "csv"
             raise InputError(
                 f"{path} is not a store, trial, bag or MCAP file; import it first, "
                 f"for example: rcbht import {kind} {path} {path.stem}.zarr."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import random
 import shutil
@@ -179,6 +180,16 @@ def _make_json_lines(path: Path) -> None:
     path.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
 
 
+def _make_json(path: Path) -> None:
+    _, rows = _rows()
+    path.write_text(json.dumps({"t": rows[:, 0].tolist(), "wrench": rows[:, 1:].tolist(), "who": "ann"}))
+
+
+def _make_packed(path: Path) -> None:
+    _make_csv(path)
+    path.write_bytes(gzip.compress(path.read_bytes()))
+
+
 def _make_csv(path: Path) -> None:
     header, rows = _rows()
     path.write_text(
@@ -242,6 +253,8 @@ READERS = (
     Reader("bag.mcap", _make_mcap, lambda path: list(read_bag(path)), mutations.damaged, _told),
     Reader("R_Torques.dat", _make_dat, lambda path: read_timed(path, "wrench").values, mutations.damaged_text, finite),
     Reader("table.csv", _make_csv, _table("csv"), mutations.damaged_text, finite),
+    Reader("table.csv.gz", _make_packed, _table("csv"), mutations.damaged, finite),
+    Reader("table.json", _make_json, _table("json"), mutations.damaged_json_text, finite),
     Reader("table.jsonl", _make_json_lines, _table("jsonl"), mutations.damaged_text, finite),
     Reader("table.npz", _make_npz, _table("npz"), mutations.damaged_archive, finite),
     Reader("table.h5", _make_hdf5, _table("hdf5"), mutations.damaged, finite),

@@ -30,7 +30,7 @@ from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.names import GROUPS, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
 
-_SIDE = re.compile(r"(?:^|[\W_])(?:left|right)(?:$|[\W_])", re.IGNORECASE)
+SIDE = re.compile(r"(?:^|[\W_])(?:left|right)(?:$|[\W_])", re.IGNORECASE)
 
 
 @contextmanager
@@ -133,7 +133,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         )
         group = _like(file, h5py)
         parts = [("", file)] if group is None else _groups(group, h5py)
-        sides = all(_SIDE.search(part) for part, _ in parts)
+        sides = all(SIDE.search(part) for part, _ in parts)
         for part, node in parts:
             prefix = node.name.rstrip("/") + "/"
             found = {one.name.removeprefix(prefix): one for one in datasets if one.name.startswith(prefix)}

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rcbht_jax._util.untrusted import MAX_LINE, MAX_TEXT_BYTES, check_file
+from rcbht_jax._util.untrusted import MAX_LINE
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.cells import is_number
 from rcbht_jax.io.importing.record import MAX_GROUPS
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.unpacked import opened
 
 COLUMNS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")  # in the order of the donors' note; units are not documented
 
@@ -33,10 +34,9 @@ def read_blocks(path: Path, name: str) -> Iterator[Table]:
 
 
 def _blocks(path: Path) -> list[tuple[str, list[list[float]]]]:
-    check_file(path, MAX_TEXT_BYTES)
     blocks: list[tuple[str, list[list[float]]]] = []
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             for number, line in enumerate(iter(lambda: file.readline(MAX_LINE), b""), 1):
                 where = f"{path}, line {number}"
                 if len(line) == MAX_LINE:
@@ -51,8 +51,6 @@ def _blocks(path: Path) -> list[tuple[str, list[list[float]]]]:
                     raise InputError(f"{where} is neither a class nor, below one, a row of six numbers.")
                 if len(blocks) > MAX_GROUPS:
                     raise InputError(f"{path} has more than {MAX_GROUPS} blocks; split it.")
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError:
         raise InputError(f"{where} is not UTF-8; expected a class or six numbers.") from None
     if not blocks:

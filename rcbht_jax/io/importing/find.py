@@ -9,23 +9,41 @@ from pathlib import Path, PurePosixPath
 from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import MAX_FILES
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.unpacked import plain_name
 
 SUFFIXES = {
     ".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".pq": "parquet", ".npz": "npz", ".npy": "npz", ".h5": "hdf5",
     ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab", ".mcap": "mcap", ".bag": "bag", ".db3": "bag", ".ts": "ts",
-    ".jsonl": "jsonl", ".ndjson": "jsonl",
+    ".jsonl": "jsonl", ".ndjson": "jsonl", ".json": "json",
 }  # fmt: skip
 TEXTS = (".txt", ".dat", ".data", ".log", ".lvm", ".asc")  # where "csv" or "uci" is asked for
-KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot", "ts", "uci", "jsonl")
+KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot", "ts", "uci", "jsonl", "json")
+_OF_TEXT = ("csv", "uci", "ts", "jsonl", "json")  # which may be packed
 
 
 @dataclass(frozen=True)
 class Item:
     """A file, or a folder that is one recording or data set."""
 
-    name: str  # relative to the source, as it can be written
+    name: str  # relative to the source, as it can be written, without the ending of a packed one
     path: Path
     kind: str  # one of KINDS but "auto", or "export"
+
+
+def kind_of(name: str, asked: str = "auto") -> str:
+    """The kind of a file by the end of its name; "" = unknown.
+
+    >>> kind_of("run.csv.gz"), kind_of("run.log"), kind_of("run.log", "csv"), kind_of("run.npz.gz")
+    ('csv', '', 'csv', '')
+
+    Args:
+        name: of the file, perhaps of a packed one.
+        asked: the kind that the user named.
+    """
+    plain = plain_name(name)
+    suffix = PurePosixPath(plain).suffix.lower()
+    found = asked if asked in ("csv", "uci") and suffix in TEXTS else SUFFIXES.get(suffix, "")
+    return found if plain == name or found in _OF_TEXT else ""
 
 
 def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
@@ -43,17 +61,17 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
     if not source.exists():
         raise InputError(f"{source} does not exist; expected a file or a folder.")
     if not source.is_dir():
-        chosen = SUFFIXES.get(source.suffix.lower(), "") if kind == "auto" else kind
+        chosen = kind_of(source.name) if kind == "auto" else kind
         if not chosen or chosen == "lerobot":
             raise InputError(
                 f"{source} is not a file of a known kind; name its kind, for example: rcbht import csv {source}."
             )
-        return [Item(spelled(source.name), source, chosen)], []
+        return [Item(plain_name(spelled(source.name)), source, chosen)], []
     if (whole := _whole(source)) and (whole == kind or kind in ("auto", "bag", "mcap") or whole == "export"):
         return [Item("", source, whole)], []
     if kind == "lerobot":
         raise InputError(f"{source} has no meta/info.json; expected the folder of a LeRobot data set.")
-    items, others = list[Item](), list[str]()
+    items, documents, others = list[Item](), list[Item](), list[str]()
     for folder, folders, files in os.walk(source):
         here = Path(folder)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
@@ -63,16 +81,19 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
             continue
         for name in sorted(files):
             if not name.startswith("."):
-                path = here / name
-                suffix = path.suffix.lower()
-                found = kind if kind in ("csv", "uci") and suffix in TEXTS else SUFFIXES.get(suffix, "")
+                path, found = here / name, kind_of(name, kind)
                 relative = spelled(path.relative_to(source).as_posix())
                 if found and kind in ("auto", found):
-                    items.append(Item(relative, path, found))
+                    of = plain_name(relative) if plain_name(name) not in files else relative
+                    (documents if found == "json" else items).append(Item(of, path, found))
                 else:
                     others.append(relative)
-        if len(items) + len(others) > MAX_FILES:
+        if len(items) + len(documents) + len(others) > MAX_FILES:
             raise InputError(f"{source} holds more than {MAX_FILES} files; import its folders one by one.")
+    if items:  # beside other files, JSON describes recordings
+        others += [spelled(item.path.relative_to(source).as_posix()) for item in documents]
+    else:
+        items = documents
     if not items:
         what = "of a known kind" if kind == "auto" else f"of the kind {kind}"
         known = f" Files with these endings are read: {', '.join(SUFFIXES)}; save yours as one of them."
@@ -97,7 +118,9 @@ def chosen(
     """
     if not patterns:
         return items, others
-    read = [item for item in items if any(PurePosixPath(item.name).match(pattern) for pattern in patterns)]
+    read = [
+        item for item in items if any(PurePosixPath(item.name).match(one) or item.path.match(one) for one in patterns)
+    ]
     if not read:
         held = ", ".join(item.name for item in items[:5])
         raise InputError(f"{source} holds no file like {' or '.join(patterns)}; it holds {held}.")

@@ -28,6 +28,7 @@ from rcbht_jax.io.importing.constants import constants_of, describe
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
+from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
@@ -38,6 +39,7 @@ from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.ts import read_ts
+from rcbht_jax.io.importing.unpacked import plain_name
 from rcbht_jax.types import Recordings
 
 Constants = dict[str, dict[str, float]]  # recording -> column -> value
@@ -94,7 +96,7 @@ def read_source(
         were = plural(len(others), "other file was", "other files were")
         report.remarks.append(f"{were} not read: {listed}.")
     if beside.files:
-        were = plural(len(beside.files), "JSON object describes recordings", "JSON objects describe recordings")
+        were = plural(len(beside.files), "JSON document describes recordings", "JSON documents describe recordings")
         report.remarks.append(f"{were}: {some(beside.files)}.")
     read, used, tables, constants = _read(source, items, base, beside, report, progress)
     found = [record for record, _ in read]
@@ -161,7 +163,7 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
     readers = {
         "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
         "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
-        "jsonl": read_json_lines,
+        "jsonl": read_json_lines, "json": read_json_document,
     }  # fmt: skip
     return readers[item.kind](item.path, item.name)
 
@@ -181,12 +183,12 @@ def _read(
     """The recordings of all files and where each is from, the mapping of each, tables of intervals, and constants."""
     found: list[tuple[Record, Item]] = []
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
-    marked: list[Table] = []
+    marked = list(beside.tables)
     constants: Constants = {}
     listing: Table | None = None
     if not base.table and source.is_dir():
         base, listing = marks.with_table(source, base, items, report.remarks)
-    tables = {base.table, *(track.file for track in base.annotations)} - {""}
+    tables = {plain_name(one) for one in (base.table, *(track.file for track in base.annotations)) if one}
     files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
     rows = marks.rows_of(source, base, files, report.warnings, listing)
     lacks = Lacks(base)
@@ -260,7 +262,7 @@ def _beside(
 ) -> None:
     """Add the intervals that files beside the recordings hold; a missing file leaves the others."""
     for place, (record, item) in enumerate(read):
-        file = Path(source.name) if item.path == source else item.path.relative_to(source)
+        file = Path(plain_name(source.name if item.path == source else str(item.path.relative_to(source))))
         for track in tracks:
             try:
                 intervals = marks.track_intervals(source, file, track, names, place, report.warnings)

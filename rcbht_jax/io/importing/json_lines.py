@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTES, check_file, parse_json
+from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, parse_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.cells import texts
 from rcbht_jax.io.importing.record import MAX_GROUPS
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.unpacked import opened
 
 PHASE = "phase"  # column of the numbers of sub-tasks, where lines state their beginnings
 # Units of the readings of a stream, and of a ROS wrench.
@@ -42,18 +43,14 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
         InputError: not a regular file, too large, a line that is no object of JSON, events that ``rcbht stream`` wrote,
             text in a column of numbers, or too many columns; the sentence names the line.
     """
-    check_file(path, MAX_TEXT_BYTES)
-    parts = [_Rows()]
-    try:
-        with path.open("rb") as file:
-            for number, line in enumerate(iter(lambda: file.readline(MAX_TABLE_LINE), b""), 1):
-                try:
-                    if line.strip():
-                        _add(parts, _object(line))
-                except (ValueError, OverflowError) as error:  # a whole number may be too large for a float
-                    raise InputError(f"{path}, line {number}: {error}.") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    parts = [Rows()]
+    with opened(path) as file:
+        for number, line in enumerate(iter(lambda: file.readline(MAX_TABLE_LINE), b""), 1):
+            try:
+                if line.strip():
+                    _add(parts, _object(line))
+            except (ValueError, OverflowError) as error:  # a whole number may be too large for a float
+                raise InputError(f"{path}, line {number}: {error}.") from None
     parts = [rows for rows in parts if rows.count]
     if not parts:
         raise InputError(f"{path} has no line with a number or a text.")
@@ -65,13 +62,31 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
 
 
 @dataclass
-class _Rows:
-    """Rows of one table so far; a number takes 8 bytes."""
+class Rows:
+    """Rows of one table so far; a number takes 8 bytes.
+
+    >>> rows = Rows()
+    >>> rows.add_object({"t": 0, "force": {"x": 1.5}})
+    >>> {key: values.tolist() for key, values in rows.columns(Path("a.json")).items()}
+    {'t': [0.0], 'force.x': [1.5]}
+    """
 
     count: int = 0
     values: dict[str, array[float] | list[str]] = field(default_factory=dict)
     others: set[str] = field(default_factory=set)  # fields that cannot be columns
     begun: int = 0  # sub-tasks
+
+    def add_object(self, value: Mapping[str, Any]) -> None:
+        """Add the columns of an object.
+
+        Raises:
+            ValueError: text in a column of numbers, or the reverse, or too many columns.
+        """
+        row: dict[str, float | str] = {}
+        for key, one in value.items():
+            _flatten(key, one, row, self.others)
+        if row:
+            self.add(row)
 
     def add(self, row: Mapping[str, float | str]) -> None:
         """Add values by their columns; the other columns miss one."""
@@ -91,6 +106,7 @@ class _Rows:
             raise ValueError(f"there are more than {MAX_COLUMNS} columns")
 
     def columns(self, path: Path) -> dict[str, NDArray[Any]]:
+        """Columns ``[row]`` of numbers, or texts; ``path`` is named where a text is too long."""
         return {
             key: np.array(values) if isinstance(values, array) else texts(values, f"{path}, column {key}")
             for key, values in self.values.items()
@@ -108,13 +124,13 @@ def _object(line: bytes) -> dict[str, Any]:
     return value
 
 
-def _add(parts: list[_Rows], value: dict[str, Any]) -> None:
+def _add(parts: list[Rows], value: dict[str, Any]) -> None:
     """Add a line to the last table, or begin one."""
     flags = [key for key in ("reset", "begin") if isinstance(value.get(key), bool)]
     if value.get("reset") is True and parts[-1].count:
         if len(parts) == MAX_GROUPS:
             raise ValueError(f"there are more than {MAX_GROUPS} recordings; split the file")
-        parts.append(_Rows())
+        parts.append(Rows())
     now = parts[-1]
     now.begun += value.get("begin") is True
     row: dict[str, float | str] = {}

@@ -11,7 +11,7 @@ import numpy as np
 
 from rcbht_jax._util.columns import SECONDS, base_and_unit
 from rcbht_jax._util.printable import plural, spelled
-from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_TEXT_BYTES, check_file, check_inside, read_bytes, read_json
+from rcbht_jax._util.untrusted import MAX_JSON_BYTES, check_inside, read_bytes, read_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
@@ -19,6 +19,7 @@ from rcbht_jax.io.importing.names import LABELS, column_name, wrenches
 from rcbht_jax.io.importing.record import OUTCOMES, Row, is_outcome, text, without_arm
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.io.importing.unpacked import opened
 from rcbht_jax.types import STANDARD_COLUMNS
 
 HEAD = 4096  # bytes of a table in which a recording is named, if it lists them
@@ -324,8 +325,7 @@ def _listing(source: Path, path: Path, names: Names) -> tuple[str, Table] | None
     """The column of a table that names a recording in each row, nearly, and the table; None = there is none."""
     try:
         check_inside(path, source)
-        check_file(path, MAX_TEXT_BYTES)
-        with path.open("rb") as file:
+        with opened(path) as file:
             head = file.read(HEAD)
         words = re.split(r"[,;\t\r\n]", head.decode("utf-8-sig", "replace"))
         if not any(names.meant(word.strip(' "')) for word in words):

@@ -6,14 +6,16 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from rcbht_jax._util.untrusted import check_inside, read_json
-from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import Item
-from rcbht_jax.io.importing.table import RATE_NAMES, Table
+from rcbht_jax.io.importing.json_documents import annotations_in, intervals_in
+from rcbht_jax.io.importing.table import RATE_NAMES, Interval, Table
 
 MAX_FACTS, MAX_WORD = 64, 200  # of one object; characters of one text
 Facts = dict[str, str | float]
+Stated = tuple[Facts, tuple[Interval, ...]]
 
 
 @dataclass(frozen=True)
@@ -21,21 +23,25 @@ class Sidecars:
     """What JSON objects state about recordings."""
 
     facts: dict[str, Facts]  # file of a recording -> name -> value
+    intervals: dict[str, tuple[Interval, ...]]  # file of a recording -> its annotations
+    tables: tuple[Table, ...]  # of annotations
     files: tuple[str, ...]  # that were read
 
     def described(self, table: Table) -> Table:
-        """The table with the facts about its file; its own come first."""
+        """The table with the facts about its file, of which its own come first, and the annotations of that file."""
         own = self.facts.get(table.file, {})
         rates = (value for key, value in own.items() if key.lower() in RATE_NAMES and isinstance(value, float))
         rate = table.rate or next((value for value in rates if value > 0), None)
-        return replace(table, facts={**own, **table.facts}, rate=rate) if own else table
+        intervals = (*table.intervals, *self.intervals.get(table.file, ()))
+        return replace(table, facts={**own, **table.facts}, rate=rate, intervals=intervals)
 
 
 def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> Sidecars:
     """The objects among other files of a folder: one named like a recording describes it, else one alone in a folder
     below the source all recordings there.
 
-    Objects of numbers, texts and truth values count, and those within them; lists do not.
+    Numbers, texts and truth values of an object count, those of objects within it, and lists of objects that are
+    annotations, with a label and a start. A document that is such a list is a table of annotations.
 
     Args:
         source: a folder; a file has no other files beside it.
@@ -46,27 +52,34 @@ def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> S
     for item in items:
         files[str(PurePosixPath(item.name).parent)].append(item.name)
     facts: defaultdict[str, Facts] = defaultdict(dict)
-    alone: defaultdict[str, list[tuple[str, Facts]]] = defaultdict(list)
-    read: list[str] = []
+    intervals: defaultdict[str, tuple[Interval, ...]] = defaultdict(tuple)
+    alone: defaultdict[str, list[tuple[str, Stated]]] = defaultdict(list)
+    read, tables = list[str](), list[Table]()
     for name in others:
         path = PurePosixPath(name)
         folder = str(path.parent)
-        if path.suffix.lower() != ".json" or folder not in files or not (found := _facts(source, name)):
+        if path.suffix.lower() != ".json" or not (found := _stated(source, name)):
             continue
-        own = [file for file in files[folder] if _names(path.stem, PurePosixPath(file).stem)]
+        if isinstance(found, Table):
+            read.append(name)
+            tables.append(found)
+            continue
+        own = [file for file in files.get(folder, ()) if _names(path.stem, PurePosixPath(file).stem)]
         if own:
             read.append(name)
             for file in own:
-                facts[file] |= found
-        elif folder != ".":
+                facts[file] |= found[0]
+                intervals[file] += found[1]
+        elif folder in files and folder != ".":
             alone[folder].append((name, found))
     for folder, objects in alone.items():
         if len(objects) == 1:
             [(name, found)] = objects
             read.append(name)
             for file in files[folder]:
-                facts[file] = {**found, **facts[file]}
-    return Sidecars(dict(facts), tuple(read))
+                facts[file] = {**found[0], **facts[file]}
+                intervals[file] += found[1]
+    return Sidecars(dict(facts), dict(intervals), tuple(tables), tuple(read))
 
 
 def _names(stem: str, recording: str) -> bool:
@@ -74,15 +87,21 @@ def _names(stem: str, recording: str) -> bool:
     return stem == recording or (stem.startswith(recording) and stem[len(recording)] in "_-.")
 
 
-def _facts(source: Path, name: str) -> Facts:
-    """Numbers and texts of an object, and of those within it as "outer.inner"; {} = it is none, or has too many."""
+def _stated(source: Path, name: str) -> Stated | Table | None:
+    """What a document states about recordings, or its table of annotations; None = nothing that can be used."""
     try:
         check_inside(source / name, source)
         content = read_json(source / name)
-    except (OSError, InputError):  # it is listed as a file that was not read
-        return {}
-    if not isinstance(content, dict):
-        return {}
+        if not isinstance(content, dict):
+            return annotations_in(name, content)
+        stated = _facts(content), intervals_in(content)
+    except (OSError, ValueError, OverflowError):  # it is listed as a file that was not read
+        return None
+    return stated if any(stated) else None
+
+
+def _facts(content: dict[str, Any]) -> Facts:
+    """Numbers and texts of an object, and of those within it as "outer.inner"; {} = there are too many."""
     inner = ((f"{key}.{one}", value) for key, group in content.items() if isinstance(group, dict)
              for one, value in group.items())  # fmt: skip
     found: Facts = {}

@@ -86,7 +86,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
         return
     intervals, arrays = segments(arrays)
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
-    rate, facts = _scalars({key: array for key, array in arrays.items() if array.ndim == 0})
+    rate, facts = scalars_of({key: array for key, array in arrays.items() if array.ndim == 0})
     arrays, windows = _newest(arrays)
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
     if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
@@ -206,7 +206,12 @@ def plain(array: NDArray[Any]) -> NDArray[Any]:
     return array.astype(np.str_)
 
 
-def _scalars(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[str, str | float]]:
+def scalars_of(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[str, str | float]]:
+    """Samples per second, if one of the single values ``[]`` states it or the time between samples, and the others.
+
+    >>> scalars_of({"dt": np.array(0.01), "part": np.array("A")})
+    (100.0, {'part': 'A'})
+    """
     rate, facts = None, dict[str, str | float]()
     for key, value in scalars.items():
         if not _usable(value):

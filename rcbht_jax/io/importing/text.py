@@ -16,11 +16,12 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTES, check_file
+from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.preamble import line_of_names, stated
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.unpacked import opened
 
 PREAMBLE, PREAMBLE_LINE = 64, 2**14  # lines at most before the names of the columns, and bytes of one
 CHUNK = 20_000  # rows that are Python objects at a time
@@ -31,8 +32,8 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     """The table of a text file.
 
     Names are those of the first line, and a line of units may follow. Columns without one are called c0, c1, ... by
-    their place. Empty cells are missing values. A file that is not UTF-8 is read as Windows-1252, which spreadsheets
-    write in Western Europe.
+    their place. Empty cells are missing values. A file that is neither UTF-8 nor UTF-16 is read as Windows-1252, which
+    spreadsheets write in Western Europe.
 
     >>> Path("a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
@@ -44,26 +45,22 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
         InputError: not a regular file, too large, not text, a line of another number of cells, or text in a column of
             numbers; the sentence names the line.
     """
-    check_file(path, MAX_TEXT_BYTES)
-    try:
-        with path.open("rb") as file:
-            encoding = _encoding(file, path)
-            before = _preamble(file)
-            head, comment, comments = _head(file, path)
-            delimiter = cells.delimiter_of(head)
-            titles, below = cells.split(head, delimiter, encoding), _below(file, delimiter, encoding)
-            if before and titles[-1] == "Comment" and len(titles) == len(below) + 1:
-                titles = titles[:-1]  # LabVIEW names it whether or not rows have one
-            titled = comment or cells.is_title(titles, below)
-            body = file.tell() if titled else file.tell() - len(head)
-            units, first = _units_below(file, delimiter, encoding) if titled else ([], body)
-            if titles and len(units) == len(titles):
-                body = first
-                titles = [f"{title} [{unit}]" if unit else title for title, unit in zip(titles, units, strict=True)]
-            names = _names(titles, path) if titled else [f"c{number}" for number in range(len(titles))]
-            read = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names, encoding)
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    with opened(path) as file:
+        encoding = _encoding(file)
+        before = _preamble(file)
+        head, comment, comments = _head(file, path)
+        delimiter = cells.delimiter_of(head)
+        titles, below = cells.split(head, delimiter, encoding), _below(file, delimiter, encoding)
+        if before and titles[-1] == "Comment" and len(titles) == len(below) + 1:
+            titles = titles[:-1]  # LabVIEW names it whether or not rows have one
+        titled = comment or cells.is_title(titles, below)
+        body = file.tell() if titled else file.tell() - len(head)
+        units, first = _units_below(file, delimiter, encoding) if titled else ([], body)
+        if titles and len(units) == len(titles):
+            body = first
+            titles = [f"{title} [{unit}]" if unit else title for title, unit in zip(titles, units, strict=True)]
+        names = _names(titles, path) if titled else [f"c{number}" for number in range(len(titles))]
+        read = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names, encoding)
     notes = ((f"preamble:{len(before)}",) if before else ()) + (("cp1252",) if encoding == "cp1252" else ())
     columns = {key: part for name, one in zip(names, read, strict=True) for key, part in _elements(name, one).items()}
     if len(columns) > MAX_COLUMNS:
@@ -91,12 +88,9 @@ def _elements(name: str, column: NDArray[np.generic]) -> dict[str, NDArray[np.ge
     return {f"{name}_{number}": table[:, number] for number in range(table.shape[1])}
 
 
-def _encoding(file: BinaryIO, path: Path) -> str:
+def _encoding(file: BinaryIO) -> str:
     """Encoding of the whole file, whose position is kept."""
     decoder, encoding = codecs.getincrementaldecoder("utf-8-sig")(), "utf-8-sig"
-    if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
-        raise InputError(f"{path} is UTF-16; save it as UTF-8.")
-    file.seek(0)
     try:
         while block := file.read(MAX_TABLE_LINE):
             decoder.decode(block)

@@ -10,11 +10,12 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_LINE, MAX_TEXT_BYTES, check_file
+from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_LINE
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.cells import is_number
 from rcbht_jax.io.importing.record import MAX_GROUPS
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.unpacked import opened
 
 MAX_CASE = 2**23  # bytes of the line of a case
 
@@ -32,21 +33,17 @@ def read_ts(path: Path, name: str) -> Iterator[Table]:
         InputError: not a regular file, too large, no line @data, values with time stamps, or a case that contradicts
             the lines before @data; the sentence names the line.
     """
-    check_file(path, MAX_TEXT_BYTES)
     cases: list[tuple[dict[str, NDArray[np.float64]], dict[str, str | float]]] = []
-    try:
-        with path.open("rb") as file:
-            tags, before = _tags(path, file)
-            for number, line in enumerate(iter(lambda: file.readline(MAX_CASE), b""), before + 1):
-                try:
-                    if line.strip() and not line.startswith(b"#"):
-                        cases.append(_case(line, tags))
-                except ValueError as error:  # a UnicodeDecodeError, too
-                    raise InputError(f"{path}, line {number}: {error}.") from None
-                if len(cases) > MAX_GROUPS:
-                    raise InputError(f"{path} has more than {MAX_GROUPS} cases; split it.")
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    with opened(path) as file:
+        tags, before = _tags(path, file)
+        for number, line in enumerate(iter(lambda: file.readline(MAX_CASE), b""), before + 1):
+            try:
+                if line.strip() and not line.startswith(b"#"):
+                    cases.append(_case(line, tags))
+            except ValueError as error:  # a UnicodeDecodeError, too
+                raise InputError(f"{path}, line {number}: {error}.") from None
+            if len(cases) > MAX_GROUPS:
+                raise InputError(f"{path} has more than {MAX_GROUPS} cases; split it.")
     if not cases:
         raise InputError(f"{path} has no case below @data.")
     for place, (columns, facts) in enumerate(cases):

@@ -91,7 +91,7 @@ def test_objects_beside_recordings_describe_them(tmp_path: Path) -> None:
     assert recordings.columns["part.name"].tolist() == ["A"] * 3
     assert recordings.columns["speed"].tolist() == pytest.approx([0, 0.1, 0.2])
     assert len(set(recordings.session.tolist())) == 1  # folders of one recording each are no sessions
-    assert imported.report.remarks[0].startswith("3 JSON objects describe recordings: 'trial_0/meta.json'")
+    assert imported.report.remarks[0].startswith("3 JSON documents describe recordings: 'trial_0/meta.json'")
     described(tmp_path / "trial_1", meta={"success": True})
     assert read_source(tmp_path).report.content_sha256 != imported.report.content_sha256
 

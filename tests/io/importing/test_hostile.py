@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import io
+import json
 import os
 import pickle
 import struct
@@ -106,6 +108,10 @@ def jsonl() -> bytes:
     return "".join(f'{{"time": {t}, "wrench": {row}, "who": "ann"}}\n' for t, row in rows).encode()
 
 
+def json_document() -> bytes:
+    return json.dumps({"time": TIME.tolist(), "wrench": WRENCH.tolist(), "who": "ann"}).encode()
+
+
 def mcap() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         with McapWriter(Path(folder) / "a.mcap") as writer:
@@ -116,7 +122,7 @@ def mcap() -> bytes:
 
 VALID = {
     ".mcap": mcap, ".csv": csv, ".npz": npz, ".parquet": parquet, ".mat": matlab, ".bag": bag, ".h5": hdf5, ".ts": ts,
-    ".data": uci, ".jsonl": jsonl,
+    ".data": uci, ".jsonl": jsonl, ".json": json_document, ".csv.gz": lambda: gzip.compress(csv()),
 }  # fmt: skip
 KIND = {".data": "uci"}  # of suffixes that state none
 SUFFIXES = sorted([*VALID, ".npy", ".db3", ".tsv"])

@@ -157,11 +157,16 @@ def test_a_table_in_long_form_has_a_column_per_channel(stacked: bool, tmp_path: 
     np.testing.assert_array_equal(again.wrench, recordings.wrench)
 
 
-def test_a_long_form_with_a_missing_row_is_left_alone(tmp_path: Path) -> None:
-    cells = ((k, axis, place) for k in range(20) for place, axis in enumerate(AXES) if (k, axis) != (7, "Fy"))
-    lines = [f"{k},{axis},{k + place}" for k, axis, place in cells]
-    (tmp_path / "log.csv").write_text("\n".join(["time,channel,value", *lines]) + "\n")
-    with pytest.raises(InputError, match="time stamps repeat"):
+def test_in_long_form_a_missing_row_is_a_missing_value(tmp_path: Path) -> None:
+    cells = [(k, axis, place) for k in range(20) for place, axis in enumerate(AXES) if (k, axis) != (7, "Fy")]
+    lines = [f"{trial},{k},{axis},{k + place + trial},N" for trial in (0, 1) for k, axis, place in cells]
+    (tmp_path / "log.csv").write_text("\n".join(["trial,time,channel,value,unit", *lines]) + "\n")
+    recordings = read_source(tmp_path).recordings
+    assert recordings.note.tolist() == ["missing:1"] * 2
+    assert set(recordings.units[:3]) == {"N"}
+    np.testing.assert_allclose(recordings.wrench, np.add.outer([0, 1], np.add.outer(np.arange(20), np.arange(6))))
+    (tmp_path / "log.csv").write_text("\n".join(["trial,time,channel,value,unit", *lines, lines[0]]) + "\n")
+    with pytest.raises(InputError, match="time starts anew"):
         read_source(tmp_path)
 
 

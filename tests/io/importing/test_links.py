@@ -11,11 +11,12 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import DataSet, export
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.importing.unpacked import plain_name
 from tests.attacks.folders import recordings
 from tests.io.importing.test_hostile import KIND, SUFFIXES, VALID, csv
 
 
-@pytest.mark.parametrize("suffix", [suffix for suffix in SUFFIXES if suffix not in KIND])
+@pytest.mark.parametrize("suffix", [suffix for suffix in SUFFIXES if suffix not in (*KIND, ".json")])
 def test_links_out_of_the_folder_are_not_followed(suffix: str, tmp_path: Path) -> None:
     """Nor is a file whose folder is such a link; whoever names a link as the source means it."""
     (tmp_path / "runs" / "more").mkdir(parents=True)
@@ -27,7 +28,7 @@ def test_links_out_of_the_folder_are_not_followed(suffix: str, tmp_path: Path) -
     imported = read_source(tmp_path / "source", keep_copies=True)
     assert imported.recordings.trial.tolist() == ["a", "inside"]
     [(name, reason)] = imported.report.skipped
-    assert name == f"more/b{suffix}"
+    assert name == plain_name(f"more/b{suffix}")
     assert "is a link out of" in reason
     if suffix in VALID:
         read_source(tmp_path / "runs" / "more" / f"b{suffix}", mapping=Mapping(source_rate=100.0))

@@ -369,11 +369,13 @@ def test_every_kind_has_a_command() -> None:
     assert {command_class(f"import {kind}").KIND for kind in KINDS} == set(KINDS)
 
 
-def test_texts_of_other_encodings_are_refused_or_questioned(tmp_path: Path) -> None:
+def test_texts_of_other_encodings_are_read_refused_or_questioned(tmp_path: Path) -> None:
     table = "t,Fz,状態\n0,1.0,接近\n0.1,2.0,接触\n0.2,3.0,接触\n"
     (tmp_path / "wide.csv").write_text(table, "utf-16")
-    with pytest.raises(InputError, match=r"wide\.csv is UTF-16; save it as UTF-8\.$"):
-        read_source(tmp_path / "wide.csv")
+    assert read_source(tmp_path / "wide.csv").recordings.annotations.labels == {"状態": ("接近", "接触")}
+    (tmp_path / "cut.csv").write_bytes(table.encode("utf-16")[:-1])
+    with pytest.raises(InputError, match=r"cut\.csv begins as UTF-16 does and is damaged; save it as UTF-8\.$"):
+        read_source(tmp_path / "cut.csv")
     (tmp_path / "japanese.csv").write_text(table, "cp932")
     with pytest.raises(InputError, match=r"neither UTF-8 nor Windows-1252; save it as UTF-8\.$"):
         read_source(tmp_path / "japanese.csv")

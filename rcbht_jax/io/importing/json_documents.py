@@ -1,0 +1,238 @@
+"""JSON documents: a recording as a list of samples or as a list for each column, or several of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.columns import unit_of_time
+from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, parse_json
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.arrays import SIDE, reading
+from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.json_lines import Rows
+from rcbht_jax.io.importing.mapping import Track
+from rcbht_jax.io.importing.marks import intervals_of, is_intervals
+from rcbht_jax.io.importing.names import column_name, wrenches
+from rcbht_jax.io.importing.record import MAX_GROUPS
+from rcbht_jax.io.importing.table import Interval, Table, scalars_of, tables_of
+from rcbht_jax.io.importing.unpacked import opened
+
+DEPTH = 16  # of objects and lists within each other
+LONGEST = 64  # elements of a list in a sample, such as a matrix; a longer one is a column
+Object = Mapping[str, Any]
+
+
+def read_json_document(path: Path, name: str) -> Iterator[Table]:
+    """The tables of a JSON document.
+
+    A list of objects is a row per object, or a recording per object where each holds lists over time. An object of
+    lists is a column per list; one of several such objects with the same names holds a recording in each; an object
+    with a list of rows is these rows. Single values beside them are facts (dt, rate: the sampling), and lists of
+    objects with a label and a start are annotations. Data frames of pandas are read in each of their orientations.
+
+    >>> text = '{"rate": 100, "Fz": [0, 1.5, null], "phases": [{"label": "push", "start": 0.01, "end": 0.02}]}'
+    >>> _ = Path("run.json").write_text(text)
+    >>> [table] = read_json_document(Path("run.json"), "run.json")
+    >>> table.rate, table.columns["Fz"].tolist(), table.intervals
+    (100.0, [0.0, 1.5, nan], (('phases', 'push', 0.01, 0.02),))
+
+    Raises:
+        InputError: not a regular file, too large, not JSON, nested too deeply, or without a list of two samples.
+    """
+    yield from isolated(json_tables, path, name)
+
+
+def json_tables(path: Path, name: str) -> Iterator[Table]:
+    """As :func:`read_json_document`, in this process, which a large document can fill.
+
+    >>> _ = Path("rows.json").write_text('[{"t": 0, "Fz": 1}, {"t": 0.1, "Fz": 2}]')
+    >>> [table] = json_tables(Path("rows.json"), "rows.json")
+    >>> list(table.columns)
+    ['t', 'Fz']
+
+    Raises:
+        InputError: as :func:`read_json_document`.
+    """
+    with opened(path, MAX_JSON_BYTES) as file:
+        content = file.read()
+    with reading(path, "JSON"):
+        yield from _tables(path, name, _frame(parse_json(content, finite=False)), "")
+
+
+def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
+    if _are_objects(value) and not any(map(_is_recording, value)):
+        value = {"rows": value}
+    if several := _several(value):
+        if len(several) > MAX_GROUPS:
+            raise InputError(f"{path} holds more than {MAX_GROUPS} recordings; split it.")
+        sides = all(map(SIDE.search, several))
+        around = value if isinstance(value, dict) else {}
+        around = {key: one for key, one in around.items() if key not in several and not _several(one)}
+        rate, facts = scalars_of({key: one for key, one in _named(around) if one.ndim == 0})
+        for which, one in several.items():
+            place = f"{part}#{which}" if part else which
+            for table in _tables(path, f"{name}#{which}", one, place):
+                arm = {"arm": which} if sides else {}
+                yield replace(table, rate=table.rate or rate, facts={**facts, **arm, **table.facts})
+        return
+    if not isinstance(value, dict):
+        yield from tables_of(path, name, {"values": _array(value)}, part)
+        return
+    lists = {key: one for key, one in _flat(value) if _are_objects(one)}
+    intervals = intervals_in(value)
+    rows: list[Object] = max((one for one in lists.values() if not _marks(one)), key=len, default=[])
+    arrays = dict(_named(value))
+    if len(rows) > 1:
+        yield _of_rows(path, name, rows, arrays, intervals, part)
+        return
+    for table in tables_of(path, name, arrays, part):
+        yield replace(table, intervals=(*table.intervals, *intervals))
+
+
+def _of_rows(
+    path: Path, name: str, objects: list[Object], arrays: Mapping[str, NDArray[Any]], intervals: Any, part: str
+) -> Table:
+    rows = Rows()
+    for number, one in enumerate(objects):
+        try:
+            rows.add_object(one)
+        except (ValueError, OverflowError) as error:
+            raise InputError(f"{path}, object {number}: {error}.") from None
+    rate, facts = scalars_of({key: array for key, array in arrays.items() if array.ndim == 0})
+    others = tuple(sorted({*rows.others, *(key for key, array in arrays.items() if array.ndim)}))
+    return Table(name, rows.columns(path), rate, facts=facts, intervals=intervals, others=others, part=part)
+
+
+def annotations_in(name: str, value: Any) -> Table | None:
+    """A table of annotations, if a value is a list of objects that state a label, a start and perhaps an end.
+
+    >>> annotations_in("a.json", [{"name": "touch", "begin": 1.0, "end": 1.5}]).columns["begin"].tolist()
+    [1.0]
+
+    Raises:
+        ValueError: text in a column of numbers, or the reverse.
+    """
+    rows = Rows()
+    for one in _marks(value):
+        rows.add_object(one)
+    return Table(name, rows.columns(Path(name))) if rows.count else None
+
+
+def _marks(value: Any) -> list[Object]:
+    """The objects of a list if they are annotations, where a name is a label if nothing else is; else none."""
+    if not _are_objects(value) or is_intervals(value[0]):
+        return value if _are_objects(value) else []
+    renamed = ({"label" if key == "name" else key: cell for key, cell in one.items()} for one in value)
+    return list(renamed) if is_intervals("label" if key == "name" else key for key in value[0]) else []
+
+
+def intervals_in(value: Object) -> tuple[Interval, ...]:
+    """The annotations that an object holds, as tracks with the names of their lists.
+
+    >>> intervals_in({"run": {"phases": [{"name": "touch", "begin": 1.0, "end": 1.5}]}})
+    (('phases', 'touch', 1.0, 1.5),)
+
+    Raises:
+        ValueError: text in a column of numbers, or the reverse; a time that is text.
+    """
+    tables = ((key.rpartition(".")[2], annotations_in(key, one)) for key, one in _flat(value))
+    return tuple(
+        interval for key, table in tables if table for _, interval in intervals_of(table, Track(column_name(key)))
+    )
+
+
+def _frame(value: Any) -> Any:
+    """A data frame that pandas wrote as an object of its columns; any other value as it is."""
+    if not isinstance(value, dict):
+        return value
+    if set(value) == {"columns", "index", "data"} and _are_lists(value["data"]):
+        return dict(zip(map(str, value["columns"]), map(list, zip(*value["data"], strict=True)), strict=True))
+    inner = list(value.values())
+    if len(inner) and all(isinstance(one, dict) and len(one) > 1 and set(one) == set(inner[0]) for one in inner):
+        scalars = all(not isinstance(cell, dict | list) for one in inner for cell in one.values())
+        if scalars and all(map(_is_number, inner[0])):
+            return {key: list(one.values()) for key, one in value.items()}
+        if scalars and len(value) > 1 and all(map(_is_number, value)):
+            return inner
+    return value
+
+
+def _is_number(text: str) -> bool:
+    return text.lstrip("-").replace(".", "", 1).isdecimal()
+
+
+def _several(value: Any) -> dict[str, Object]:
+    """The recordings of a list, or of an object whose objects hold the same names; none if it is one recording."""
+    if _are_objects(value):
+        return {str(number): one for number, one in enumerate(value)}
+    if not isinstance(value, dict):
+        return {}
+    inner: dict[str, Object] = {key: one for key, one in value.items() if isinstance(one, dict) and _is_recording(one)}
+    if len(inner) > 1 and len({tuple(sorted(one)) for one in inner.values()}) == 1:
+        return inner
+    lists = [one for one in value.values() if _are_objects(one) and any(map(_is_recording, one))]
+    if len(lists) == 1:
+        return {str(number): one for number, one in enumerate(lists[0])}
+    within = [one for one in value.values() if isinstance(one, dict)]
+    return _several(within[0]) if len(within) == 1 and not _is_recording(value) else {}
+
+
+def _is_recording(value: Object) -> bool:
+    """Whether an object holds a signal, and is no sample: lists over time, or a list of rows."""
+    lists = {key: one for key, one in _flat(value) if isinstance(one, list) and len(one) > 1}
+    wide = {key: one for key, one in lists.items() if _are_lists(one) and len(one) > len(one[0])}
+    if any(unit_of_time(key.rpartition(".")[2]) for key in lists) or any(len(one) > LONGEST for one in lists.values()):
+        return True
+    rows = (one for one in lists.values() if _are_objects(one) and not _marks(one))
+    return any(rows) or bool(wrenches(lists)) or any(wrenches([f"{key}_{k}" for k in range(6)]) for key in wide)
+
+
+def _are_objects(value: Any) -> bool:
+    return isinstance(value, list) and len(value) > 0 and all(isinstance(one, dict) for one in value)
+
+
+def _are_lists(value: Any) -> bool:
+    return isinstance(value, list) and len(value) > 0 and all(isinstance(one, list) and one for one in value)
+
+
+def _flat(value: Object, name: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """The values of an object and of those within it, by names such as "force.x"."""
+    if depth > DEPTH:
+        raise ValueError(f"objects are nested more than {DEPTH} times")
+    for key, one in value.items():
+        inner = f"{name}.{key}" if name else str(key)
+        if isinstance(one, dict):
+            yield from _flat(one, inner, depth + 1)
+        else:
+            yield inner, one
+
+
+def _named(value: Object) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Arrays of the lists and single values of an object; what is no array is left out."""
+    for number, (key, one) in enumerate(_flat(value)):
+        if number == MAX_MEMBERS:
+            raise ValueError(f"it holds more than {MAX_MEMBERS} values with a name; split it")
+        if one is not None and (array := _array(one)) is not None:
+            yield key, array
+
+
+def _array(value: Any) -> Any:
+    """An array of numbers or of texts, null = not a number; None = it is neither."""
+    if isinstance(value, list) and any(isinstance(one, str) for one in value):
+        return (
+            np.array(["" if one is None else one for one in value])
+            if all(one is None or isinstance(one, str) for one in value)
+            else None
+        )
+    if isinstance(value, str | bool):
+        return np.array(str(value).lower() if isinstance(value, bool) else value)
+    try:
+        return np.array(value, np.float64)
+    except (ValueError, TypeError):
+        return None

@@ -1,0 +1,94 @@
+"""Files of text as they are read: unpacked if they are compressed, and in UTF-8 where they are in UTF-16."""
+
+from __future__ import annotations
+
+import bz2
+import codecs
+import gzip
+import io
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO, BinaryIO, cast
+
+from rcbht_jax._util.untrusted import MAX_RATIO, MAX_TEXT_BYTES, SMALL, check_file
+from rcbht_jax.errors import InputError
+
+PACKED: dict[str, Callable[[IO[bytes]], io.BufferedIOBase]] = {  # by the end of the name
+    ".gz": lambda file: gzip.GzipFile(fileobj=file),
+    ".bz2": bz2.BZ2File,
+}
+_BLOCK = 2**20
+
+
+def plain_name(name: str) -> str:
+    """The name of the file that a compressed one holds.
+
+    >>> plain_name("day1/run.csv.gz"), plain_name("run.csv")
+    ('day1/run.csv', 'run.csv')
+    """
+    stem, dot, ending = name.rpartition(".")
+    return stem if f"{dot}{ending.lower()}" in PACKED else name
+
+
+@contextmanager
+def opened(path: Path, most: int = MAX_TEXT_BYTES) -> Iterator[BinaryIO]:
+    """The content of a file of text; what is unpacked lies in a temporary file.
+
+    >>> with gzip.open("run.csv.gz", "wt") as packed:
+    ...     _ = packed.write("t,Fz")
+    >>> with opened(Path("run.csv.gz")) as file:
+    ...     file.read()
+    b't,Fz'
+
+    Args:
+        path: a file; if its name ends like a compressed one's, it is one.
+        most: bytes that it may have, packed and unpacked.
+
+    Raises:
+        InputError: not a regular file, too large, damaged, or it cannot be read.
+    """
+    size = check_file(path, most)
+    try:
+        with ExitStack() as stack:
+            file: IO[bytes] = stack.enter_context(path.open("rb"))
+            if unpacker := PACKED.get(path.suffix.lower()):
+                copy = stack.enter_context(tempfile.TemporaryFile())
+                _unpack(path, unpacker(file), copy, min(most, max(SMALL, MAX_RATIO * size)))
+                file = copy
+            if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+                copy = stack.enter_context(tempfile.TemporaryFile())
+                _recode(path, file, copy)
+                file = copy
+            file.seek(0)
+            yield cast("BinaryIO", file)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
+
+
+def _unpack(path: Path, packed: io.BufferedIOBase, copy: IO[bytes], most: int) -> None:
+    try:
+        while block := packed.read(_BLOCK):
+            copy.write(block)
+            if copy.tell() > most:
+                raise InputError(f"{path} unpacks to more than {most} bytes; split it.")
+    except InputError:
+        raise
+    except (EOFError, ValueError, zlib.error, gzip.BadGzipFile) as error:
+        raise InputError(f"{path} is damaged, or not packed as its name says: {error}.") from None
+    copy.seek(0)
+
+
+def _recode(path: Path, file: IO[bytes], copy: IO[bytes]) -> None:
+    """Copy a file of UTF-16 in UTF-8."""
+    file.seek(0)
+    text = io.TextIOWrapper(cast("BinaryIO", file), "utf-16", newline="")
+    try:
+        while block := text.read(_BLOCK):
+            copy.write(block.encode())
+    except UnicodeError:
+        raise InputError(f"{path} begins as UTF-16 does and is damaged; save it as UTF-8.") from None
+    finally:
+        text.detach()

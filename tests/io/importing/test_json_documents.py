@@ -1,0 +1,135 @@
+"""JSON documents: one recording or several, samples or columns, annotations, and data frames of pandas."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.importer import Imported, read_source
+from rcbht_jax.labels import AXES
+
+COUNT = 120
+TIME = (np.arange(COUNT) * 0.01).round(4)
+WRENCH = np.random.default_rng(0).normal(size=(5, COUNT, 6)).cumsum(1).round(4)
+FRAME = pd.DataFrame({"time": TIME, **dict(zip(AXES, WRENCH[0].T, strict=True)), "phase": np.repeat(["a", "b"], 60)})
+PHASES = [{"name": "free", "start": 0, "end": 0.5}, {"name": "push", "start": 0.5, "end": 1.19}]
+
+
+def read(folder: Path, content: Any) -> Imported:
+    path = folder / "runs.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return read_source(path)
+
+
+def lists(number: int, length: int = COUNT) -> dict[str, Any]:
+    return {"time": TIME[:length].tolist(), "wrench": WRENCH[number, :length].tolist()}
+
+
+def samples(number: int) -> list[dict[str, Any]]:
+    axes = (dict(zip("xyz", row, strict=True)) for row in WRENCH[number].reshape(COUNT * 2, 3).tolist())
+    return [{"t": t, "force": next(axes), "torque": next(axes)} for t in TIME.tolist()]
+
+
+ONE = {
+    "samples": samples(0),
+    "samples with a matrix each": [{**one, "pose": np.eye(4).tolist()} for one in samples(0)],
+    "columns": {name: column.tolist() for name, column in FRAME.items()},
+    "rows of a wrench": lists(0),
+    "samples in an object": {"robot": "arm", "samples": samples(0), "phases": PHASES},
+    "within objects": {"log": {"data": lists(0)}},
+    **{
+        f"pandas, {orient}": FRAME.to_json(orient=orient)
+        for orient in ("columns", "index", "split", "table", "records")
+    },
+}
+
+
+@pytest.mark.parametrize("content", ONE.values(), ids=ONE)
+def test_one_recording(content: Any, tmp_path: Path) -> None:
+    imported = read(tmp_path, content)
+    assert imported.recordings.axes == AXES
+    assert not imported.report.warnings
+    np.testing.assert_allclose(imported.recordings.wrench, WRENCH[:1], rtol=1e-6)
+    assert imported.recordings.dt == pytest.approx(0.01)
+
+
+SEVERAL = {
+    "a list": [{**lists(number, 100 + number), "success": number > 0} for number in range(3)],
+    "an object by number": {f"trial_{number}": {**lists(number), "success": number > 0} for number in range(3)},
+    "an object by name": {name: {**lists(number), "success": number > 0} for number, name in enumerate("abc")},
+    "a list of samples each": {
+        "version": 2,
+        "recordings": [{"samples": samples(number), "success": number > 0} for number in range(3)],
+    },
+}
+
+
+@pytest.mark.parametrize("content", SEVERAL.values(), ids=SEVERAL)
+def test_several_recordings(content: Any, tmp_path: Path) -> None:
+    recordings = read(tmp_path, content).recordings
+    assert recordings.outcome.tolist() == ["failure", "success", "success"]
+    for number, (one, length) in enumerate(zip(recordings.wrench, recordings.length.tolist(), strict=True)):
+        np.testing.assert_allclose(one[:length], WRENCH[number, :length], rtol=1e-6)
+
+
+def test_arms_annotations_and_what_is_stated_once(tmp_path: Path) -> None:
+    arms = {"left": {"wrench": WRENCH[0].tolist()}, "right": {"wrench": WRENCH[1].tolist()}, "rate": 50, "part": "A"}
+    recordings = read(tmp_path, arms).recordings
+    assert recordings.arm.tolist() == ["left", "right"]
+    assert 1 / recordings.dt == 50
+    assert recordings.columns["part"].tolist() == ["A", "A"]
+    marked = read(tmp_path, {**lists(0), "phases": PHASES}).recordings
+    np.testing.assert_allclose(marked.starts("phases"), [[0, 0.5]])
+    assert marked.annotations.labels == {"phases": ("free", "push")}
+
+
+def test_missing_values_and_lists_of_another_length(tmp_path: Path) -> None:
+    force = [None, *WRENCH[0, 1:, 2].tolist()]
+    imported = read(tmp_path, {"dt": 0.01, "Fz": force, "speed": [1, 2, 3], "mixed": [1, "a"], "done": True})
+    assert imported.recordings.axes == ("Fz",)
+    np.testing.assert_allclose(imported.recordings.wrench[0, 1:, 0], WRENCH[0, 1:, 2], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("{", "is not a readable JSON file"),
+        ("[]", "holds no array of at least two rows"),
+        ("7", "holds no array of at least two rows"),
+        ('{"Fz": [1]}', "holds no array of at least two rows"),
+        ('[{"t": 0, "Fz": 1}, {"t": "x", "Fz": 2}]', "object 1: t is a text; before, it was a number"),
+        ("[" * 100_000, "nested too deeply"),
+        ('{"a":' * 30 + "1" + "}" * 30, "nested more than 16 times"),
+        ('{"Fz": [1e999, 2, 3]}', "holds no usable recording"),
+        (json.dumps(PHASES), "holds no array of at least two rows"),
+    ],
+)
+def test_what_is_no_recording_is_refused_with_its_reason(content: str, reason: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=reason):
+        read(tmp_path, content)
+
+
+def test_beside_other_files_documents_describe_recordings(tmp_path: Path) -> None:
+    FRAME.drop(columns="phase").to_csv(tmp_path / "run1.csv", index=False)
+    FRAME.drop(columns="phase").assign(Fz=0.5).to_csv(tmp_path / "run2.csv", index=False)
+    (tmp_path / "run1.json").write_text(json.dumps({"success": True, "phases": PHASES}))
+    (tmp_path / "contacts.json").write_text(json.dumps([{"file": "run2.csv", "label": "touch", "start": 0.3}]))
+    (tmp_path / "run2_labels.json").write_text(json.dumps([{"label": "late", "start": 0.9, "end": 1.0}]))
+    imported = read_source(tmp_path)
+    assert imported.recordings.outcome.tolist() == ["success", "unknown"]
+    assert imported.recordings.annotations.labels == {"phases": ("free", "push"), "label": ("touch", "late")}
+    np.testing.assert_allclose(imported.recordings.starts("label"), [[np.nan, np.nan], [0.3, 0.9]])
+    assert imported.report.remarks[0].startswith("3 JSON documents describe recordings")
+
+
+def test_a_folder_of_documents_alone(tmp_path: Path) -> None:
+    for number in range(3):
+        (tmp_path / f"run{number}.json").write_text(json.dumps(lists(number)))
+    for kind in ("auto", "json"):
+        assert read_source(tmp_path, kind).recordings.trial.tolist() == ["run0", "run1", "run2"]
