@@ -17,15 +17,14 @@ def online(result: Result) -> Lines:
     names = {"REAL": "REAL", "SIM1": "SIM one arm", "SIM2": "SIM two arms (right)"}
     kinds = {"all": "all features", "relative": "relative features"}
     head = ("step accuracy (mean of classes)", "full-sequence accuracy", "OverallPr", "smallest m, own length, k=0.70")
-    yield ("", *head, "calibration error, steps / full")
+    yield ("", *head, "calibration error, steps", "of full sequences")
     for name, title in names.items():
         for kind, features in kinds.items():
             if scores := rows[f"{name} at 10 Hz"].get(kind):
-                keys = ("macro step accuracy", "full-sequence accuracy", "OverallPr")
+                keys = ("macro step accuracy", "full-sequence accuracy", "OverallPr", "ECE steps", "ECE full sequences")
                 own = min(scores["certainty"]["k=0.70"]["m_own"])
-                errors = " / ".join(f"{scores[f'ECE {part}']['mean']:.3f}" for part in ("steps", "full sequences"))
-                cells = (streamed_score(scores[key]) for key in keys)
-                yield (f"{title}, {features}", *cells, f"{own:.2f}", errors)
+                *right, steps, full = (streamed_score(scores[key]) for key in keys)
+                yield (f"{title}, {features}", *right, f"{own:.2f}", steps, full)
 
 
 @table("latency", "stream_speed")

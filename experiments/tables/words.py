@@ -13,12 +13,14 @@ LAYERS = {"primitive": "primitives", "mc": "compositions", "llb": "behaviours"}
 
 @table("fit-lines", "fit_quality")
 def lines(result: dict[str, Any]) -> Lines:
-    """R2 of the lines of primitives by axis, and words for each recording."""
+    """R2 of the lines of primitives by axis, the interval of the lowest, and words for each recording."""
     axes = next(iter(result["sets"].values()))["axes"]
-    yield ("", "rule", *axes, "primitives")
+    yield ("", "rule", *axes, "interval of the lowest", "primitives")
     for name, found in result["sets"].items():
         for rule, row in found["rows"].items():
-            yield (name, rule, *(f"{value:.4f}" for value in row["r2"]), f"{row['all_words']['primitive']:.0f}")
+            low, high = (row["lowest"]["r2"][end] for end in ("low", "high"))
+            each = (f"{value:.4f}" for value in row["r2"])
+            yield (name, rule, *each, f"{low:.4f} to {high:.4f}", f"{row['all_words']['primitive']:.0f}")
 
 
 @table("fit-words", "fit_quality")
@@ -31,7 +33,7 @@ def words(result: dict[str, Any]) -> Lines:
     for name, found in result["sets"].items():
         for rule, row in found["rows"].items():
             counts = (f"{value:.0f}" for value in row["words"])
-            yield (name, rule, *counts, *(f"{min(row[key]):.3f}" for key in APPROACH))
+            yield (name, rule, *counts, *(score(row["lowest"][key]) for key in APPROACH))
 
 
 @table("external-rest", "external_rest")

@@ -2,7 +2,8 @@
 
 Both rules label the same trials with windows of 5 samples (the fit rule also with 2) and the preset's limits; the fit
 rule takes its tolerances from the set. R2 is pooled over the trials of a set: one minus the squared distances of the
-samples to the primitives' lines (their published mean and slope) over those to the mean of the trial. Latencies are
+samples to the primitives' lines (their published mean and slope) over those to the mean of the trial. Intervals are of
+the axis with the lowest value, from trials drawn with replacement. Latencies are
 seconds from the last sample of a word to its publication, without those that the end of a trial publishes. Before
 contact, that is in the annotated approach, a primitive should be constant. The simulated payload settles when a trial
 begins, and the annotation ends after the first touch; so the share is also given without a quarter of a second at
@@ -14,13 +15,16 @@ Reads the recorded trials (RCBHT_DATA).
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
+import jax
 import numpy as np
 import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import REAL, REAL_FAILURES, SIM1, SIM2, of_sources, recorded, rounded
+from experiments._lib.intervals import drawn, with_width
 from experiments._lib.results_io import write_result
 from experiments.words.sets import annotated_samples
 from rcbht_jax.calibration.rest import rest_not_constant
@@ -30,6 +34,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.labels import LAYERS, LLB, Primitive
+from rcbht_jax.learning.metrics import percentile_interval
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WINDOW = 5
@@ -39,9 +44,9 @@ SETS = {"REAL": REAL, "REAL failures": REAL_FAILURES, "SIM1": SIM1, "two-arm": S
 FITS = {"fit x0.5": (0.5, 5), "fit x1": (1.0, 5), "fit x2": (2.0, 5), "fit x1, W=2": (1.0, 2)}
 
 
-def explained(track: LabelTrack, recordings: Recordings) -> NDArray[np.float64]:
-    """R2 ``[axis]`` of the lines of primitives, pooled over the recordings; samples without a word do not count."""
-    missed, total = np.zeros((2, len(recordings.axes)))
+def residuals(track: LabelTrack, recordings: Recordings) -> NDArray[np.float64]:
+    """Squared distances ``[2, recording, axis]`` to the lines of primitives, and to the mean; where there is a word."""
+    missed, total = squares = np.zeros((2, len(recordings), len(recordings.axes)))
     for row, samples in enumerate(recordings.length):
         y = recordings.wrench[row, :samples].astype(np.float64)
         for axis in range(y.shape[1]):
@@ -52,9 +57,34 @@ def explained(track: LabelTrack, recordings: Recordings) -> NDArray[np.float64]:
             time = np.arange(len(word))
             line = mean[word] + slope[word] * recordings.dt * (time - (t0 + t1 - 1)[word] / 2)
             covered = y[: len(word), axis]
-            missed[axis] += ((covered - line) ** 2).sum()
-            total[axis] += ((covered - covered.mean()) ** 2).sum()
+            missed[row, axis] = ((covered - line) ** 2).sum()
+            total[row, axis] = ((covered - covered.mean()) ** 2).sum()
+    return squares
+
+
+def explained(track: LabelTrack, recordings: Recordings) -> NDArray[np.float64]:
+    """R2 ``[axis]`` of the lines of primitives, pooled over the recordings."""
+    missed, total = residuals(track, recordings).sum(1)
     return np.asarray(1 - missed / total)
+
+
+def lowest(shares: NDArray[np.float64]) -> dict[str, Any]:
+    """One minus the first over the second of sums ``[2, recording, axis]``, of the axis where that is least, with the
+    interval from recordings drawn with replacement."""
+    part, whole = shares.sum(1)
+    axis = int(np.argmax(part / whole))
+    parts, wholes = shares[:, :, axis] @ drawn(shares.shape[1], 0).T
+    low, high = percentile_interval(1 - parts / wholes, shares.shape[1])
+    found = {"mean": float(1 - part[axis] / whole[axis]), "low": low, "high": high, "interval by": "trials drawn"}
+    return with_width(found, shares.shape[1])
+
+
+def moving(track: LabelTrack, rest: NDArray[np.bool_], constant: int) -> NDArray[np.float64]:
+    """Samples ``[2, recording, axis]`` at rest whose label is not constant, and at rest."""
+    rows = [slice(row, row + 1) for row in range(len(rest))]
+    each = [rest_not_constant(jax.tree.map(itemgetter(row), track), rest[row], 1, constant) for row in rows]
+    whole = rest.sum(1).astype(np.float64)
+    return np.stack([np.stack(each) * whole, whole])
 
 
 def latency(track: LabelTrack, recordings: Recordings) -> dict[str, float]:
@@ -74,15 +104,20 @@ def inside(approach: NDArray[np.bool_], dt: float) -> NDArray[np.bool_]:
 
 def measured(tracks: LabelTracks, recordings: Recordings, approach: NDArray[np.bool_]) -> dict[str, Any]:
     inner = inside(approach, recordings.dt)
+    r2 = residuals(tracks.primitive, recordings)
+    shares = {
+        "approach_constant": moving(tracks.primitive, approach, Primitive.CONS),
+        "approach_constant_inside": moving(tracks.primitive, inner, Primitive.CONS),
+        "approach_fixed_inside": moving(tracks.llb, inner, LLB.FX),
+    }
     words = {layer: (getattr(tracks, layer).label > 0).sum(-1).mean(0) for layer in LAYERS}
     return {
-        "r2": explained(tracks.primitive, recordings).tolist(),
+        "r2": (1 - r2[0].sum(0) / r2[1].sum(0)).tolist(),
+        "lowest": {"r2": lowest(r2), **{name: lowest(share) for name, share in shares.items()}},
         "words": words["primitive"].tolist(),
         "all_words": {layer: float(count.sum()) for layer, count in words.items()},
         "latency": {layer: latency(getattr(tracks, layer), recordings) for layer in LAYERS},
-        "approach_constant": (1 - rest_not_constant(tracks.primitive, approach, 1, Primitive.CONS)).tolist(),
-        "approach_constant_inside": (1 - rest_not_constant(tracks.primitive, inner, 1, Primitive.CONS)).tolist(),
-        "approach_fixed_inside": (1 - rest_not_constant(tracks.llb, inner, 1, LLB.FX)).tolist(),
+        **{name: (1 - share[0].sum(0) / share[1].sum(0)).tolist() for name, share in shares.items()},
     }
 
 
