@@ -55,6 +55,20 @@ def sums(values: Shaped[np.ndarray, "item ..."], groups: NDArray[Any]) -> Float[
     return out
 
 
+def of_sums(part: Float[np.ndarray, " group"], whole: Float[np.ndarray, " group"]) -> dict[str, Any]:
+    """A share of sums over groups, such as trials, with its interval from groups drawn with replacement.
+
+    >>> of_sums(np.array([1.0, 2.0, 3.0]), np.array([4.0, 4.0, 4.0]))["mean"]
+    0.5
+    """
+    many = drawn(len(whole), 0)
+    wholes = many @ whole
+    used = wholes > 0
+    low, high = percentile_interval((many @ part)[used] / wholes[used], len(whole))
+    mean = float(part.sum() / whole.sum())
+    return with_width({"mean": mean, "low": low, "high": high, "interval by": "groups drawn"}, int((whole > 0).sum()))
+
+
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
     """95 % bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
 

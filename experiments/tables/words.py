@@ -42,7 +42,7 @@ def external_rest(result: dict[str, Any]) -> Lines:
     yield ("", "rule: rest", *LAYERS.values())
     for name, found in result["sets"].items():
         for how, row in found["rows"].items():
-            yield (name, how, *(f"{min(row[layer]):.3f}" for layer in LAYERS))
+            yield (name, how, *(score(row[layer]["least"]) for layer in LAYERS))
 
 
 @table("fit-latency", "fit_quality")
@@ -64,21 +64,34 @@ def running(result: dict[str, Any]) -> Lines:
     yield (*head, *ages, *(f"{name} revised" for name in LAYERS.values()))
     for rule, row in result["rows"].items():
         age = (f"{row['newest_published_age'][layer][1]:.1f}" for layer in LAYERS)
-        revised = (f"{row['revised'][layer]:.2f}" for layer in LAYERS)
-        yield (rule, str(row["contacts"]), f"{row['contacts_seen_within_50_ms']:.2f}", *age, *revised)
+        revised = (score(row["revised"][layer]) for layer in LAYERS)
+        yield (rule, str(row["contacts"]), score(row["contacts_seen_within_50_ms"]), *age, *revised)
 
 
 @table("fit-provisional", "fit_latency")
 def provisional(result: dict[str, Any]) -> Lines:
-    """Share of provisional labels that are revised, and share of the time in which they are right, by method."""
-    names = tuple(LAYERS.values())
-    head = (*(f"{name} revised" for name in names), *(f"{name} right, of all / of moving time" for name in names))
+    """Share of provisional labels that are revised, by method."""
+    yield from _by_way(result, "revised", *(f"{name} revised" for name in LAYERS.values()))
+
+
+@table("fit-provisional-right", "fit_latency")
+def provisional_right(result: dict[str, Any]) -> Lines:
+    """Share of all the time in which provisional labels are right, by method."""
+    yield from _by_way(result, "right", *(f"{name} right" for name in LAYERS.values()))
+
+
+@table("fit-provisional-moving", "fit_latency")
+def provisional_moving(result: dict[str, Any]) -> Lines:
+    """Share of the time in which the right label is not that of rest, by method."""
+    head = (f"{name} right where it moves" for name in LAYERS.values())
+    yield from (row for row in _by_way(result, "right_where_it_moves", *head) if row[1] != "always constant")
+
+
+def _by_way(result: dict[str, Any], key: str, *head: str) -> Lines:
     yield ("", "label", *head)
     for name, ways in result["labels"].items():
         for way, found in ways.items():
-            each = [found[layer] for layer in LAYERS]
-            right = (f"{one['right']:.3f} / {one['right_where_it_moves']:.3f}" for one in each)
-            yield (name, way, *(f"{one['revised']:.3f}" for one in each), *right)
+            yield (name, way, *(score(found[layer][key]) for layer in LAYERS))
 
 
 @table("fit-classes", "fit_classification")

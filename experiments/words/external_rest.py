@@ -17,10 +17,11 @@ import tyro
 from jaxtyping import Bool
 
 from experiments._lib.benchmarks import rounded
+from experiments._lib.intervals import of_sums
 from experiments._lib.other_robots import of_other_robot
 from experiments._lib.results_io import write_result
-from experiments.words.sets import annotated_samples
-from rcbht_jax.calibration.rest import RestCalibration, rest_not_constant, rest_thresholds
+from experiments.words.sets import annotated_samples, moving
+from rcbht_jax.calibration.rest import RestCalibration, rest_thresholds
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AUTO, config_of, limits_for
 from rcbht_jax.labels import LLB, MC, Primitive
@@ -42,10 +43,14 @@ def by_sample(calibration: RestCalibration, samples: int, window: int) -> Bool[n
     return np.pad(rest, ((0, 0), (0, samples - rest.shape[1]), (0, 0)))
 
 
-def constant(tracks: LabelTracks, rest: Bool[np.ndarray, "recording time axis"]) -> dict[str, list[float]]:
-    """Share of rest that each layer calls constant or fixed ``[axis]``."""
+def constant(tracks: LabelTracks, rest: Bool[np.ndarray, "recording time axis"]) -> dict[str, dict[str, Any]]:
+    """Share of rest that each layer calls constant or fixed ``[axis]``, and the least of these with its interval."""
+    sums = {layer: moving(getattr(tracks, layer), rest, code) for layer, code in LAYERS.items()}
+    shares = {layer: 1 - part.sum(0) / np.maximum(whole.sum(0), 1) for layer, (part, whole) in sums.items()}
     return {
-        layer: (1 - rest_not_constant(getattr(tracks, layer), rest, 1, code)).tolist() for layer, code in LAYERS.items()
+        layer: {"axes": shares[layer].tolist(), "least": of_sums(whole[:, axis] - part[:, axis], whole[:, axis])}
+        for layer, (part, whole) in sums.items()
+        for axis in [int(np.argmin(shares[layer]))]
     }
 
 

@@ -15,26 +15,22 @@ Reads the recorded trials (RCBHT_DATA).
 
 from __future__ import annotations
 
-from operator import itemgetter
 from typing import Any
 
-import jax
 import numpy as np
 import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import REAL, REAL_FAILURES, SIM1, SIM2, of_sources, recorded, rounded
-from experiments._lib.intervals import drawn, with_width
+from experiments._lib.intervals import of_sums
 from experiments._lib.results_io import write_result
-from experiments.words.sets import annotated_samples
-from rcbht_jax.calibration.rest import rest_not_constant
+from experiments.words.sets import annotated_samples, moving
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.labels import LAYERS, LLB, Primitive
-from rcbht_jax.learning.metrics import percentile_interval
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WINDOW = 5
@@ -72,19 +68,8 @@ def lowest(shares: NDArray[np.float64]) -> dict[str, Any]:
     """One minus the first over the second of sums ``[2, recording, axis]``, of the axis where that is least, with the
     interval from recordings drawn with replacement."""
     part, whole = shares.sum(1)
-    axis = int(np.argmax(part / whole))
-    parts, wholes = shares[:, :, axis] @ drawn(shares.shape[1], 0).T
-    low, high = percentile_interval(1 - parts / wholes, shares.shape[1])
-    found = {"mean": float(1 - part[axis] / whole[axis]), "low": low, "high": high, "interval by": "trials drawn"}
-    return with_width(found, shares.shape[1])
-
-
-def moving(track: LabelTrack, rest: NDArray[np.bool_], constant: int) -> NDArray[np.float64]:
-    """Samples ``[2, recording, axis]`` at rest whose label is not constant, and at rest."""
-    rows = [slice(row, row + 1) for row in range(len(rest))]
-    each = [rest_not_constant(jax.tree.map(itemgetter(row), track), rest[row], 1, constant) for row in rows]
-    whole = rest.sum(1).astype(np.float64)
-    return np.stack([np.stack(each) * whole, whole])
+    part, whole = shares[:, :, int(np.argmax(part / whole))]
+    return of_sums(whole - part, whole)
 
 
 def latency(track: LabelTrack, recordings: Recordings) -> dict[str, float]:

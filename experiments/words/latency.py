@@ -11,6 +11,7 @@ reward words that are not shown, or shown under a label that is usual, each row 
 shown twice, and for how much of the time the newest label shown is that of the word which the newest sample turns out
 to be in. Two labels that do not depend on the run are compared with them: always the constant one, and that of the
 word published last. How provisional labels look ahead was chosen on the even trials of session A of REAL alone.
+Intervals come from trials drawn with replacement.
 
 Run: python -m experiments.words.latency
 Reads the recorded trials (RCBHT_DATA).
@@ -28,6 +29,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded, rounded
+from experiments._lib.intervals import of_sums
 from experiments._lib.results_io import write_result
 from experiments.words.sets import spread
 from rcbht_jax.encoding.encoder import EncoderConfig, unpack
@@ -162,23 +164,25 @@ def ways(trial: Trial, layer: str) -> dict[str, Shown]:
     }
 
 
-def labels_shown(trials: list[Trial]) -> dict[str, dict[str, dict[str, float]]]:
+def labels_shown(trials: list[Trial]) -> dict[str, dict[str, dict[str, Any]]]:
     """For each way and layer: share of revised words, number of shown words, and share of time with the right label."""
-    sums: dict[str, dict[str, Any]] = {}
+    each: dict[str, dict[str, list[NDArray[np.int64]]]] = {}
     for trial in trials:
         for layer in LAYERS:
             published = getattr(trial.published, layer)
             final = finals(published, getattr(trial.ended, layer))
             for way, shown in ways(trial, layer).items():
-                sums.setdefault(way, dict.fromkeys(LAYERS, 0))[layer] += counted(published, shown, final, STILL[layer])
-    return {way: {layer: _shares(count) for layer, count in layers.items()} for way, layers in sums.items()}
+                counts = each.setdefault(way, {}).setdefault(layer, [])
+                counts.append(counted(published, shown, final, STILL[layer]))
+    return {way: {layer: _shares(np.stack(counts)) for layer, counts in layers.items()} for way, layers in each.items()}
 
 
-def _shares(counts: NDArray[np.int64]) -> dict[str, float]:
-    wrong, total, words, right, windows, moving, moves = counts.tolist()
+def _shares(counts: NDArray[np.int64]) -> dict[str, Any]:
+    """Of COUNTS ``[trial, count]``."""
+    wrong, total, words, right, windows, moving, moves = counts.T.astype(np.float64)
     return {
-        "revised": wrong / max(total, 1), "words": total, "shown": total / max(words, 1), "right": right / windows,
-        "right_where_it_moves": moving / max(moves, 1),
+        "revised": of_sums(wrong, total), "words": int(total.sum()), "shown": float(total.sum() / words.sum()),
+        "right": of_sums(right, windows), "right_where_it_moves": of_sums(moving, moves),
     }  # fmt: skip
 
 
@@ -191,15 +195,17 @@ def ages(track: LabelTrack, dt: float) -> NDArray[np.float64]:
 
 def of_rule(trials: list[Trial], axis: int, dt: float) -> dict[str, Any]:
     """Contacts, ages of published words, and the words that are revised."""
-    late = [
-        seen_after(step, trial.wrench[:, axis], trial.held, axis) * dt
+    each = [
+        [seen_after(step, force, trial.held, axis) * dt for step in contacts(force)]
         for trial in trials
-        for step in contacts(trial.wrench[:, axis])
+        for force in [trial.wrench[:, axis]]
     ]
+    late = [seconds for trial in each for seconds in trial]
+    seen = [sum(seconds <= SEEN * dt for seconds in trial) for trial in each]
     old = {layer: np.concatenate([ages(getattr(trial.published, layer), dt) for trial in trials]) for layer in LAYERS}
     return {
         "contacts": len(late),
-        "contacts_seen_within_50_ms": float((np.asarray(late) <= SEEN * dt).mean()),
+        "contacts_seen_within_50_ms": of_sums(np.array(seen, float), np.array(list(map(len, each)), float)),
         "seconds_to_see_median": float(np.median(late)),
         "newest_published_age": {layer: np.percentile(values, (50, 95)).tolist() for layer, values in old.items()},
         "revised": {layer: shares["revised"] for layer, shares in labels_shown(trials)["shown"].items()},

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from operator import itemgetter
 from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded
 from experiments._lib.other_robots import KITTING, of_other_robot
-from rcbht_jax.calibration.rest import auto_thresholds
+from rcbht_jax.calibration.rest import auto_thresholds, rest_not_constant
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import auto_tolerance
-from rcbht_jax.types import LabelTracks, Recordings
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 CONTACT = {name: KITTING[name] for name in ("force", "torque", "left", "right")}
 OTHERS = {  # file or folder, mapping, channels
@@ -35,6 +37,14 @@ def annotated_samples(recordings: Recordings, track: str, labels: tuple[str, ...
     samples = recordings.wrench.shape[1]
     rows = [recordings.annotations.of_samples(i, track, samples, recordings.dt) for i in range(len(recordings))]
     return np.broadcast_to(np.isin(np.stack(rows), codes)[..., None], recordings.wrench.shape)
+
+
+def moving(track: LabelTrack, rest: NDArray[np.bool_], constant: int) -> NDArray[np.float64]:
+    """Samples ``[2, recording, axis]`` at rest whose label is not constant, and at rest."""
+    rows = [slice(row, row + 1) for row in range(len(rest))]
+    each = [rest_not_constant(jax.tree.map(itemgetter(row), track), rest[row], 1, constant) for row in rows]
+    whole = rest.sum(1).astype(np.float64)
+    return np.stack([np.stack(each) * whole, whole])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments._lib.benchmarks import with_interval
-from experiments._lib.intervals import of_folds, with_width, without
+from experiments._lib.intervals import by_trial, of_folds, of_sums, with_width, without
 from experiments._lib.results_io import COMMITTED
 from rcbht_jax.learning.metrics import has_width, wilson
 
@@ -65,3 +65,23 @@ def test_scores_of_folds_that_all_agree_have_wilsons_interval_by_trial() -> None
     assert with_width(same, 0) == {"mean": 1.0}
     assert with_interval(np.ones((3, 5)), trials=12)["interval"] == [round(end, 3) for end in wilson(12, 12)]
     assert with_interval(np.ones((3, 5))) == {"mean": 1.0}
+
+
+def test_shares_of_sums_vary_with_the_groups_that_are_drawn() -> None:
+    rng = np.random.default_rng(1)
+    whole = rng.integers(50, 150, 30).astype(float)
+    part = whole * rng.uniform(0.4, 0.8, 30)
+    found = of_sums(part, whole)
+    draws = rng.integers(0, 30, (4000, 30))
+    expected = np.quantile(part[draws].sum(1) / whole[draws].sum(1), [0.025, 0.975])
+    assert found["mean"] == pytest.approx(part.sum() / whole.sum())
+    np.testing.assert_allclose([found["low"], found["high"]], expected, atol=0.006)
+    assert found["interval by"] == "groups drawn"
+
+
+def test_shares_of_sums_without_a_mistake_have_a_width() -> None:
+    """Groups that hold nothing, such as trials without a contact, count for nothing."""
+    whole = np.array([3.0, 0.0, 5.0, 4.0, 0.0])
+    found = of_sums(whole, whole)
+    assert found == by_trial(1.0, 3)
+    assert found["low"] < 0.5
