@@ -14,6 +14,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import lerobot": ("rcbht_jax.cli.importing:ImportLerobot", "read LeRobot data sets into a store"),
     "import ts": ("rcbht_jax.cli.importing:ImportTs", "read .ts files of aeon and sktime into a store"),
     "import json": ("rcbht_jax.cli.importing:ImportJson", "read JSON documents into a store"),
+    "import zarr": ("rcbht_jax.cli.importing:ImportZarr", "read Zarr groups, such as replay buffers, into a store"),
     "import jsonl": ("rcbht_jax.cli.importing:ImportJsonl", "read JSON lines into a store"),
     "import uci": ("rcbht_jax.cli.importing:ImportUci", "read files of UCI Robot Execution Failures into a store"),
     "info": ("rcbht_jax.cli.store:Info", "summarise and verify a store"),

@@ -146,6 +146,7 @@ ImportBag = _command("bag", "bags of ROS 1 and ROS 2", "bags bags.zarr")
 ImportLerobot = _command("lerobot", "LeRobot data sets of versions 2 and 3", "pusht pusht.zarr")
 ImportJson = _command("json", "JSON documents (.json): lists of samples, or a list per column,", "runs runs.zarr")
 ImportJsonl = _command("jsonl", "JSON lines (.jsonl, .ndjson), such as a robot streams,", "readings.jsonl runs.zarr")
+ImportZarr = _command("zarr", "Zarr groups (folders, .zarr.zip) with an array episode_ends,", "buffer.zarr runs.zarr")
 ImportTs = _command("ts", "files of aeon and sktime (.ts)", "failures.ts failures.zarr --source-rate 50")
 ImportUci = _command(
     "uci", 'the files of the UCI set "Robot Execution Failures"', "lp1.data lp1.zarr --source-rate 47.619"

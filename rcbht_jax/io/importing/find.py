@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from rcbht_jax._util.printable import spelled
-from rcbht_jax._util.untrusted import MAX_FILES
+from rcbht_jax._util.untrusted import MAX_FILES, read_object
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.unpacked import plain_name
 
@@ -17,7 +17,23 @@ SUFFIXES = {
     ".jsonl": "jsonl", ".ndjson": "jsonl", ".json": "json",
 }  # fmt: skip
 TEXTS = (".txt", ".dat", ".data", ".log", ".lvm", ".asc")  # where "csv" or "uci" is asked for
-KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot", "ts", "uci", "jsonl", "json")
+KINDS = (
+    "auto",
+    "csv",
+    "parquet",
+    "npz",
+    "hdf5",
+    "matlab",
+    "mcap",
+    "bag",
+    "lerobot",
+    "ts",
+    "uci",
+    "jsonl",
+    "json",
+    "zarr",
+)
+OWN = "rcbht-"  # beginning of the attribute "format" of what this program writes
 _OF_TEXT = ("csv", "uci", "ts", "jsonl", "json")  # which may be packed
 
 
@@ -41,6 +57,8 @@ def kind_of(name: str, asked: str = "auto") -> str:
         asked: the kind that the user named.
     """
     plain = plain_name(name)
+    if plain.lower().endswith(".zarr.zip"):
+        return "zarr"
     suffix = PurePosixPath(plain).suffix.lower()
     found = asked if asked in ("csv", "uci") and suffix in TEXTS else SUFFIXES.get(suffix, "")
     return found if plain == name or found in _OF_TEXT else ""
@@ -67,6 +85,8 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
                 f"{source} is not a file of a known kind; name its kind, for example: rcbht import csv {source}."
             )
         return [Item(plain_name(spelled(source.name)), source, chosen)], []
+    if _is_own(source):
+        raise InputError(f"{source} is a store that rcbht wrote; use it as it is, or join it with others: rcbht join.")
     if (whole := _whole(source)) and (whole == kind or kind in ("auto", "bag", "mcap") or whole == "export"):
         return [Item("", source, whole)], []
     if kind == "lerobot":
@@ -76,7 +96,11 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
         here = Path(folder)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         if here != source and (whole := _whole(here)):
-            items.append(Item(spelled(here.relative_to(source).as_posix()), here, whole))
+            name = spelled(here.relative_to(source).as_posix())
+            if whole == "zarr" and (kind not in ("auto", whole) or _is_own(here)):
+                others.append(name)
+            else:
+                items.append(Item(name, here, whole))
             folders.clear()
             continue
         for name in sorted(files):
@@ -127,9 +151,21 @@ def chosen(
     return read, others + [item.name for item in items if item not in read]
 
 
+def _is_own(folder: Path) -> bool:
+    """Whether a folder is a store, or labels, that this program wrote."""
+    try:
+        attributes = read_object(folder / "zarr.json").get("attributes")
+    except InputError:
+        return False
+    return isinstance(attributes, dict) and str(attributes.get("format", "")).startswith(OWN)
+
+
 def _whole(folder: Path) -> str:
     """The kind of a folder that is one recording or data set; "" = a folder of files."""
-    marks = {"dataset.json": "export", "meta/info.json": "lerobot", "metadata.yaml": "bag"}
+    marks = {
+        "dataset.json": "export", "meta/info.json": "lerobot", "metadata.yaml": "bag", ".zgroup": "zarr",
+        "zarr.json": "zarr",
+    }  # fmt: skip
     return next((kind for mark, kind in marks.items() if (folder / mark).is_file()), "")
 
 

@@ -40,6 +40,7 @@ from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.ts import read_ts
 from rcbht_jax.io.importing.unpacked import plain_name
+from rcbht_jax.io.importing.zarr_groups import read_zarr
 from rcbht_jax.types import Recordings
 
 Constants = dict[str, dict[str, float]]  # recording -> column -> value
@@ -163,9 +164,9 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
     readers = {
         "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
         "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
-        "jsonl": read_json_lines, "json": read_json_document,
+        "jsonl": read_json_lines, "json": read_json_document, "zarr": read_zarr,
     }  # fmt: skip
-    return readers[item.kind](item.path, item.name)
+    return readers[item.kind](item.path, item.name or (spelled(item.path.name) if item.kind == "zarr" else ""))
 
 
 def _exported(source: Path, item: Item) -> Imported:

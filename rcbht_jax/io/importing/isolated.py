@@ -45,14 +45,14 @@ def isolated(decode: Decode, path: Path, name: str, *libraries: str) -> Iterator
 
     Args:
         decode: a function of a module, of the arguments that follow.
-        path: the file.
+        path: the file, or a folder that is one recording or data set.
         name: relative to the source.
         libraries: what it may import, such as "h5py": importing them takes none of the file's time and memory.
 
     Raises:
         InputError: that of ``decode``; or it crashed, took too long, or wanted more memory than the file can hold.
     """
-    memory, seconds = decoder_limits(check_file(path))
+    memory, seconds = decoder_limits(bytes_of(path))
     with tempfile.TemporaryDirectory() as folder:
         request = {
             "decode": f"{decode.__module__}:{decode.__qualname__}", "path": os.path.abspath(path), "shown": str(path),
@@ -69,6 +69,20 @@ def isolated(decode: Decode, path: Path, name: str, *libraries: str) -> Iterator
             intervals = tuple(map(tuple, table["intervals"]))
             tuples = {key: tuple(table[key]) for key in ("notes", "others")}
             yield Table(**{**table, "columns": columns, "intervals": intervals, **tuples})
+
+
+def bytes_of(path: Path) -> int:
+    """Bytes of a regular file, or of all files in a folder.
+
+    >>> bytes_of(Path("run.h5")) > 0
+    True
+
+    Raises:
+        InputError: it is neither.
+    """
+    if not path.is_dir():
+        return check_file(path)
+    return sum(os.lstat(Path(folder, name)).st_size for folder, _, files in os.walk(path) for name in files)
 
 
 class _Decoder:

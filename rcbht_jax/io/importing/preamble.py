@@ -10,7 +10,8 @@ from rcbht_jax._util.columns import UNITS
 from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.names import wrenches
 
-_RATES = ("sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency")
+_RATES = ("sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency")  # or longer words
+_RATE, _PERIOD = ("rate", "frequency", "fs"), ("dt", "sample time", "sampling time", "sampling period", "sample period")
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,8 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
     """
     lines, names = list(lines), list(names)
     said = dict(filter(None, map(_pair, lines)))
-    rates = (number(text) for key, text in said.items() if key.endswith(_RATES))
+    rates = [number(text) for key, text in said.items() if key.endswith(_RATES) or key in _RATE]
+    rates += [1 / period for key, text in said.items() if key in _PERIOD and (period := number(text)) > 0]
     counts: dict[str, float] = {}
     units: dict[str, str] = {}
     axes = [pair for wrench in wrenches(names) for pair in wrench.items()]
@@ -85,14 +87,17 @@ def _pair(line: bytes) -> tuple[str, str] | None:
     row = [cell for cell in cells.split(line, cells.delimiter_of(line)) if cell]
     if len(row) != 2:
         row = re.split(r"\s*[:=]\s*", line.decode("utf-8", "replace").strip(), maxsplit=1)
-    return (row[0].strip(" :=").lower().replace("_", " "), row[1].strip()) if len(row) == 2 else None
+    if len(row) != 2:
+        return None
+    word = re.sub(r"\s*[\[(]?\b(?:hz|s)\b[\])]?\s*$", "", row[0].strip(" :=").lower().replace("_", " "))
+    return word, row[1].strip()
 
 
 def number(text: str) -> float:
-    """The number that a text states, perhaps in Hz; 0 = none.
+    """The number that a text states, perhaps in Hz or s; 0 = none.
 
-    >>> number("500 Hz"), number("fast")
-    (500.0, 0.0)
+    >>> number("500 Hz"), number("0.002 s"), number("fast")
+    (500.0, 0.002, 0.0)
     """
-    match = re.match(r"\s*(\d+(?:\.\d+)?(?:[eE]\+?\d+)?)\s*(?:hz)?\s*$", text, re.IGNORECASE)
+    match = re.match(r"\s*(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*(?:hz|s)?\s*$", text, re.IGNORECASE)
     return float(match[1]) if match else 0.0

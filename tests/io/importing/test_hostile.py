@@ -22,6 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import scipy.io
+import zarr
 from hypothesis import given, settings
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import storage_mcap
@@ -112,6 +113,15 @@ def json_document() -> bytes:
     return json.dumps({"time": TIME.tolist(), "wrench": WRENCH.tolist(), "who": "ann"}).encode()
 
 
+def zarr_zip() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        with zarr.storage.ZipStore(Path(folder) / "a.zip", mode="w") as file:
+            group = zarr.open_group(file, mode="w")
+            group.create_array("t", data=TIME)
+            group.create_array("wrench", data=WRENCH)
+        return (Path(folder) / "a.zip").read_bytes()
+
+
 def mcap() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         with McapWriter(Path(folder) / "a.mcap") as writer:
@@ -123,6 +133,7 @@ def mcap() -> bytes:
 VALID = {
     ".mcap": mcap, ".csv": csv, ".npz": npz, ".parquet": parquet, ".mat": matlab, ".bag": bag, ".h5": hdf5, ".ts": ts,
     ".data": uci, ".jsonl": jsonl, ".json": json_document, ".csv.gz": lambda: gzip.compress(csv()),
+    ".zarr.zip": zarr_zip,
 }  # fmt: skip
 KIND = {".data": "uci"}  # of suffixes that state none
 SUFFIXES = sorted([*VALID, ".npy", ".db3", ".tsv"])
