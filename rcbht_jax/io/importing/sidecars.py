@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import numpy as np
+
 from rcbht_jax._util.untrusted import check_inside, read_json
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.json_documents import annotations_in, intervals_in
-from rcbht_jax.io.importing.table import RATE_NAMES, Interval, Table
+from rcbht_jax.io.importing.table import Interval, Table, scalars_of
 
 MAX_FACTS, MAX_WORD = 64, 200  # of one object; characters of one text
 Facts = dict[str, str | float]
@@ -29,11 +31,9 @@ class Sidecars:
 
     def described(self, table: Table) -> Table:
         """The table with the facts about its file, of which its own come first, and the annotations of that file."""
-        own = self.facts.get(table.file, {})
-        rates = (value for key, value in own.items() if key.lower() in RATE_NAMES and isinstance(value, float))
-        rate = table.rate or next((value for value in rates if value > 0), None)
+        rate, own = scalars_of({key: np.asarray(value) for key, value in self.facts.get(table.file, {}).items()})
         intervals = (*table.intervals, *self.intervals.get(table.file, ()))
-        return replace(table, facts={**own, **table.facts}, rate=rate, intervals=intervals)
+        return replace(table, facts={**own, **table.facts}, rate=table.rate or rate, intervals=intervals)
 
 
 def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> Sidecars:
