@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
+from experiments._lib.intervals import of_sums
 from experiments._lib.piecewise import Floats, Ints, Sums, bottom_up, left_over
 from rcbht_jax.labels import Primitive
 from rcbht_jax.learning.segment_metrics import edit_distance
@@ -38,37 +39,44 @@ def words_of(track: LabelTrack, dt: float) -> list[Words]:
     return found
 
 
-def agreement(pairs: Iterable[tuple[Words, Words]], within: float) -> dict[str, Any]:
+def agreement(pairs: Iterable[tuple[Words, Words]], within: float, lanes: int = 1) -> dict[str, Any]:
     """How well the words of two copies agree, all pairs together.
 
     Args:
         pairs: words of the first and of the second copy.
         within: seconds that a break may move.
+        lanes: pairs of one recording, which follow each other.
 
     Returns:
         ``edit``: edit distance of the labels over the longer sequence, mean over pairs, 0 = equal; ``kept``: share of
-        the words longer than 0.1 s, of both copies, that the other one has with the same label and both breaks;
-        ``breaks``: the share that the other one has with both breaks, whatever its label; ``words``: how many words
-        were that long, without which both shares are None; ``time``: share of time in which both copies have one label.
+        the words longer than 0.1 s, of both copies, that the other one has with the same label and both breaks; ``kept
+        interval``: from recordings drawn with replacement, if there are several; ``breaks``: the share that the other
+        one has with both breaks, whatever its label; ``words``: how many words were that long, without which both
+        shares are None; ``time``: share of time in which both copies have one label.
     """
-    edits, kept, breaks, count = [], 0, 0, 0
+    edits, kept, breaks, count = list[float](), list[int](), 0, list[int]()
     same_time = all_time = 0.0
     for pair in pairs:
         same, of = _same_time(*pair)
         same_time, all_time = same_time + same, all_time + of
         longest = max(len(words.label) for words in pair)
         edits.append(edit_distance(pair[0].label, pair[1].label) / longest if longest else 0.0)
+        kept, count = [*kept, 0], [*count, 0]
         for ours, other in (pair, pair[::-1]):
             long = ours.end - ours.start > LONG + 1e-9
             near = _near(ours.start, other.start, within) & _near(ours.end, other.end, within)
-            kept += int((near & (ours.label[:, None] == other.label)).any(1)[long].sum())
+            kept[-1] += int((near & (ours.label[:, None] == other.label)).any(1)[long].sum())
             breaks += int(near.any(1)[long].sum())
-            count += int(long.sum())
+            count[-1] += int(long.sum())
+    words = sum(count)
+    each = np.array([kept, count], np.float64).reshape(2, -1, lanes).sum(-1)
+    drawn = of_sums(*each) if words and each.shape[1] > 1 and any(edits) else None  # an equal copy cannot vary
     return {
         "edit": float(np.mean(edits)),
-        "kept": kept / count if count else None,
-        "breaks": breaks / count if count else None,
-        "words": count,
+        "kept": sum(kept) / words if words else None,
+        **({"kept interval": [drawn["low"], drawn["high"]]} if drawn else {}),
+        "breaks": breaks / words if words else None,
+        "words": words,
         "time": same_time / all_time if all_time else None,
     }
 

@@ -203,7 +203,10 @@ def _stability(result: dict[str, Any], kind: str, what: str) -> Lines:
 
 
 def _three(found: dict[str, Any]) -> str:
-    return " / ".join(NONE if found[key] is None else f"{found[key]:.2f}" for key in ("kept", "edit", "time"))
+    kept, *others = (NONE if found[key] is None else f"{found[key]:.2f}" for key in ("kept", "edit", "time"))
+    low, high = found.get("kept interval", (0.0, 0.0))
+    interval = f" ({low:.2f} to {high:.2f})" if low < high else ""
+    return " / ".join((f"{kept}{interval}", *others))
 
 
 @table("snap-events", "snaps")

@@ -41,7 +41,9 @@ def of_noise(name: str, rule: str, seed: int) -> dict[str, Any]:
         copies = [noisy(data.recordings, data.tolerance * level, rng) for _ in range(2)]
         if rule == BEST:
             first, second = (_best(data, copy, window) for copy in copies)
-            found[f"{level:g}"] = {"primitive": rounded(agreement(zip(first, second, strict=True), WINDOW))}
+            found[f"{level:g}"] = {
+                "primitive": rounded(agreement(zip(first, second, strict=True), WINDOW, len(data.tolerance)))
+            }
         else:
             first, second = (_labels(data, rule, copy, window) for copy in copies)
             found[f"{level:g}"] = _agreement(first, second, data, WINDOW)
@@ -78,6 +80,7 @@ def _agreement(
                     strict=True,
                 ),
                 within,
+                len(data.tolerance),
             )
         )
         for layer in LAYERS

@@ -50,6 +50,18 @@ def test_each_way_to_differ_is_counted() -> None:
     assert cut["time"] == 1
 
 
+def test_shares_vary_with_the_recordings() -> None:
+    rng = np.random.default_rng(0)
+    stable = [(one, Words(one.label, one.start + 0.01, one.end + 0.01)) for one in (drawn(rng) for _ in range(6))]
+    nonsense = [(drawn(rng), drawn(rng)) for _ in range(6)]
+    both = agreement([*stable, *nonsense], WITHIN, lanes=6)
+    assert both["kept"] == pytest.approx(0.5, abs=0.02)
+    assert both["kept interval"][0] < 0.1
+    assert both["kept interval"][1] > 0.9
+    mixed = agreement([pair for pairs in zip(stable, nonsense, strict=True) for pair in pairs], WITHIN, lanes=2)
+    assert np.ptp(mixed["kept interval"]) < 0.05
+
+
 def test_without_long_words_there_is_no_share() -> None:
     short = words([1, 2], [0, 0.05, 0.1])
     found = agreement([(short, short)], WITHIN)
