@@ -91,6 +91,19 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
         return [Item("", source, whole)], []
     if kind == "lerobot":
         raise InputError(f"{source} has no meta/info.json; expected the folder of a LeRobot data set.")
+    items, others = _listed(source, kind)
+    if not items:
+        what = "of a known kind" if kind == "auto" else f"of the kind {kind}"
+        known = f" Files with these endings are read: {', '.join(SUFFIXES)}; save yours as one of them."
+        text = f" Read text such as {', '.join(TEXTS)} with: rcbht import csv {source}."
+        held = ", ".join(others[:5]) or "none"
+        texts = any(Path(name).suffix.lower() in TEXTS for name in others) and kind == "auto"
+        raise InputError(f"{source} holds no file {what}; it holds {held}.{text if texts else known}")
+    return sorted(items, key=lambda item: _natural(item.name)), others
+
+
+def _listed(source: Path, kind: str) -> tuple[list[Item], list[str]]:
+    """What to read of a folder of files, and the names of other files in it."""
     items, documents, others = list[Item](), list[Item](), list[str]()
     for folder, folders, files in os.walk(source):
         here = Path(folder)
@@ -114,18 +127,10 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
                     others.append(relative)
         if len(items) + len(documents) + len(others) > MAX_FILES:
             raise InputError(f"{source} holds more than {MAX_FILES} files; import its folders one by one.")
-    if items:  # beside other files, JSON describes recordings
-        others += [spelled(item.path.relative_to(source).as_posix()) for item in documents]
-    else:
-        items = documents
     if not items:
-        what = "of a known kind" if kind == "auto" else f"of the kind {kind}"
-        known = f" Files with these endings are read: {', '.join(SUFFIXES)}; save yours as one of them."
-        text = f" Read text such as {', '.join(TEXTS)} with: rcbht import csv {source}."
-        held = ", ".join(others[:5]) or "none"
-        texts = any(Path(name).suffix.lower() in TEXTS for name in others) and kind == "auto"
-        raise InputError(f"{source} holds no file {what}; it holds {held}.{text if texts else known}")
-    return sorted(items, key=lambda item: _natural(item.name)), others
+        return documents, others
+    # beside other files, JSON describes recordings
+    return items, others + [spelled(item.path.relative_to(source).as_posix()) for item in documents]
 
 
 def chosen(
