@@ -24,6 +24,7 @@ from rcbht_jax.io.importing.table import Interval, Table, scalars_of, tables_of
 from rcbht_jax.io.importing.unpacked import opened
 
 DEPTH = 16  # of objects and lists within each other
+PROBES = 64  # objects of a list that are looked at
 LONGEST = 64  # elements of a list in a sample, such as a matrix; a longer one is a column
 Object = Mapping[str, Any]
 
@@ -66,7 +67,7 @@ def json_tables(path: Path, name: str) -> Iterator[Table]:
 
 
 def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
-    if _are_objects(value) and not any(map(_is_recording, value)):
+    if _are_objects(value) and not any(map(_is_recording, value[:PROBES])):
         value = {"rows": value}
     if several := _several(value):
         if len(several) > MAX_GROUPS:
@@ -148,7 +149,7 @@ def intervals_in(value: Object) -> tuple[Interval, ...]:
 
 
 def _frame(value: Any) -> Any:
-    """A data frame that pandas wrote as an object of its columns; any other value as it is."""
+    """A data frame that pandas wrote, or samples by number or time, as columns or rows; any other value as it is."""
     if not isinstance(value, dict):
         return value
     if set(value) == {"columns", "index", "data"} and _are_lists(value["data"]):
@@ -158,7 +159,7 @@ def _frame(value: Any) -> Any:
         scalars = all(not isinstance(cell, dict | list) for one in inner for cell in one.values())
         if scalars and all(map(_is_number, inner[0])):
             return {key: list(one.values()) for key, one in value.items()}
-        if scalars and len(value) > 1 and all(map(_is_number, value)):
+        if len(value) > 1 and all(map(_is_number, value)) and not _is_recording(inner[0]):
             return inner
     return value
 
@@ -176,7 +177,7 @@ def _several(value: Any) -> dict[str, Object]:
     inner: dict[str, Object] = {key: one for key, one in value.items() if isinstance(one, dict) and _is_recording(one)}
     if len(inner) > 1 and len({tuple(sorted(one)) for one in inner.values()}) == 1:
         return inner
-    lists = [one for one in value.values() if _are_objects(one) and any(map(_is_recording, one))]
+    lists = [one for one in value.values() if _are_objects(one) and any(map(_is_recording, one[:PROBES]))]
     if len(lists) == 1:
         return {str(number): one for number, one in enumerate(lists[0])}
     within = [one for one in value.values() if isinstance(one, dict)]

@@ -42,6 +42,7 @@ ONE = {
     "columns": {name: column.tolist() for name, column in FRAME.items()},
     "rows of a wrench": lists(0),
     "samples in an object": {"robot": "arm", "samples": samples(0), "phases": PHASES},
+    "samples by time": {str(one["t"]): one for one in samples(0)},
     "within objects": {"log": {"data": lists(0)}},
     **{
         f"pandas, {orient}": FRAME.to_json(orient=orient)
