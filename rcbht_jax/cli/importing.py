@@ -137,7 +137,7 @@ def _command(kind: str, what: str, example: str) -> type[Import]:
 
 ImportAuto = _command("auto", "files of any kind, recognised by their suffix,", "recordings recordings.zarr")
 ImportCsv = _command("csv", "tables as text (.csv, .tsv, .txt, .dat)", "runs runs.zarr")
-ImportParquet = _command("parquet", "Parquet tables", "runs runs.zarr")
+ImportParquet = _command("parquet", "Parquet and Arrow tables (.parquet, .feather, .arrow)", "runs runs.zarr")
 ImportNpz = _command("npz", "NumPy arrays (.npz, .npy)", "runs runs.zarr --source-rate 500")
 ImportHdf5 = _command("hdf5", "HDF5 files", "demos.hdf5 demos.zarr")
 ImportMatlab = _command("matlab", "MATLAB files", "runs runs.zarr")

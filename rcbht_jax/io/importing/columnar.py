@@ -1,4 +1,4 @@
-"""Parquet tables and LeRobot data sets of versions 2 and 3."""
+"""Parquet and Arrow tables, and LeRobot data sets of versions 2 and 3."""
 
 from __future__ import annotations
 
@@ -25,14 +25,16 @@ from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.table import Table
 
 EPISODE = "episode_index"
+ARROW = (".feather", ".arrow")  # of tables in Arrow's own formats, files and streams
 LIBRARIES = ("pyarrow.parquet", "pandas")  # of those that read Parquet; pyarrow imports pandas with its first column
 _OWN = ("index", "frame_index", EPISODE, "task_index", "next.done", "timestamp")
 _BOOKKEEPING = ("dataset_from_index", "dataset_to_index", "length")  # of an episode; names of others have a "/"
 
 
 def read_parquet(path: Path, name: str) -> Iterator[Table]:
-    """The table of a Parquet file; lists of a fixed number of elements are columns ``name_0``, ``name_1``, ...,
-    fields of structures ``name.field``.
+    """The table of a Parquet or Arrow file.
+
+    Lists of a fixed number of elements are columns ``name_0``, ``name_1``, ..., fields of structures ``name.field``.
 
     >>> [table.columns["Fz"].shape for table in read_parquet(Path("run.parquet"), "run.parquet")]
     [(400,)]
@@ -65,27 +67,15 @@ def parquet_tables(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: as :func:`read_parquet`.
     """
-    with reading(path, "Parquet"):
+    with reading(path, "Parquet or Arrow"):
         columns, rate, units = _columns(path)
     yield Table(name, columns, rate, units)
 
 
 def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[str, str]]:
     """Columns that can be imported, the rate where the metadata state it, the unit of those that are times by type."""
-    size = check_file(path)
-    pa, pq = require("pyarrow", "import"), require("pyarrow.parquet", "import")
-    limits = {"thrift_string_size_limit": 2**24, "thrift_container_size_limit": 2**20}
-    with path.open("rb") as raw, pq.ParquetFile(raw, **limits) as file:  # pyarrow accepts only names in UTF-8
-        meta, schema = file.metadata, file.schema_arrow
-        if meta.num_columns > MAX_COLUMNS:
-            raise InputError(f"{path} has {meta.num_columns} columns; expected at most {MAX_COLUMNS}.")
-        groups = [meta.row_group(number) for number in range(meta.num_row_groups)]
-        unpacked = sum(group.total_byte_size for group in groups)
-        cells = sum(group.column(n).num_values for group in groups for n in range(group.num_columns))
-        check_declared(path, max(unpacked, 8 * cells, 8 * meta.num_rows), size)
-        usable = [field.name for field in schema if _kind(pa, field.type)]
-        table = file.read(columns=usable)
-        rows = (schema.metadata or {}).get(b"dt_seconds")
+    pa, table = require("pyarrow", "import"), _table(path)
+    rows = (table.schema.metadata or {}).get(b"dt_seconds")
     while any(pa.types.is_struct(field.type) for field in table.schema):
         table = table.flatten()
     columns: dict[str, NDArray[Any]] = {}
@@ -101,6 +91,39 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
         raise InputError(f"{path} has no rows of numbers or text.")
     seconds = {field.name: "s" for field in table.schema if _kind(pa, field.type) == "time"}
     return columns, 1 / float(rows) if rows and float(rows) > 0 else None, seconds
+
+
+def _table(path: Path) -> Any:
+    """The columns that can be imported, of Parquet, or of Arrow's own formats (Feather)."""
+    size = check_file(path)
+    pa, pq = require("pyarrow", "import"), require("pyarrow.parquet", "import")
+    limits = {"thrift_string_size_limit": 2**24, "thrift_container_size_limit": 2**20}
+    with path.open("rb") as raw:  # pyarrow accepts only names in UTF-8
+        if path.suffix.lower() in ARROW:
+            magic = raw.read(6)
+            raw.seek(0)
+            with pa.ipc.open_file(raw) if magic == b"ARROW1" else pa.ipc.open_stream(raw) as file:
+                _check_width(path, len(file.schema))
+                table = file.read_all()
+                check_declared(path, table.nbytes, size)
+                return table.select(_usable(pa, file.schema))
+        with pq.ParquetFile(raw, **limits) as file:
+            meta = file.metadata
+            _check_width(path, meta.num_columns)
+            groups = [meta.row_group(number) for number in range(meta.num_row_groups)]
+            unpacked = sum(group.total_byte_size for group in groups)
+            cells = sum(group.column(n).num_values for group in groups for n in range(group.num_columns))
+            check_declared(path, max(unpacked, 8 * cells, 8 * meta.num_rows), size)
+            return file.read(columns=_usable(pa, file.schema_arrow))
+
+
+def _check_width(path: Path, columns: int) -> None:
+    if columns > MAX_COLUMNS:
+        raise InputError(f"{path} has {columns} columns; expected at most {MAX_COLUMNS}.")
+
+
+def _usable(pa: Any, schema: Any) -> list[str]:
+    return [field.name for field in schema if _kind(pa, field.type)]
 
 
 def _kind(pa: Any, kind: Any) -> str:

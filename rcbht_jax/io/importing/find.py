@@ -12,7 +12,8 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.unpacked import plain_name
 
 SUFFIXES = {
-    ".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".pq": "parquet", ".npz": "npz", ".npy": "npz", ".h5": "hdf5",
+    ".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".pq": "parquet", ".feather": "parquet", ".arrow": "parquet",
+    ".npz": "npz", ".npy": "npz", ".h5": "hdf5",
     ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab", ".mcap": "mcap", ".bag": "bag", ".db3": "bag", ".ts": "ts",
     ".jsonl": "jsonl", ".ndjson": "jsonl", ".json": "json",
 }  # fmt: skip

@@ -74,6 +74,14 @@ def parquet() -> bytes:
     return file.getvalue()
 
 
+def feather() -> bytes:
+    file = io.BytesIO()
+    table = pa.table({"t": TIME, **{f"w_{k}": WRENCH[:, k] for k in range(6)}, "who": ["ann"] * len(TIME)})
+    with pa.ipc.new_file(file, table.schema) as writer:
+        writer.write_table(table)
+    return file.getvalue()
+
+
 def matlab() -> bytes:
     file = io.BytesIO()
     scipy.io.savemat(file, {"t": TIME, "log": {"wrench": WRENCH, "who": "ann"}}, do_compression=True)
@@ -133,7 +141,7 @@ def mcap() -> bytes:
 VALID = {
     ".mcap": mcap, ".csv": csv, ".npz": npz, ".parquet": parquet, ".mat": matlab, ".bag": bag, ".h5": hdf5, ".ts": ts,
     ".data": uci, ".jsonl": jsonl, ".json": json_document, ".csv.gz": lambda: gzip.compress(csv()),
-    ".zarr.zip": zarr_zip,
+    ".zarr.zip": zarr_zip, ".feather": feather,
 }  # fmt: skip
 KIND = {".data": "uci"}  # of suffixes that state none
 SUFFIXES = sorted([*VALID, ".npy", ".db3", ".tsv"])
