@@ -82,14 +82,12 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
                 arm = {"arm": which} if sides else {}
                 yield replace(table, rate=table.rate or rate, facts={**facts, **arm, **table.facts})
         return
-    if not isinstance(value, dict):
-        yield from tables_of(path, name, {"values": _array(value)}, part)
-        return
+    value = value if isinstance(value, dict) else {"values": value}
     lists = {key: one for key, one in _flat(value) if _are_objects(one)}
     intervals = intervals_in(value)
     rows: list[Object] = max((one for one in lists.values() if not _marks(one)), key=len, default=[])
     arrays = dict(_named(value))
-    if len(rows) > 1:
+    if len(rows) > max((len(array) for array in arrays.values() if array.ndim), default=1):
         yield _of_rows(path, name, rows, arrays, intervals, part)
         return
     for table in tables_of(path, name, arrays, part):
@@ -226,11 +224,8 @@ def _named(value: Object) -> Iterator[tuple[str, NDArray[Any]]]:
 def _array(value: Any) -> Any:
     """An array of numbers or of texts, null = not a number; None = it is neither."""
     if isinstance(value, list) and any(isinstance(one, str) for one in value):
-        return (
-            np.array(["" if one is None else one for one in value])
-            if all(one is None or isinstance(one, str) for one in value)
-            else None
-        )
+        texts = all(one is None or isinstance(one, str) for one in value)
+        return np.array(["" if one is None else one for one in value]) if texts else None
     if isinstance(value, str | bool):
         return np.array(str(value).lower() if isinstance(value, bool) else value)
     try:

@@ -43,6 +43,7 @@ ONE = {
     "rows of a wrench": lists(0),
     "samples in an object": {"robot": "arm", "samples": samples(0), "phases": PHASES},
     "samples by time": {str(one["t"]): one for one in samples(0)},
+    "columns beside a list of objects": {**lists(0), "parts": [{"part": "peg", "x": 1}, {"part": "hole", "x": 2}]},
     "within objects": {"log": {"data": lists(0)}},
     **{
         f"pandas, {orient}": FRAME.to_json(orient=orient)
@@ -102,6 +103,7 @@ def test_missing_values_and_lists_of_another_length(tmp_path: Path) -> None:
     [
         ("{", "is not a readable JSON file"),
         ("[]", "holds no array of at least two rows"),
+        ('[1, "a", [2]]', "holds no array of at least two rows"),
         ("7", "holds no array of at least two rows"),
         ('{"Fz": [1]}', "holds no array of at least two rows"),
         ('[{"t": 0, "Fz": 1}, {"t": "x", "Fz": 2}]', "object 1: t is a text; before, it was a number"),
