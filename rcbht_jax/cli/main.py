@@ -162,7 +162,8 @@ def _dispatch(words: list[str]) -> int:
         return 0 if words[1:] else 2
     names = list(all_commands())
     typed = " ".join(words[:2])
-    close = [*_similar(typed, names), *(nested or _similar(words[0], names))]
+    alike = words[0] if any(sign in typed for sign in "./") else typed  # the second word names a file
+    close = [*_similar(alike, names), *(nested or _similar(words[0], names))]
     raise InputError(f"rcbht has no command {typed!r}; {_suggestion(close, 'rcbht --help', 'the commands')}")
 
 
