@@ -285,6 +285,7 @@ def _allow_any_name() -> None:
 def script() -> NoReturn:
     """Run one command and end the process with its status."""
     warnings.showwarning = _show
+    warnings.filterwarnings("ignore", message="The codec `vlen-utf8`")  # zarr 3.1.0, of every store
     status = main()
     if status > 128:  # XLA's threads may be at what was interrupted, and crash when the interpreter ends beneath them
         with suppress(OSError):
