@@ -58,7 +58,8 @@ def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> S
     for name in others:
         path = PurePosixPath(name)
         folder = str(path.parent)
-        if path.suffix.lower() != ".json" or not (found := _stated(source, name)):
+        near = folder in files or folder == "."  # there may be many elsewhere, about pictures
+        if path.suffix.lower() != ".json" or not near or not (found := _stated(source, name)):
             continue
         if isinstance(found, Table):
             read.append(name)
