@@ -20,9 +20,12 @@ def with_width(score: dict[str, Any], trials: int) -> dict[str, Any]:
         score: of repeated folds, or of one split.
         trials: that were tested; 0 = what is measured cannot vary, and has no interval where the ends coincide.
     """
+    wilsons = by_trial(score["mean"], trials) if trials else {"mean": score["mean"]}
     if has_width(score["low"], score["high"]):
-        return {**score, "interval by": score.get("interval by", "corrected resampled t")}
-    return by_trial(score["mean"], trials) if trials else {"mean": score["mean"]}
+        same = trials and np.allclose([score[end] for end in ("low", "high")], [wilsons["low"], wilsons["high"]])
+        by = wilsons["interval by"] if same else "corrected resampled t"  # one split has Wilson's already
+        return {**score, "interval by": score.get("interval by", by)}
+    return wilsons
 
 
 def of_folds(summary: dict[str, Any], trials: int) -> dict[str, Any]:

@@ -61,7 +61,8 @@ def states(recorded: Recordings, sets: dict[str, Recordings]) -> dict[str, Any]:
             trials = evaluations["words"].trials
             scores = {kind: one.score for kind, one in evaluations.items()}
             scores["duration alone"] = evaluations["words"].duration_baseline
-            row = {kind: rounded(with_width(score["accuracy"], trials)) for kind, score in scores.items()}
+            by = {"interval by": "Wilson, by trial"} if split else {}  # of one split, whose tested trials are fewer
+            row = {kind: rounded(with_width(score["accuracy"] | by, trials)) for kind, score in scores.items()}
             out[title] = row | {"trials": trials}
     return out
 

@@ -85,3 +85,10 @@ def test_shares_of_sums_without_a_mistake_have_a_width() -> None:
     found = of_sums(whole, whole)
     assert found == by_trial(1.0, 3)
     assert found["low"] < 0.5
+
+
+def test_an_interval_of_one_split_is_named_by_what_it_is() -> None:
+    """An evaluation from one session to another has Wilson's already."""
+    low, high = wilson(0.8 * 13, 13)
+    assert with_width({"mean": 0.8, "low": low, "high": high}, 13)["interval by"] == "Wilson, by trial"
+    assert with_width({"mean": 0.8, "low": low, "high": high + 0.01}, 13)["interval by"] == "corrected resampled t"
