@@ -60,15 +60,18 @@ def residuals(track: LabelTrack, recordings: Recordings) -> NDArray[np.float64]:
 
 def explained(track: LabelTrack, recordings: Recordings) -> NDArray[np.float64]:
     """R2 ``[axis]`` of the lines of primitives, pooled over the recordings."""
-    missed, total = residuals(track, recordings).sum(1)
-    return np.asarray(1 - missed / total)
+    return pooled(residuals(track, recordings))
+
+
+def pooled(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One minus the first over the second ``[axis]`` of sums ``[2, recording, axis]``."""
+    part, whole = sums.sum(1)
+    return np.asarray(1 - part / whole)
 
 
 def lowest(shares: NDArray[np.float64]) -> dict[str, Any]:
-    """One minus the first over the second of sums ``[2, recording, axis]``, of the axis where that is least, with the
-    interval from recordings drawn with replacement."""
-    part, whole = shares.sum(1)
-    part, whole = shares[:, :, int(np.argmax(part / whole))]
+    """The least of the :func:`pooled` values, with its interval from recordings drawn with replacement."""
+    part, whole = shares[:, :, int(np.argmin(pooled(shares)))]
     return of_sums(whole - part, whole)
 
 
@@ -97,12 +100,12 @@ def measured(tracks: LabelTracks, recordings: Recordings, approach: NDArray[np.b
     }
     words = {layer: (getattr(tracks, layer).label > 0).sum(-1).mean(0) for layer in LAYERS}
     return {
-        "r2": (1 - r2[0].sum(0) / r2[1].sum(0)).tolist(),
+        "r2": pooled(r2).tolist(),
         "lowest": {"r2": lowest(r2), **{name: lowest(share) for name, share in shares.items()}},
         "words": words["primitive"].tolist(),
         "all_words": {layer: float(count.sum()) for layer, count in words.items()},
         "latency": {layer: latency(getattr(tracks, layer), recordings) for layer in LAYERS},
-        **{name: (1 - share[0].sum(0) / share[1].sum(0)).tolist() for name, share in shares.items()},
+        **{name: pooled(share).tolist() for name, share in shares.items()},
     }
 
 

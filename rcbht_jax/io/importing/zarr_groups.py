@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import zipfile
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import require
-from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, check_declared, parse_json
+from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, check_declared, parse_json, read_bytes
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import bytes_of, isolated
@@ -73,7 +74,7 @@ def zarr_tables(path: Path, name: str) -> Iterator[Table]:
     several = _episodes(path, arrays)
     for part, own in several.items() if several else [("", arrays)]:
         for table in tables_of(path, f"{name}#{part}" if part else name, own, part):
-            yield Table(**{**vars(table), "others": (*table.others, *others)})
+            yield replace(table, others=(*table.others, *others))
 
 
 def _metadata(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -104,9 +105,7 @@ def _files(path: Path) -> Iterator[tuple[str, bytes]]:
     for folder, _, files in os.walk(path):
         for name in sorted({*files} & {*METADATA}):
             file = Path(folder, name)
-            if file.stat().st_size > MAX_JSON_BYTES:
-                raise InputError(f"{file} has more than {MAX_JSON_BYTES} bytes.")
-            yield file.relative_to(path).as_posix(), file.read_bytes()
+            yield file.relative_to(path).as_posix(), read_bytes(file, MAX_JSON_BYTES)
 
 
 def _json(content: bytes, name: str) -> dict[str, Any]:
