@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from numpy.typing import NDArray
+from scipy import stats
 
 from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
 
@@ -70,6 +72,28 @@ def of_sums(part: Float[np.ndarray, " group"], whole: Float[np.ndarray, " group"
     low, high = percentile_interval((many @ part)[used] / wholes[used], len(whole))
     mean = float(part.sum() / whole.sum())
     return with_width({"mean": mean, "low": low, "high": high, "interval by": "groups drawn"}, int((whole > 0).sum()))
+
+
+def jackknife(
+    measure: Callable[[NDArray[Any], NDArray[Any]], Float[np.ndarray, " value"]], one: NDArray[Any], other: NDArray[Any]
+) -> Float[np.ndarray, "2 value"]:
+    """Low and high end of measures of two sets of trials ``[trial, ...]``, each trial left out once.
+
+    Trials drawn with replacement would repeat some, so that a set resembles itself less than it does.
+
+    >>> def difference(a, b):
+    ...     return np.array([a.mean() - b.mean()])
+    >>> jackknife(difference, np.arange(4.0), np.arange(4.0)).round(2).tolist()
+    [[-2.91], [2.91]]
+    """
+    without = (
+        [measure(np.delete(one, row, 0), other) for row in range(len(one))],
+        [measure(one, np.delete(other, row, 0)) for row in range(len(other))],
+    )
+    variance = sum(np.var(np.array(found), 0) * (len(found) - 1) for found in without)
+    half = stats.t.ppf(0.975, min(len(one), len(other)) - 1) * np.sqrt(variance)
+    value = measure(one, other)
+    return np.stack([value - half, value + half])
 
 
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:

@@ -49,36 +49,46 @@ def agreement(pairs: Iterable[tuple[Words, Words]], within: float, lanes: int = 
 
     Returns:
         ``edit``: edit distance of the labels over the longer sequence, mean over pairs, 0 = equal; ``kept``: share of
-        the words longer than 0.1 s, of both copies, that the other one has with the same label and both breaks; ``kept
-        interval``: from recordings drawn with replacement, if there are several; ``breaks``: the share that the other
-        one has with both breaks, whatever its label; ``words``: how many words were that long, without which both
-        shares are None; ``time``: share of time in which both copies have one label.
+        the words longer than 0.1 s, of both copies, that the other one has with the same label and both breaks;
+        ``breaks``: the share that the other one has with both breaks, whatever its label; ``words``: how many words
+        were that long, without which both shares are None; ``time``: share of time in which both copies have one
+        label. The three scores with an ``interval`` have it from recordings drawn with replacement, if there are
+        several.
     """
-    edits, kept, breaks, count = list[float](), list[int](), 0, list[int]()
-    same_time = all_time = 0.0
-    for pair in pairs:
-        same, of = _same_time(*pair)
-        same_time, all_time = same_time + same, all_time + of
-        longest = max(len(words.label) for words in pair)
-        edits.append(edit_distance(pair[0].label, pair[1].label) / longest if longest else 0.0)
-        kept, count = [*kept, 0], [*count, 0]
-        for ours, other in (pair, pair[::-1]):
-            long = ours.end - ours.start > LONG + 1e-9
-            near = _near(ours.start, other.start, within) & _near(ours.end, other.end, within)
-            kept[-1] += int((near & (ours.label[:, None] == other.label)).any(1)[long].sum())
-            breaks += int(near.any(1)[long].sum())
-            count[-1] += int(long.sum())
-    words = sum(count)
-    each = np.array([kept, count], np.float64).reshape(2, -1, lanes).sum(-1)
-    drawn = of_sums(*each) if words and each.shape[1] > 1 and any(edits) else None  # an equal copy cannot vary
+    rows = np.array([_pair(*pair, within) for pair in pairs])
+    edits, (kept, breaks, words), (same, both) = rows[:, 0], rows[:, 1:4].T, rows[:, 4:].T
+    shares = {"edit": (edits, np.ones_like(edits)), "kept": (kept, words), "time": (same, both)}
+    found = {name: _share(*sums, lanes, equal=not edits.any()) for name, sums in shares.items()}
+    count = int(words.sum())
     return {
-        "edit": float(np.mean(edits)),
-        "kept": sum(kept) / words if words else None,
-        **({"kept interval": [drawn["low"], drawn["high"]]} if drawn else {}),
-        "breaks": breaks / words if words else None,
-        "words": words,
-        "time": same_time / all_time if all_time else None,
+        **{name: value for name, (value, _) in found.items()},
+        "breaks": float(breaks.sum()) / count if count else None,
+        "words": count,
+        **{f"{name} interval": interval for name, (_, interval) in found.items() if interval},
     }
+
+
+def _pair(first: Words, second: Words, within: float) -> tuple[float, ...]:
+    """Edit distance; long words with the same label and both breaks, with both breaks, all; seconds alike, and all."""
+    longest = max(len(first.label), len(second.label))
+    kept = breaks = count = 0
+    for ours, other in ((first, second), (second, first)):
+        long = ours.end - ours.start > LONG + 1e-9
+        near = _near(ours.start, other.start, within) & _near(ours.end, other.end, within)
+        kept += int((near & (ours.label[:, None] == other.label)).any(1)[long].sum())
+        breaks += int(near.any(1)[long].sum())
+        count += int(long.sum())
+    edit = edit_distance(first.label, second.label) / longest if longest else 0.0
+    return edit, kept, breaks, count, *_same_time(first, second)
+
+
+def _share(part: Floats, whole: Floats, lanes: int, equal: bool) -> tuple[float | None, list[float] | None]:
+    """A share over pairs, and its interval by recording; an equal copy cannot vary."""
+    if not whole.any():
+        return None, None
+    of_recordings = [values.reshape(-1, lanes).sum(-1) for values in (part, whole)]
+    drawn = of_sums(*of_recordings) if len(of_recordings[0]) > 1 and not equal else None
+    return float(part.sum() / whole.sum()), [drawn["low"], drawn["high"]] if drawn else None
 
 
 def _same_time(first: Words, second: Words) -> tuple[float, float]:

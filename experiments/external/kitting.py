@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 from tqdm import tqdm
 
+from experiments._lib.intervals import of_sums
 from experiments._lib.other_robots import KITTING, of_other_robot
 from experiments._lib.results_io import write_result
 from rcbht_jax import labels
@@ -184,8 +185,22 @@ def measure(
         skill: judge(one, limits, executions[skill].onset) | {"auroc_interval": interval(one, rng)}
         for skill, one in watched.items()
     }
-    calm = np.array([row["false_alarms_of"] for row in skills.values()]).sum(0)
-    return {"skills": skills, "false_alarms": float(calm[0] / calm[1]) if calm[1] else None, "thresholds": limits}
+    return {"skills": skills, "alarms": alarms(list(skills.values())), "thresholds": limits}
+
+
+def alarms(skills: list[dict[str, Any]]) -> dict[str, Any]:
+    """Shares of nominal and of anomalous executions with an alarm, of all skills; intervals from days drawn."""
+    days: dict[str, NDArray[np.float64]] = {}
+    for skill in skills:
+        for day, row in skill["groups"].items():
+            counted = row["anomalous"] if row["detected"] is not None else 0  # None: a day without a threshold
+            counts = np.array([*row["false_alarms_of"], counted * (row["detected"] or 0.0), counted])
+            days[day] = days.get(day, np.zeros(4)) + counts
+    false, nominal, detected, anomalous = np.array(list(days.values())).T
+    return {
+        name: of_sums(part, whole) if whole.any() else None
+        for name, part, whole in (("nominal", false, nominal), ("anomalous", detected, anomalous))
+    }
 
 
 def main(seed: int = 0, skill: tuple[str, ...] = (), show: bool = True) -> None:

@@ -98,8 +98,10 @@ def stability(result: dict[str, Any]) -> Figure:
 
 
 def _kept(ax: Axes, row: dict[str, Any], rule: str, color: str, style: str, marker: str) -> None:
-    """One rule; levels without any long word are left out."""
-    points = [(float(level), found["primitive"]["kept"]) for level, found in row.items()]
-    known = [(level, kept) for level, kept in points if kept is not None]
+    """One rule, with the interval of each share as a band; levels without any long word are left out."""
+    known = [(float(level), one) for level, found in row.items() if (one := found["primitive"])["kept"] is not None]
     if known:
-        ax.plot(*zip(*known, strict=True), color=color, linestyle=style, marker=marker, markersize=4, label=rule)
+        levels, shares = [level for level, _ in known], [one["kept"] for _, one in known]
+        ends = [one.get("kept interval", [one["kept"]] * 2) for _, one in known]
+        ax.fill_between(levels, *zip(*ends, strict=True), color=color, alpha=0.15, linewidth=0)
+        ax.plot(levels, shares, color=color, linestyle=style, marker=marker, markersize=4, label=rule)

@@ -62,39 +62,41 @@ def by_progress(p: Floats, y: Ints, fold: Ints, seconds: Floats, trial: NDArray[
 
 def errors(p: Floats, y: Ints, quarter: Ints, classes: tuple[str, ...], trial: NDArray[Any]) -> dict[str, Any]:
     """Calibration errors of each quarter of the record, of the likeliest class and of every class."""
-    found: dict[str, Any] = {"pooled": metrics.calibration_error(p, y), "pooled interval": interval(p, y, trial)}
+    top, right = p.max(1), p.argmax(1) == y
+    found: dict[str, Any] = {"pooled": metrics.calibration_error(p, y), "pooled interval": interval(top, right, trial)}
     for part in range(PARTS):
         mine = quarter == part
-        alone = {name: one_class(p[mine, c], y[mine] == c) for c, name in enumerate(classes)}
+        alone = [error(p[mine, c], y[mine] == c) for c in range(len(classes))]
+        worst = int(np.argmax(alone))
         found[f"quarter {part + 1}"] = {
             "likeliest": metrics.calibration_error(p[mine], y[mine]),
-            "likeliest interval": interval(p[mine], y[mine], trial[mine]),
-            "mean belief": float(p[mine].max(1).mean()),
+            "likeliest interval": interval(top[mine], right[mine], trial[mine]),
+            "mean belief": float(top[mine].mean()),
             "accuracy": metrics.accuracy(y[mine], p[mine].argmax(1)),
-            "worst class": max(alone.values()),
-            "classes": alone,
+            "worst class": alone[worst],
+            "worst class interval": interval(p[mine, worst], y[mine] == worst, trial[mine]),
+            "classes": dict(zip(classes, alone, strict=True)),
         }
     return rounded(found)
 
 
-def interval(p: Floats, y: Ints, trial: NDArray[Any]) -> list[float]:
-    """95 % interval of the calibration error from trials drawn with replacement.
+def interval(p: Floats, true: NDArray[np.bool_], trial: NDArray[Any]) -> list[float]:
+    """95 % interval of the calibration error of a belief ``[step]`` from trials drawn with replacement.
 
     A draw adds noise, which an error counts as error: what the draws exceed it by in the mean is subtracted.
     """
-    top = p.max(1)
-    index = np.minimum((top * BINS).astype(np.int64), BINS - 1)
-    gap = sums((top - (p.argmax(1) == y))[:, None] * (index[:, None] == np.arange(BINS)), trial)  # [trial, bin]
-    steps, counts = sums(np.ones(len(y)), trial), drawn(len(gap), 0)
+    index = np.minimum((p * BINS).astype(np.int64), BINS - 1)
+    gap = sums((p - true)[:, None] * (index[:, None] == np.arange(BINS)), trial)  # [trial, bin]
+    steps, counts = sums(np.ones(len(p)), trial), drawn(len(gap), 0)
     found = np.abs(counts @ gap).sum(1) / (counts @ steps)
-    low, high = np.array(metrics.percentile_interval(found, len(gap))) - found.mean() + metrics.calibration_error(p, y)
+    low, high = np.array(metrics.percentile_interval(found, len(gap))) - found.mean() + error(p, true)
     return [max(float(low), 0.0), float(high)]
 
 
-def one_class(p: Floats, true: NDArray[np.bool_]) -> float:
-    """Calibration error of the belief ``[step]`` in one class."""
-    index = np.minimum((p * 10).astype(np.int64), 9)
-    gap = np.bincount(index, p, 10) - np.bincount(index, true.astype(float), 10)
+def error(p: Floats, true: NDArray[np.bool_]) -> float:
+    """Calibration error of a belief ``[step]`` in what is true or not."""
+    index = np.minimum((p * BINS).astype(np.int64), BINS - 1)
+    gap = np.bincount(index, p, BINS) - np.bincount(index, true.astype(float), BINS)
     return float(np.abs(gap).sum() / len(p))
 
 

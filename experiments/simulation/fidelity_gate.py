@@ -2,8 +2,9 @@
 
 For every session the preset, and the one with hooks that catch or with rigid contacts; the same without tabs, with soft
 springs, and with another session's parts; a constant for every state and axis; and the recorded mean with sensor noise.
-As a control, one half of the recordings against the other. Null models must fail, recordings must pass. Where a session
-has a grid of placements, the trials are counted that seat, or do not, as recorded.
+As a control, one half of the recordings against the other. Null models must fail, recordings must pass. Intervals leave
+out each trial once, recorded and simulated. Where a session has a grid of placements, the trials are counted that seat,
+or do not, as recorded.
 Run: python -m experiments.simulation.fidelity_gate [--session A B C openhrp hooked-A hooked-B hooked-C rigid-openhrp]
 """
 
@@ -15,8 +16,10 @@ from typing import Any
 import numpy as np
 import tyro
 
-from experiments._lib.benchmarks import recorded
+from experiments._lib.benchmarks import recorded, rounded
+from experiments._lib.intervals import jackknife
 from experiments._lib.results_io import write_result
+from rcbht_jax.learning.metrics import has_width, wilson
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.presets import HOOKED, ONE_ARM
@@ -31,6 +34,7 @@ SEED = 0
 SESSIONS = ONE_ARM | HOOKED | {RIGID.name: RIGID}
 OTHER = {"A": "B", "B": "A", "C": "A", "openhrp": "A"}  # whose parts a session is given
 COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # limits of the former gate: the similarity of session A to session B
+MEASURES = ("coverage", "W1/sd", "DTW/sd", "spread", "AUC")  # those with an interval
 SOFT = 0.01  # of the springs' stiffness
 
 
@@ -87,9 +91,27 @@ def row(
     return {
         "mated": len(test),
         "checks": gate.as_json(found),
+        "intervals": intervals(reference, test, found["AUC"].value),
         "passes": all(check.holds for check in found.values()),
         "passed before": all(check.holds for check in before.values()),
     }
+
+
+def intervals(reference: np.ndarray, test: np.ndarray, area: float | None) -> dict[str, list[float]]:
+    """95 % intervals of measures between two sets of trials: by jackknife, and Wilson's for the AUC of the fewer.
+
+    What cannot vary, such as the spread of equal trials, has none.
+    """
+
+    def measures(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        score = signature.compare(one, other)
+        return np.array([score.coverage, score.w1_over_sd, score.dtw_over_sd, gate.spread(one, other)])
+
+    fewer = min(len(reference), len(test))
+    low, high = jackknife(measures, reference, test)
+    ends = np.stack([np.maximum(low, 0.0), np.minimum(high, (1.0, *[np.inf] * 3))], 1)
+    found = rounded([*ends.tolist(), list(wilson((area or 0.0) * fewer, fewer))])
+    return {name: each for name, each in zip(MEASURES, found, strict=True) if has_width(*each)}
 
 
 def main(session: tuple[str, ...] = tuple(SESSIONS)) -> None:

@@ -148,6 +148,17 @@ def fidelity_gate(result: Result) -> Lines:
             yield (f"{session}: {name}", *cells, *verdicts)
 
 
+@table("gate-intervals", "fidelity_gate")
+def gate_intervals(result: Result) -> Lines:
+    """Measures of the presets and of recordings against each other, with their intervals."""
+    yield ("", *GATE[:5])
+    for session, rows in result["rows"].items():
+        for name in ("the preset", "recordings: one half against the other"):
+            checks, ends = rows[name]["checks"], rows[name]["intervals"]
+            cells = (f"{checks[each]['value']:.2f} ({ends[each][0]:.2f} to {ends[each][1]:.2f})" for each in GATE[:5])
+            yield (f"{session}: {name}", *cells)
+
+
 @table("separability", "separability")
 def separability(result: Result) -> Lines:
     """AUC between the halves of a session's recordings, one of them moved."""

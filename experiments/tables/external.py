@@ -58,16 +58,18 @@ def caps(result: dict[str, Any]) -> Lines:
 
 @table("external-kitting", "kitting", "kitting_more")
 def kitting(result: dict[str, Any], more: dict[str, Any]) -> Lines:
-    """AUROC of each skill, false alarms and delay of monitors trained on nominal executions only."""
+    """AUROC of each skill, false alarms, detections and delay of monitors trained on nominal executions only."""
     named = {
         f"{channels}: {name}": row for channels, methods in result["rows"].items() for name, row in methods.items()
     }
-    yield ("AUROC", *(f"skill {number}" for number in (3, 4, 5, 7)), "false alarms", "slowest median delay, s")
+    head = (*(f"skill {number}" for number in (3, 4, 5, 7)), "false alarms", "detected", "slowest median delay, s")
+    yield ("AUROC", *head)
     for title, row in (named | {name: row for name, row in more["rows"].items() if "skills" in row}).items():
         skills = row["skills"].values()
         late = [cell["delay_median"] for cell in skills if cell["delay_median"] is not None]
         values = [score(_auroc(cell)) for cell in skills]
-        yield (title, *values, f"{row['false_alarms']:.3f}", f"{max(late):.2f}")
+        shares = (score(row["alarms"][kind]) for kind in ("nominal", "anomalous"))
+        yield (title, *values, *shares, f"{max(late):.2f}")
 
 
 def _auroc(cell: dict[str, Any]) -> dict[str, float]:

@@ -79,8 +79,10 @@ def failure_calibration(result: Result) -> Lines:
     yield ("", "beliefs", "pooled", *quarters)
     for name, kinds in result["rows"].items():
         for kind, row in kinds.items():
-            likeliest = {
-                part: f"{row[part]['likeliest']:.3f}{ends(*row[part]['likeliest interval'])}" for part in quarters
-            }
-            cells = [f"{cell} / {row[part]['worst class']:.3f}" for part, cell in likeliest.items()]
-            yield (name, kind, f"{row['pooled']:.3f}{ends(*row['pooled interval'])}", *cells)
+            errors = ("likeliest", "worst class")
+            cells = [" / ".join(_with_ends(row[part], each) for each in errors) for part in quarters]
+            yield (name, kind, _with_ends(row, "pooled"), *cells)
+
+
+def _with_ends(row: Result, name: str) -> str:
+    return f"{row[name]:.3f}{ends(*row[f'{name} interval'])}"

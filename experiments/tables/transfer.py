@@ -17,9 +17,7 @@ def _transfers(result: Result, groups: tuple[str, ...]) -> Lines:
     yield ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
     for name in [name for group in groups for name in rows if name.split(" | ")[0] == group]:
         scores = [rows[name][states][on] for states in ("merged", "harmonised") for on in ("A", "B", "A+B")]
-        cells = [f"{score['accuracy']:.3f}" for score in scores]
-        for place in (2, 5):
-            cells[place] += ends(*scores[place]["interval"])
+        cells = [f"{one['accuracy']:.3f}{ends(*one['interval'])}" for one in scores]
         title = TITLES_OF_ROWS.get(name, name.replace(" | ", ": "))
         yield (title, str(rows[name]["merged"]["trials"]), *cells)
 
@@ -29,8 +27,7 @@ def zero_shot(result: Result) -> Lines:
     """States of recorded trials by simulated ones that were fitted to none of them."""
     yield "", "by", "training trials", "A", "B", "both"
     for name, row in result["rows"].items():
-        cells = [f"{row[on]['mean']:.3f}" for on in ("A", "B")]
-        yield (*name.split(" | "), str(row["training trials"]), *cells, score(row["A+B"]))
+        yield (*name.split(" | "), str(row["training trials"]), *(score(row[on]) for on in ("A", "B", "A+B")))
 
 
 CHOICES = ("randomisation", "mating", "sensor", "amount", "features", "features, without A and B", "window", "tare")

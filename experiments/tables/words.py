@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from experiments.tables.cells import NONE, Lines, ends, score, streamed_score, table
 
 TARGET = "0.01"  # residual at which methods are compared
 APPROACH = ("approach_constant", "approach_constant_inside", "approach_fixed_inside")
+AGREEMENT = {"kept": "stays", "edit": "edit distance", "time": "equal time"}
 LAYERS = {"primitive": "primitives", "mc": "compositions", "llb": "behaviours"}
 
 
@@ -133,8 +135,17 @@ def rate(result: dict[str, Any]) -> Lines:
     yield ("", "decides from", *result["sets"])
     for method, (when, _) in result["kinds"].items():
         found = [result["rows"].get(f"rate | {name} | {method}") for name in result["sets"]]
-        at = [row["words per second at residual"][TARGET] if row else None for row in found]
-        yield (method, when, *(NONE if value is None else f"{value:.2f}" for value in at))
+        yield (method, when, *(_needed(row) if row else NONE for row in found))
+
+
+def _needed(row: dict[str, Any]) -> str:
+    value, interval = (row[key].get(TARGET) for key in ("words per second at residual", "interval of words per second"))
+    return NONE if value is None else f"{value:.2f}" + (_between(interval) if interval else "")
+
+
+def _between(interval: Sequence[float]) -> str:
+    low, high = interval
+    return f" ({low:.2f} to {high:.2f})"
 
 
 @table("words-defaults", "rate_distortion")
@@ -187,26 +198,25 @@ def tried_noise(result: dict[str, Any]) -> Lines:
     for name, row in rows.items():
         _, of, kind = name.split(" | ")
         clean = result["rows"][f"clean | {of} | {kind}"]
-        cells = ([row[level][key] for key in ("kept", "time", "words per second")] for level in levels)
-        shown = (" / ".join(NONE if v is None else f"{v:.2f}" for v in cell) for cell in cells)
+        cells = ((_agreed(row[level], key) for key in ("kept", "time", "words per second")) for level in levels)
+        shown = (" / ".join(cell) for cell in cells)
         yield (of, kind, f"{clean['residual']:.4f} / {clean['words per second']:.2f}", *shown)
 
 
 def _stability(result: dict[str, Any], kind: str, what: str) -> Lines:
     rows = {name: row for name, row in result["rows"].items() if name.startswith(f"{kind} | ")}
-    levels = list(next(iter(rows.values())))
-    yield ("stays / edit distance / equal time", what, *levels)
-    for name, row in rows.items():
+    yield ("", "words", what, *AGREEMENT.values())
+    for name, levels in rows.items():
         _, of, rule = name.split(" | ")
-        found = [row[level]["primitive"] for level in levels]
-        yield (of, rule, *(_three(one) for one in found))
+        for level, row in levels.items():
+            yield (of, rule, level, *(_agreed(row["primitive"], key) for key in AGREEMENT))
 
 
-def _three(found: dict[str, Any]) -> str:
-    kept, *others = (NONE if found[key] is None else f"{found[key]:.2f}" for key in ("kept", "edit", "time"))
-    low, high = found.get("kept interval", (0.0, 0.0))
-    interval = f" ({low:.2f} to {high:.2f})" if low < high else ""
-    return " / ".join((f"{kept}{interval}", *others))
+def _agreed(found: dict[str, Any], key: str) -> str:
+    if found[key] is None:
+        return NONE
+    interval = found.get(f"{key} interval")
+    return f"{found[key]:.2f}" + (_between(interval) if interval else "")
 
 
 @table("snap-events", "snaps")

@@ -58,11 +58,6 @@ def residuals(track: LabelTrack, recordings: Recordings) -> NDArray[np.float64]:
     return squares
 
 
-def explained(track: LabelTrack, recordings: Recordings) -> NDArray[np.float64]:
-    """R2 ``[axis]`` of the lines of primitives, pooled over the recordings."""
-    return pooled(residuals(track, recordings))
-
-
 def pooled(sums: NDArray[np.float64]) -> NDArray[np.float64]:
     """One minus the first over the second ``[axis]`` of sums ``[2, recording, axis]``."""
     part, whole = sums.sum(1)

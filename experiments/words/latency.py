@@ -134,22 +134,33 @@ def finals(published: LabelTrack, ended: LabelTrack) -> NDArray[np.int64]:
     return found[WINDOW - 1 :: WINDOW]
 
 
-def counted(published: LabelTrack, shown: Shown, final: NDArray[np.int64], still: int) -> NDArray[np.int64]:
-    """COUNTS of one trial and layer."""
-    wrong = total = 0
-    for axis in range(final.shape[1]):
+def shown_twice(published: LabelTrack, shown: Shown) -> NDArray[np.int64]:
+    """Published words that were shown after two windows: window of the second, axis, label then, label published."""
+    found: list[tuple[int, ...]] = []
+    for axis in range(published.label.shape[1]):
         there = np.flatnonzero(published.label[:, axis])
         labels = dict(zip(published.t0[there, axis].tolist(), published.label[there, axis].tolist(), strict=True))
-        seen: dict[int, list[int]] = {}
-        for begin, label in zip(shown.begin[:, axis].tolist(), shown.label[:, axis].tolist(), strict=True):
+        seen: dict[int, list[tuple[int, int]]] = {}
+        both = zip(shown.begin[:, axis].tolist(), shown.label[:, axis].tolist(), strict=True)
+        for window, (begin, label) in enumerate(both):
             if label:
-                seen.setdefault(begin, []).append(label)
-        twice = [begin for begin in labels if len(seen.get(begin, ())) > 1]
-        wrong += sum(seen[begin][1] != labels[begin] for begin in twice)
-        total += len(twice)
+                seen.setdefault(begin, []).append((window, label))
+        found += [
+            (seen[begin][1][0], axis, seen[begin][1][1], label)
+            for begin, label in labels.items()
+            if len(seen.get(begin, ())) > 1
+        ]
+    return np.array(found, np.int64).reshape(-1, 4)
+
+
+def counted(published: LabelTrack, shown: Shown, final: NDArray[np.int64], still: int) -> NDArray[np.int64]:
+    """COUNTS of one trial and layer."""
+    _, _, then, label = shown_twice(published, shown).T
     right, moves = shown.label == final, final != still
     words = (published.label > 0).sum()
-    return np.array([wrong, total, words, right.sum(), right.size, (right & moves).sum(), moves.sum()])
+    return np.array([
+        (then != label).sum(), len(label), words, right.sum(), right.size, (right & moves).sum(), moves.sum()
+    ])  # fmt: skip
 
 
 def ways(trial: Trial, layer: str) -> dict[str, Shown]:

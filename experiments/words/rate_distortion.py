@@ -1,10 +1,10 @@
 """Rate and distortion of words: residual of the wrench over words per second, and stability under noise.
 
 Residuals are one minus R2 of each axis, pooled over the recordings of a set, mean over axes; words per second are those
-of one axis, mean over axes. Every method has one knob, which makes its curve: the tolerance of the fit rule and of the
-streaming filters (factors on the fit rule's default), the window of the published rules and of SAX, a penalty of the
-optimum. Stability: two copies with independent white noise, and copies at other rates, for both rules and for the
-bottom-up lines, which see the whole recording.
+of one axis, mean over axes. Intervals come from recordings drawn with replacement. Every method has one knob, which
+makes its curve: the tolerance of the fit rule and of the streaming filters (factors on the fit rule's default), the
+window of the published rules and of SAX, a penalty of the optimum. Stability: two copies with independent white noise,
+and copies at other rates, for both rules and for the bottom-up lines, which see the whole recording.
 
 Run: python -m experiments.words.rate_distortion --seed 0
 Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_DATA and RCBHT_EXTERNAL; the rows of
@@ -23,17 +23,20 @@ import tyro
 
 from experiments._lib import piecewise, symbolic
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import drawn
 from experiments._lib.piecewise import Approximation, Floats
 from experiments.words import stability
-from experiments.words.fit_quality import explained
+from experiments.words.fit_quality import residuals
 from experiments.words.sets import COUNTS, Part, part
+from rcbht_jax.learning.metrics import percentile_interval
 
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # on the default tolerance
 PENALTIES = (2.5, 15.0, 90.0, 540.0, 3240.0)  # squared tolerances per piece
 WIDTHS = (3, 5, 10, 20, 40, 80)  # of SAX and of equal windows, samples
 ALPHA = 0.1  # of fABBA
 TARGETS = (0.05, 0.01, 0.002)  # residuals at which curves are compared
-Curve = list[dict[str, Any]]
+Point = tuple[str, Floats]  # its name; words, squared residuals and squared deviations [3, recording, axis]
+Curve = list[Point]
 Method = Callable[[Part], Curve]
 
 # Properties of a method: when it can publish a word, and how many numbers a word has besides its length.
@@ -55,37 +58,42 @@ KINDS = {
 }
 
 
-def point(at: str, words: Floats, residual: Floats, seconds: float) -> dict[str, Any]:
+def point(at: str, sums: Floats, seconds: float) -> dict[str, Any]:
     """One point of a curve; words and residual of every axis."""
+    words, residual = rates(sums.sum(1), seconds)
     return {
         "at": at,
-        "words per second": significant(float(words.mean() / seconds)),
+        "words per second": significant(float(words.mean())),
         "residual": significant(float(residual.mean())),
-        "words per second by axis": [significant(value / seconds) for value in words.tolist()],
+        "words per second by axis": [significant(value) for value in words.tolist()],
         "residual by axis": [significant(value) for value in residual.tolist()],
     }
+
+
+def rates(sums: Floats, seconds: float | Floats) -> tuple[Floats, Floats]:
+    """Words per second and residual, of sums ``[3, ...]``."""
+    words, missed, total = sums
+    return words / seconds, missed / np.where(total > 0, total, 1.0)
 
 
 def significant(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def of_approximations(data: Part, at: str, found: Iterable[Sequence[Approximation]]) -> dict[str, Any]:
+def of_approximations(data: Part, at: str, found: Iterable[Sequence[Approximation]]) -> Point:
     """The point of approximations ``[recording][axis]``."""
-    missed, total, words = np.zeros((3, len(data.recordings.axes)))
-    for signals, row in zip(data.signals, found, strict=True):
-        for axis, (y, one) in enumerate(zip(signals, row, strict=True)):
-            missed[axis] += ((y - one.values) ** 2).sum()
-            total[axis] += ((y - y.mean()) ** 2).sum()
-            words[axis] += one.words
-    return point(at, words, missed / np.where(total > 0, total, 1.0), data.seconds)
+    sums = [
+        [(one.words, ((y - one.values) ** 2).sum(), ((y - y.mean()) ** 2).sum()) for y, one in zip(*both, strict=True)]
+        for both in zip(data.signals, found, strict=True)
+    ]
+    return at, np.moveaxis(np.array(sums, float), -1, 0)
 
 
-def of_rule(data: Part, rule: str, at: str, window: int, tolerance: Any = None) -> dict[str, Any]:
+def of_rule(data: Part, rule: str, at: str, window: int, tolerance: Any = None) -> Point:
     """The point of the primitives of either rule, as lines with their own mean and slope."""
     track = data.words(rule, window, tolerance).primitive
-    residual = 1 - explained(track, data.recordings)
-    return point(at, np.asarray(track.label > 0).sum(-1).sum(0).astype(float), residual, data.seconds)
+    words = np.asarray(track.label > 0).sum(-1)
+    return at, np.stack([words, *residuals(track, data.recordings)])
 
 
 def paper(data: Part) -> Curve:
@@ -145,7 +153,7 @@ def optimum(data: Part) -> Curve:
         return piecewise.lines(y, piecewise.optimal(y, root * root))
 
     curve = by_tolerance(data, make, np.sqrt(PENALTIES).tolist(), "")
-    return [found | {"at": f"penalty {penalty:g}"} for found, penalty in zip(curve, PENALTIES, strict=True)]
+    return [(f"penalty {penalty:g}", sums) for (_, sums), penalty in zip(curve, PENALTIES, strict=True)]
 
 
 METHODS: dict[str, Method] = {
@@ -174,13 +182,17 @@ METHODS: dict[str, Method] = {
 }  # fmt: skip
 
 
-def needed(curve: Curve, target: float) -> float | None:
+def needed(curve: Iterable[tuple[float, float]], target: float) -> float | None:
     """Words per second at which a curve reaches a residual: a line on logarithmic scales between its points.
 
     None where no point of it does, or where all do. A point counts only if no point with fewer words is better.
+
+    Args:
+        curve: words per second and residual of each point.
+        target: the residual.
     """
     best: list[tuple[float, float]] = []
-    for rate, left in sorted((at["words per second"], at["residual"]) for at in curve):
+    for rate, left in sorted(curve):
         if not best or left < best[-1][1]:
             best.append((rate, left))
     for (rate, left), (more, less) in pairwise(best):
@@ -190,9 +202,25 @@ def needed(curve: Curve, target: float) -> float | None:
     return None
 
 
+def needed_by_chance(curve: Curve, seconds: Floats, target: float) -> list[float] | None:
+    """The interval of :func:`needed` from recordings drawn with replacement; None where one draw in twenty has none."""
+    many = drawn(len(seconds), 0)
+    points = [rates(np.einsum("dr,sra->sda", many, sums), (many @ seconds)[:, None]) for _, sums in curve]
+    means = np.array([[each.mean(-1) for each in both] for both in points])  # [point, 2, draw]
+    found = [needed(map(tuple, one), target) for one in np.moveaxis(means, -1, 0).tolist()]
+    known = np.array([value for value in found if value is not None])
+    if len(known) < 0.95 * len(found):
+        return None
+    return [significant(end) for end in percentile_interval(known, len(seconds))]
+
+
 def rate_row(name: str, method: str) -> dict[str, Any]:
-    curve = METHODS[method](part(name))
-    return {"points": curve, "words per second at residual": {f"{t:g}": needed(curve, t) for t in TARGETS}}
+    data = part(name)
+    curve, seconds = METHODS[method](data), data.recordings.length * data.recordings.dt
+    points = [point(at, sums, data.seconds) for at, sums in curve]
+    reached = {f"{t:g}": needed([(p["words per second"], p["residual"]) for p in points], t) for t in TARGETS}
+    ends = {key: needed_by_chance(curve, seconds, float(key)) for key, value in reached.items() if value is not None}
+    return {"points": points, "words per second at residual": reached, "interval of words per second": ends}
 
 
 def about() -> dict[str, Any]:

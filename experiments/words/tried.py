@@ -69,8 +69,8 @@ def curve(name: str, kind: str) -> dict[str, Any]:
         points.append({"factor": factor, "residual": residual} | {f"{what} per second": rate for what, rate in both})
     out: dict[str, Any] = {"points": points}
     for what in ("words", "numbers"):
-        as_words = [point | {"words per second": point[f"{what} per second"]} for point in points]
-        out[f"{what} per second at residual"] = {f"{target:g}": needed(as_words, target) for target in TARGETS}
+        pairs = [(point[f"{what} per second"], point["residual"]) for point in points]
+        out[f"{what} per second at residual"] = {f"{target:g}": needed(pairs, target) for target in TARGETS}
     return out
 
 
@@ -97,7 +97,7 @@ def of_noise(name: str, kind: str, seed: int) -> dict[str, Any]:
         rng = np.random.default_rng([seed, round(1000 * level)])
         copies = [noisy(data.recordings, data.tolerance * level, rng) for _ in range(2)]
         first, second = (_words(data, copy, STABLE[kind]) for copy in copies)
-        agreed = rounded(agreement(zip(first, second, strict=True), WINDOW))
+        agreed = rounded(agreement(zip(first, second, strict=True), WINDOW, len(data.tolerance)))
         rate = np.mean([len(one.label) for one in first]) * len(data.recordings) / data.seconds
         found[f"{level:g}"] = agreed | {"words per second": significant(float(rate))}
     return found

@@ -15,7 +15,7 @@ from sim_mjx.synthesis import shards
 from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.records import Arrays
 
-MOST = 4  # shards that are written at the same time; each takes a third of a megabyte of memory a trial
+MOST = 3  # shards that are written at the same time; each takes a third of a megabyte of memory a trial
 FEWEST = 4  # cores, and missing shards, from which on processes write
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -125,9 +126,23 @@ def test_other_skills_of_kitting_are_measured() -> None:
     assert found["skills"]["9"]["auroc"] is found["skills"]["9"]["auroc_interval"] is None
     assert not_finite(found) == ""
     assert found["thresholds"] == {}  # it takes 19 nominal executions
-    assert found["false_alarms"] is None
+    assert found["alarms"] == {"nominal": None, "anomalous": None}
     with pytest.raises(InputError, match="No skill has 3 nominal executions besides those of one day"):
         kitting.skills(recordings.take(np.arange(16, 20)))
+
+
+def test_alarms_are_counted_by_day() -> None:
+    """Days of two skills; one has no anomaly, and one no threshold."""
+
+    def day(false: int, nominal: int, detected: float | None, anomalous: int) -> dict[str, Any]:
+        return {"false_alarms_of": [false, nominal], "detected": detected, "anomalous": anomalous}
+
+    first = {"may": day(1, 10, 0.5, 4), "june": day(0, 20, None, 0), "july": day(0, 0, None, 7)}
+    found = kitting.alarms([{"groups": first}, {"groups": {"may": day(2, 30, 1.0, 2)}}])
+    assert found["nominal"]["mean"] == pytest.approx(3 / 60)
+    assert found["anomalous"]["mean"] == pytest.approx(4 / 6)
+    assert found["nominal"]["low"] == 0
+    assert found["nominal"]["high"] == pytest.approx(3 / 40)  # may alone
 
 
 def test_a_class_with_one_item_is_not_learned() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments._lib.results_io import committed
-from experiments.online.failure_calibration import by_progress, errors, interval, one_class
+from experiments.online.failure_calibration import by_progress, error, errors, interval
 from rcbht_jax.learning.progress import PARTS, mixed, part_of
 
 STEPS, CLASSES, FOLDS = 4000, 5, 5
@@ -50,7 +50,7 @@ def test_calibration_does_not_read_the_trials_that_it_serves(beliefs: tuple[np.n
 
 def test_the_error_of_one_class_is_that_of_its_bins() -> None:
     p, true = np.array([0.05, 0.05, 0.95, 0.95]), np.array([False, True, True, True])
-    assert one_class(p, true) == pytest.approx((abs(0.1 - 1) + abs(1.9 - 2)) / 4)
+    assert error(p, true) == pytest.approx((abs(0.1 - 1) + abs(1.9 - 2)) / 4)
     prior = np.array([0.5, 0.5])
     np.testing.assert_allclose(mixed(np.array([[0.9, 0.1]]), 1.0, 0.5, prior), [[0.7, 0.3]])
     assert part_of(np.array([0.0, 0.26, 1.0, 7.0])).tolist() == [0, 1, 3, 3]
@@ -69,6 +69,6 @@ def test_intervals_of_calibration_errors_hold_the_truth() -> None:
     for seed in range(100):
         rng = np.random.default_rng(seed)
         y = (rng.random(300) > np.repeat(rng.beta(6, 4, 30), 10)).astype(int)
-        low, high = interval(np.tile([0.8, 0.2], (300, 1)), y, trial)
+        low, high = interval(np.full(300, 0.8), y == 0, trial)
         held += low <= 0.2 <= high
     assert held >= 90

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy import stats
 
 from experiments._lib.benchmarks import with_interval
-from experiments._lib.intervals import by_trial, of_folds, of_sums, with_width, without
+from experiments._lib.intervals import by_trial, jackknife, of_folds, of_sums, with_width, without
 from experiments._lib.results_io import COMMITTED
 from rcbht_jax.learning.metrics import has_width, wilson
 
@@ -92,3 +94,25 @@ def test_an_interval_of_one_split_is_named_by_what_it_is() -> None:
     low, high = wilson(0.8 * 13, 13)
     assert with_width({"mean": 0.8, "low": low, "high": high}, 13)["interval by"] == "Wilson, by trial"
     assert with_width({"mean": 0.8, "low": low, "high": high + 0.01}, 13)["interval by"] == "corrected resampled t"
+
+
+def test_the_jackknife_of_means_is_that_of_student() -> None:
+    """The standard error of a difference of means; for a nonlinear measure, about that of draws."""
+    rng = np.random.default_rng(0)
+    one, other = rng.normal(size=(9, 3)), rng.normal(size=(14, 3)) + 2
+
+    def difference(first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.float64]:
+        return np.asarray(first.mean(0) - second.mean(0))
+
+    low, high = jackknife(difference, one, other)
+    error = np.sqrt(one.var(0, ddof=1) / 9 + other.var(0, ddof=1) / 14)
+    np.testing.assert_allclose((low + high) / 2, difference(one, other))
+    np.testing.assert_allclose((high - low) / 2, stats.t.ppf(0.975, 8) * error)
+
+    def ratio(first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.float64]:
+        return np.asarray(first.std(0) / second.std(0))
+
+    many = [ratio(rng.normal(size=(30, 1)), rng.normal(size=(40, 1))) for _ in range(2000)]
+    ends = [jackknife(ratio, rng.normal(size=(30, 1)), rng.normal(size=(40, 1))) for _ in range(200)]
+    widths = [float(high[0] - low[0]) / 2 / stats.t.ppf(0.975, 29) for low, high in ends]
+    assert np.median(widths) == pytest.approx(np.std(many), rel=0.15)

@@ -18,7 +18,6 @@ from experiments._lib.benchmarks import CONFOUNDS
 from experiments._lib.report_rows import NAME, report_rows
 from experiments.figures.all import FIGURES, PICTURES
 from experiments.tables import TABLES
-from rcbht_jax.errors import InputError
 from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.report.results import cells, read_results
 
@@ -31,7 +30,7 @@ WITH_INTERVALS = (
     "peers-folds", "peers-sessions", "grammar-folds", "grammar-sessions", "calibration", "calibration-near",
     "calibration-bank", "probes", "two-arm", "ablations", "online", "detected", "abnormal", "failure-types",
     "external-kitting", "external-first", "external-caps", "fit-classes", "fit-transfer", "faults-across",
-    "frozen-choice", "types-across-recall", "time-known",
+    "frozen-choice", "types-across-recall", "time-known", "sim-to-real", "sim-to-real-choices", "zero-shot",
 )  # fmt: skip
 # Pages whose scores are all generated.
 BY_HAND = (
@@ -64,8 +63,9 @@ CELLS = [
      ".2f rate_distortion > rows > rate | SIM1 | optimum > words per second at residual > 0.01"),
     ("words-defaults", "SIM1 | 5", "residual of fit",
      ".4f rate_distortion > rows > rate | SIM1 | fit > points > 2 > residual"),
-    ("words-noise", "SIM1 | fit", "0.5", ".2f rate_distortion > rows > noise | SIM1 | fit > 0.5 > primitive > kept"),
-    ("words-resampled", "two-arm | published rules", "100",
+    ("words-noise", "SIM1 | fit | 0.5", "stays",
+     ".2f rate_distortion > rows > noise | SIM1 | fit > 0.5 > primitive > kept"),
+    ("words-resampled", "two-arm | published rules | 100", "stays",
      ".2f rate_distortion > rows > resampled | two-arm | published rules > 100 > primitive > kept"),
     ("results", "13 failure types of the authors' simulation", "frozen method, 95 % interval",
      ".3f headline > rows > failure types | frozen > score > mean"),
@@ -153,6 +153,7 @@ CELLS = [
     ("parity-floor", "part moved by 1e-07 m", "largest difference until contact",
      ".3f parity_floor > rows > part moved by 1e-07 m > force_until_contact"),
     ("gate", "B: the preset", "spread", ".2f fidelity_gate > rows > B > the preset > checks > spread > value"),
+    ("gate-intervals", "C: the preset", "AUC", ".2f fidelity_gate > rows > C > the preset > checks > AUC > value"),
     ("separability", "openhrp", "0.01 N", ".2f separability > recordings > openhrp > moved by N > 0.01"),
     ("hook-forces", "four tabs, two after two", "press, N",
      ".2f hook_bench > parts > four tabs, two after two > press"),
@@ -213,8 +214,7 @@ def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str],
 def test_every_number_of_a_table_is_in_the_results_that_it_declares(
     name: str, declared: Callable[[str], list[float]]
 ) -> None:
-    values = declared(name)
-    lines = TABLES[name]("").splitlines()
+    values, lines = declared(name), TABLES[name]("").splitlines()
     assert len({line.count("|") for line in lines}) == 1
     held = {f"{abs(value) / unit:.{digits}f}" for value in values for digits in (2, 3, 4) for unit in (1, 1e6, 1e9)}
     if name in ("results", "all-results", "ablations"):  # what the paper prints is text in the rows
@@ -334,67 +334,3 @@ def test_no_score_is_typed_into_the_confounds_of_the_recorded_data() -> None:
 def test_every_picture_has_a_command_that_draws_it() -> None:
     drawn = [*FIGURES, *PICTURES]
     assert sorted(drawn) == sorted(path.stem for path in (ROOT / "docs" / "images").glob("*.png"))
-
-
-@pytest.fixture
-def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A page beside one result."""
-    monkeypatch.setattr(pages, "ROOT", tmp_path)
-    monkeypatch.setattr(pages, "COMMITTED", tmp_path)
-    result = {"rows": {"A -> B | words, 10 %": [{"mean": 0.98765}, "12 of 13", 4.7e9]}}
-    (tmp_path / "some.json").write_text(json.dumps({"seed": 0, "result": result}))
-    return tmp_path / "page.md"
-
-
-def shown(page: Path, mark: str) -> str:
-    page.write_text(f"It is <!-- number {mark} -->old<!-- /number --> here.")
-    text = pages.replaced(page)
-    assert text.startswith(f"It is <!-- number {mark} -->")
-    assert pages.by_hand(page) == "It is  here."
-    page.write_text(text)
-    assert pages.replaced(page) == text
-    return re.sub(r"<!--.*?-->", "", text, flags=re.S).removeprefix("It is ").removesuffix(" here.")
-
-
-def test_numbers_in_sentences(page: Path) -> None:
-    row = "some > rows > A -> B | words, 10 % > "
-    assert shown(page, f".3f {row}0 > mean") == "0.988"
-    assert shown(page, f".0% {row}0 > mean") == "99%"
-    assert shown(page, f"s {row}1") == "12 of 13"
-    assert shown(page, f".1f/1e9 {row}2") == "4.7"
-    assert shown(page, ".2f some\n> rows > A -> B |\nwords, 10 % > 0 > mean") == "0.99"  # a line may end anywhere
-
-
-def test_a_mark_does_not_begin_a_line(page: Path) -> None:
-    for text in (
-        "It is\n<!-- number d some > rows -->1<!-- /number -->",
-        "* It is\n  <!--\nnumber d some > rows -->1<!-- /number -->",
-    ):
-        page.write_text(text)
-        with pytest.raises(InputError, match=r"page.md, line \d: .* must not begin a line"):
-            pages.replaced(page)
-
-
-@pytest.mark.parametrize(
-    ("mark", "why"),
-    [
-        (".2f none > rows", "no result 'none'"),
-        (".2f some > row", "there is: rows"),
-        (".2f some > rows > A -> B | words, 10 % > 7", "has no '7'"),
-        (".2f some > rows", "not one value"),
-        (".2f some > rows > A -> B | words, 10 % > 1", "cannot be shown"),
-        (".2f/none some > rows > A -> B | words, 10 % > 2", "cannot be shown"),
-    ],
-)
-def test_a_wrong_number_is_one_sentence(page: Path, mark: str, why: str) -> None:
-    page.write_text(f"It is <!-- number {mark} -->old<!-- /number -->")
-    with pytest.raises(InputError, match=re.escape(why)):
-        pages.replaced(page)
-
-
-def test_an_unknown_table_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pages, "ROOT", tmp_path)
-    page = tmp_path / "page.md"
-    page.write_text("<!-- table nothing: python -m experiments.pages -->\nold\n<!-- end of table -->\n")
-    with pytest.raises(InputError, match="nothing"):
-        pages.replaced(page)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,15 +28,19 @@ def data() -> Part:
     return Part(Recordings.from_arrays([signal(), signal()[:300]], rate=200), hiro=True)
 
 
+def points(curve: rate.Curve, data: Part) -> list[dict[str, Any]]:
+    return [rate.point(at, sums, data.seconds) for at, sums in curve]
+
+
 def test_lines_of_a_signal_made_of_lines_leave_nothing(data: Part) -> None:
-    curve = rate.fit(data, small=False)
+    curve = points(rate.fit(data, small=False), data)
     fine = next(found for found in curve if found["at"] == "tolerance x0.25")
     assert max(fine["residual by axis"]) < 1e-4
     assert fine["words per second by axis"] == pytest.approx([7 / 3.5] * 2)
-    best = rate.optimum(data)[0]
+    best = points(rate.optimum(data), data)[0]
     assert best["words per second"] == pytest.approx(2.0)
     assert best["residual"] < 1e-9
-    merged = rate.bottom_up(data, small=False)
+    merged = points(rate.bottom_up(data, small=False), data)
     assert [found["words per second by axis"] for found in merged] == [
         found["words per second by axis"] for found in curve
     ]
@@ -43,9 +48,8 @@ def test_lines_of_a_signal_made_of_lines_leave_nothing(data: Part) -> None:
 
 def test_residual_is_pooled_over_recordings(data: Part) -> None:
     """Levels in place of the signal: what a window of all samples leaves is all that there is about the mean."""
-    found = rate.of_approximations(
-        data, "mean", [[piecewise.Approximation(np.full_like(y, y.mean() + 1), 3) for y in row] for row in data.signals]
-    )
+    levels = [[piecewise.Approximation(np.full_like(y, y.mean() + 1), 3) for y in row] for row in data.signals]
+    found = points([rate.of_approximations(data, "mean", levels)], data)[0]
     total = [sum(((row[axis] - row[axis].mean()) ** 2).sum() for row in data.signals) for axis in range(2)]
     assert found["residual by axis"] == pytest.approx([1 + 700 / value for value in total], rel=1e-3)
     assert found["words per second"] == pytest.approx(6 / 3.5, rel=1e-3)
@@ -60,15 +64,16 @@ def test_a_rule_is_measured_as_an_approximation_is(data: Part) -> None:
         [piecewise.lines(y, ends[row, axis][used[row, axis]][:-1]) for axis, y in enumerate(signals)]
         for row, signals in enumerate(noisy.signals)
     ]
-    expected = rate.of_approximations(noisy, "", rows)
-    found = rate.of_rule(noisy, "fit", "", 5, noisy.tolerance)
+    both = [rate.of_approximations(noisy, "", rows), rate.of_rule(noisy, "fit", "", 5, noisy.tolerance)]
+    expected, found = points(both, noisy)
     assert found["words per second by axis"] == expected["words per second by axis"]
     assert found["residual by axis"] == pytest.approx(expected["residual by axis"], rel=1e-2)
 
 
 @pytest.mark.parametrize("method", ["sliding window", "swing filter", "slide filter", "equal windows"])
 def test_curves_go_down(method: str) -> None:
-    curve = rate.METHODS[method](Part(Recordings.from_arrays([signal(1.0)], rate=200), hiro=True))
+    data = Part(Recordings.from_arrays([signal(1.0)], rate=200), hiro=True)
+    curve = points(rate.METHODS[method](data), data)
     assert len(curve) >= 4
     ends = [curve[0], curve[-1]]
     few, many = sorted(ends, key=lambda found: found["words per second"])
@@ -80,16 +85,24 @@ def test_every_method_has_its_kind() -> None:
     assert set(rate.METHODS) == set(rate.KINDS)
 
 
-def curve(*points: tuple[float, float]) -> rate.Curve:
-    return [{"words per second": words, "residual": left} for words, left in points]
-
-
 def test_rates_are_interpolated_where_a_curve_passes() -> None:
-    assert rate.needed(curve((1, 0.1), (4, 0.001)), 0.01) == pytest.approx(2)
-    assert rate.needed(curve((4, 0.001), (2, 0.3), (1, 0.1)), 0.01) == pytest.approx(2)  # a worse point does not count
-    assert rate.needed(curve((1, 0.1), (4, 0.02)), 0.01) is None
-    assert rate.needed(curve((1, 0.005), (4, 0.001)), 0.01) is None
-    assert rate.needed(curve((1, 0.1), (4, 0.0)), 0.01) is not None
+    assert rate.needed([(1, 0.1), (4, 0.001)], 0.01) == pytest.approx(2)
+    assert rate.needed([(4, 0.001), (2, 0.3), (1, 0.1)], 0.01) == pytest.approx(2)  # a worse point does not count
+    assert rate.needed([(1, 0.1), (4, 0.02)], 0.01) is None
+    assert rate.needed([(1, 0.005), (4, 0.001)], 0.01) is None
+    assert rate.needed([(1, 0.1), (4, 0.0)], 0.01) is not None
+
+
+def test_rates_vary_with_the_recordings() -> None:
+    """Two points at residuals of .1 and .001: half of the recordings need 2 words a second for .01, half need 6."""
+    words = np.array([[[1.0], [3.0]] * 6, [[4.0], [12.0]] * 6])  # of a second each, [point, recording, axis]
+    left = np.broadcast_to(np.array([0.1, 0.001])[:, None, None], words.shape)
+    curve = [("", np.stack([one, missed, np.ones_like(one)])) for one, missed in zip(words, left, strict=True)]
+    low, high = rate.needed_by_chance(curve, np.ones(12), 0.01) or [0.0, 0.0]
+    assert 2 < low < 3.6 < 4.4 < high < 6
+    mean = rate.rates(curve[0][1].sum(1), 12.0)
+    assert [each.tolist() for each in mean] == [[2.0], [pytest.approx(0.1)]]
+    assert rate.needed_by_chance(curve, np.ones(12), 0.5) is None
 
 
 def test_recordings_are_taken_from_first_to_last() -> None:

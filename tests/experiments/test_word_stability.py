@@ -58,6 +58,8 @@ def test_shares_vary_with_the_recordings() -> None:
     assert both["kept"] == pytest.approx(0.5, abs=0.02)
     assert both["kept interval"][0] < 0.1
     assert both["kept interval"][1] > 0.9
+    assert both["time interval"][0] < 0.2 < 0.8 < both["time interval"][1]
+    assert both["edit interval"][0] < 0.1 < 0.7 < both["edit interval"][1]
     mixed = agreement([pair for pairs in zip(stable, nonsense, strict=True) for pair in pairs], WITHIN, lanes=2)
     assert np.ptp(mixed["kept interval"]) < 0.05
 
