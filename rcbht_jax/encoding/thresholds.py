@@ -124,7 +124,9 @@ def preset(robot: str = "hiro", axes: Sequence[str] = AXES) -> GradientThreshold
         raise InputError(f"Robot {robot!r} has no thresholds; expected one of {', '.join(ROBOTS)}.")
     force = np.array(_FORCE_LIMITS[robot])
     names = texts(axes)
-    return GradientThresholds(np.stack([force / MOMENT_SCALE if axis[:1] in "MT" else force for axis in names]))
+    return GradientThresholds(
+        np.stack([force / MOMENT_SCALE if axis.startswith(("M", "T")) else force for axis in names])
+    )
 
 
 def from_free(free: Array) -> GradientThresholds:

@@ -23,6 +23,7 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.signals import (
     block_means,
+    check_learned,
     moving_mean,
     period,
     read_parts,
@@ -258,9 +259,7 @@ class MonitorStream:
         monitor = self._monitor
         read, names = read_signal(samples, 1 / monitor.rate)
         new = whole_series(np.asarray(read, np.float64), least=0)
-        known = tuple(getattr(monitor, "feature_names_in_", names or ()))
-        if names and names != known:
-            raise InputError(f"The samples have the axes {', '.join(names)}; the monitor learned {', '.join(known)}.")
+        check_learned(names, monitor, "The samples")
         if new.shape[1] != monitor.n_features_in_:
             axes = plural(new.shape[1], "axis", "axes")
             raise InputError(f"The samples have {axes}; the monitor learned {monitor.n_features_in_}.")

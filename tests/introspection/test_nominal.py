@@ -321,7 +321,7 @@ def test_a_time_is_no_axis_and_names_of_axes_are_compared(monitor: Monitor) -> N
     expected = clone(monitor).fit(plain).scores(plain[0])
     for form in (frames[0], plain[0], xr.DataArray(plain[0].T, {"axis": ["Fz", "My"]}, ("axis", "time"))):
         np.testing.assert_array_equal(fitted.scores(form), expected)
-    with pytest.raises(InputError, match="axes My, Fz; the monitor learned Fz, My"):
+    with pytest.raises(InputError, match="axes My, Fz; fit had Fz, My"):
         fitted.scores(frames[0][["My", "Fz"]])
     with pytest.raises(InputError, match="40 samples per second"):
         fitted.scores(frames[0].assign(time=np.arange(len(plain[0])) / 40))
