@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax import labels
+from rcbht_jax._util.columns import column_values
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.selection import number_of, rows_of
@@ -281,7 +282,7 @@ class Recordings:
         *,
         axes: Sequence[str] | None = None,
         units: Sequence[str] | None = None,
-        annotations: Annotations | Iterable[tuple[int, str, str, float, float]] = (),
+        annotations: Annotations | Iterable[Any] = (),
         **columns: Any,
     ) -> Recordings:
         """A data set from recordings ``[time, axis]`` of any lengths.
@@ -292,11 +293,12 @@ class Recordings:
             axes: their names; default those of pandas or xarray, or Fx Fy Fz Mx My Mz if there are six.
             units: unit of each axis; default N and Nm for the axes of a wrench, else "".
             annotations: labelled intervals, or rows (recording, track, label, start in s, end in s).
-            columns: trial, arm, source, session, outcome, note or columns of any other name; one value for all
-                recordings or one for each.
+            columns: trial, arm, source, session, outcome, note, which are texts, or columns of any other name; one
+                value for all recordings or one for each. What is missing in a text is "", or what is not given.
 
         Raises:
-            InputError: different axes, a time that disagrees with the rate, or a column of another length.
+            InputError: different axes, a time that disagrees with the rate, a column of another length or of neither
+                texts nor numbers, or annotations about other recordings.
         """
         parts, named = read_parts(wrenches, period(rate))
         if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
@@ -314,13 +316,10 @@ class Recordings:
         values: dict[str, Any] = {name: np.full(count, text) for name, text in STANDARD_COLUMNS.items()}
         values["trial"] = np.array([f"trial-{number}" for number in range(count)])
         for name, column in columns.items():
-            array = np.asarray(column)
-            try:
-                values[name] = np.broadcast_to(array, (count,)).copy()
-            except ValueError:
-                raise InputError(f"Column {name} has {array.size} values for {count} recordings.") from None
+            values[name] = column_values(name, column, count, values.get(name))
         extra = {name: values.pop(name) for name in list(values) if name not in (*STANDARD_COLUMNS, "trial")}
         marks = annotations if isinstance(annotations, Annotations) else Annotations.from_rows(annotations)
+        marks.check(count)
         return Recordings(
             wrench, length, 1 / rate, annotations=marks, columns=extra, axes=names, units=tuple(units), **values
         )

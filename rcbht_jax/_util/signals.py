@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rcbht_jax._util.columns import unit_of_time
-from rcbht_jax._util.values import number
+from rcbht_jax._util.values import number, usable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 
@@ -178,8 +178,8 @@ def whole_series(series: NDArray[np.float64], least: int = 1) -> NDArray[np.floa
     """
     if series.ndim != 2 or series.shape[1] < 1 or len(series) < least:
         raise InputError(f"A recording has the shape {series.shape}; expected [time, axis] with samples.")
-    if not np.isfinite(series).all():
-        raise InputError("A recording holds values that are not finite numbers; remove or interpolate them.")
+    if not usable(series):  # squares of much larger numbers are infinite: all would be as usual
+        raise InputError("A recording holds values that are not finite numbers, or huge; remove or interpolate them.")
     return series
 
 

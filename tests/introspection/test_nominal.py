@@ -299,6 +299,7 @@ def test_alarms_are_judged_by_the_onset() -> None:
         (NominalMonitor(), pushes(2, 0), "three or more"),
         (NominalMonitor(), [np.zeros((5, 2)), np.zeros((5, 3)), np.zeros((5, 2))], "same axes"),
         (NominalMonitor(), [np.full((5, 2), np.nan)] * 3, "not finite"),
+        (NominalMonitor(), [1e200 * part for part in pushes(3, 0)], "not finite numbers, or huge"),  # all scores were 0
         (NominalMonitor(calibration="none"), pushes(3, 0), "cross, split"),
         (NominalMonitor(neighbours=0), pushes(3, 0), "neighbours is 0"),
         (NominalMonitor(memory=0), pushes(3, 0), "memory is 0"),
