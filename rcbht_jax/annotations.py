@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.values import ByValue
 from rcbht_jax.errors import InputError
 
 
@@ -44,8 +45,8 @@ def _empty(dtype: type) -> NDArray[Any]:
     return np.zeros(0, dtype)
 
 
-@dataclass(frozen=True)
-class Annotations:
+@dataclass(frozen=True, eq=False)
+class Annotations(ByValue):
     """A table of labelled intervals, sorted by recording, track and start. Host arrays.
 
     Several tracks may cover the same time, for example sub-tasks as logged and as corrected. The labels of a track have

@@ -22,6 +22,7 @@ from rcbht_jax._util.printable import plural
 from rcbht_jax._util.selection import number_of, rows_of
 from rcbht_jax._util.signals import distinct, period, read_parts, warn_if_turned
 from rcbht_jax._util.svg import Bar, bands
+from rcbht_jax._util.values import ByValue
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 
@@ -33,8 +34,8 @@ Array = Any  # jax.Array or numpy.ndarray: host and device code share these cont
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Segment:
+@dataclass(frozen=True, eq=False)
+class Segment(ByValue):
     """A labelled span inside the encoder; every field has the same batch shape ``[*lanes]``.
 
     Sums are kept instead of means so that merging only adds: no product feeds an addition, hence no
@@ -52,8 +53,8 @@ class Segment:
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class LabelTrack:
+@dataclass(frozen=True, eq=False)
+class LabelTrack(ByValue):
     """Published labels of one layer, in publication order, which is time order.
 
     Every array has the same shape ``[..., slot]``. Padding: unused slots (at the end in the compact
@@ -86,8 +87,8 @@ class TrackInfo:
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class LabelTracks:
+@dataclass(frozen=True, eq=False)
+class LabelTracks(ByValue):
     """Labels of the same recordings in three layers: primitives, motion compositions, low-level behaviours.
 
     Every array is ``[axis, slot]`` for one recording, ``[recording, axis, slot]`` for several.
@@ -240,8 +241,8 @@ def _batched(values: Array) -> NDArray[Any]:
 STANDARD_COLUMNS = {"arm": "R", "source": "mine", "session": "1", "outcome": "unknown", "note": ""}
 
 
-@dataclass(frozen=True)
-class Recordings:
+@dataclass(frozen=True, eq=False)
+class Recordings(ByValue):
     """A data set in memory: one row per recording (one sensor of one trial). Host arrays.
 
     Padding: ``wrench`` beyond ``length`` is zero.

@@ -118,6 +118,21 @@ def test_thresholds_are_equal_by_their_numbers() -> None:
     assert fitted == FitLimits(rj.preset().limits, np.ones(6)) != FitLimits(rj.preset().limits, np.full(6, 2.0))
 
 
+def test_labels_and_data_sets_are_equal_by_their_values() -> None:
+    tracks, marks = rj.encode(WRENCH), [(1, "phase", "push", 0.0, np.nan)]  # an end that is unknown in both is the same
+    assert tracks == rj.encode(WRENCH.copy())
+    assert tracks.llb == jax.tree.map(jnp.asarray, tracks.llb)
+    assert tracks != rj.encode(-WRENCH)
+    assert tracks != rj.encode(WRENCH, rate=100, thresholds=rj.preset().limits / 2)
+    assert tracks != tracks.to_frame().to_dict()
+    one, other = (rj.Recordings.from_arrays(WRENCH, annotations=marks, grip=[1.0, np.nan, 3.0]) for _ in range(2))
+    assert one == other
+    assert one.annotations == other.annotations != rj.Recordings.from_arrays(WRENCH).annotations
+    assert one != rj.Recordings.from_arrays(WRENCH, annotations=marks, grip=[1.0, 2.0, 3.0])
+    assert one != rj.Recordings.from_arrays(WRENCH, annotations=marks)
+    assert rj.Recordings.join([one.take([0, 1]), other.take(2)]) == one
+
+
 def test_none_of_the_rows_is_a_choice() -> None:
     assert len(rj.encode(WRENCH).take([]).llb.label) == 0
     assert len(rj.Recordings.example().take(3)) == 1
