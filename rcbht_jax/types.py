@@ -117,7 +117,7 @@ class LabelTracks(ByValue):
             recording: number, or name, where there are several.
 
         Raises:
-            InputError: no such axis, layer or recording.
+            InputError: no such axis, layer or recording, or a name that several have.
         """
         number = number_of("axis", axis, self._axes())
         row = number_of("recording", recording, self._recordings().tolist())
@@ -195,6 +195,8 @@ class LabelTracks(ByValue):
         """Picture for notebooks: the first recording's words over time, a row per axis and layer."""
         scale = 1.0 if self.info is None else 1 / self.info.rate
         rows = []
+        if not len(self._recordings()):
+            return f"<div>{self!r}</div>"
         for number, axis in enumerate(self._axes()):
             for layer in labels.LAYERS[::-1]:
                 track = jax.tree.map(lambda leaf, row=number: _batched(leaf)[0, row], getattr(self, layer))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
@@ -48,6 +49,20 @@ def number(what: str, value: Any) -> float:
     except (TypeError, ValueError, OverflowError):
         pass
     raise InputError(f"{what} is {str(value)[:40]!r}; expected a number.")
+
+
+def finite(what: str, value: Any) -> float:
+    """A number as a float, neither infinite nor NaN.
+
+    >>> finite("The time", 1)
+    1.0
+
+    Raises:
+        InputError: it is no such number.
+    """
+    if not math.isfinite(found := number(what, value)):
+        raise InputError(f"{what} is {found}; expected a finite number.")
+    return found
 
 
 def expect(what: str, value: Any, *kinds: type) -> None:

@@ -245,8 +245,9 @@ def read_rows(path: Path | str, axes: Sequence[str]) -> tuple[int, dict[str, NDA
     """Version, numbers ``[axis]`` by name, and provenance of a file of thresholds.
 
     Raises:
-        InputError: not such a file, it has nothing for one of the axes, or something that is no number.
+        InputError: not such a file, it has nothing for one of the axes, something that is no number, or no names.
     """
+    axes = texts(axes)
     try:
         content = load_json(as_path(path))
         version = content["format_version"]

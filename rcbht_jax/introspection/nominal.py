@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import plural
+from rcbht_jax._util.selection import group_numbers
 from rcbht_jax._util.signals import (
     block_means,
     check_learned,
@@ -107,7 +108,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         given = np.arange(len(series)) if groups is None else np.asarray(groups)
         if given.shape != (len(series),):
             raise InputError(f"Groups have the shape {given.shape}; expected one for each of {len(series)} recordings.")
-        names = np.unique(given, return_inverse=True)[1]
+        names = group_numbers(given)
         names = names if len(np.unique(names)) > 1 else np.arange(len(series))
         parts = [block_means(part, self.score_step) for part in series]
         if self.calibration == "split":

@@ -134,7 +134,9 @@ def test_labels_and_data_sets_are_equal_by_their_values() -> None:
 
 
 def test_none_of_the_rows_is_a_choice() -> None:
-    assert len(rj.encode(WRENCH).take([]).llb.label) == 0
+    none = rj.encode(WRENCH).take([])
+    assert len(none.llb.label) == 0
+    assert none._repr_html_() == f"<div>{none!r}</div>"
     assert len(rj.Recordings.example().take(3)) == 1
 
 
@@ -172,6 +174,14 @@ def test_recordings_are_taken_with_their_names() -> None:
     assert tracks.take(1).words("Fx") == tracks.words("Fx", recording=1)
     with pytest.raises(InputError, match="no recording 'd'; there are a, b, c"):
         tracks.words("Fx", recording="d")
+
+
+def test_a_name_of_several_recordings_chooses_none() -> None:
+    source = xr.DataArray(WRENCH, dims=("trial", "time", "axis"), coords={"trial": ["a", "b", "a"], "axis": NAMES})
+    tracks = rj.encode(source)
+    assert tracks.words("Fz", recording="b") == tracks.words("Fz", recording=1)
+    with pytest.raises(InputError, match="2 of them have the name a; choose the recording by its number"):
+        tracks.words("Fz", recording="a")
 
 
 def test_arrays_that_were_cut_are_not_called_by_other_names() -> None:
