@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.values import ByValue
 from rcbht_jax.errors import InputError
 
 
@@ -23,12 +24,29 @@ def nearest_samples(times: Float[np.ndarray, "..."], most: int, dt: float) -> Fl
     return np.rint(times.clip(-dt, (most + 1) * dt) / dt)
 
 
+def _checked_row(row: Any) -> tuple[int, str, str, float, float]:
+    """A row of annotations in its types; None as an end is unknown.
+
+    Raises:
+        InputError: it is no such row.
+    """
+    try:
+        recording, track, label, start, end = row
+        if track is None or label is None or int(recording) != float(recording):
+            raise ValueError
+        return int(recording), str(track), str(label), float(start), np.nan if end is None else float(end)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(
+            f"An annotation is {str(row)[:80]}; expected recording, track, label, start in s and end in s."
+        ) from None
+
+
 def _empty(dtype: type) -> NDArray[Any]:
     return np.zeros(0, dtype)
 
 
-@dataclass(frozen=True)
-class Annotations:
+@dataclass(frozen=True, eq=False)
+class Annotations(ByValue):
     """A table of labelled intervals, sorted by recording, track and start. Host arrays.
 
     Several tracks may cover the same time, for example sub-tasks as logged and as corrected. The labels of a track have
@@ -57,9 +75,7 @@ class Annotations:
         return tuple(self.labels)
 
     @staticmethod
-    def from_rows(
-        rows: Iterable[tuple[int, str, str, float, float]], labels: Mapping[str, Sequence[str]] | None = None
-    ) -> Annotations:
+    def from_rows(rows: Iterable[Any], labels: Mapping[str, Sequence[str]] | None = None) -> Annotations:
         """Annotations from rows (recording, track, label, start in s, end in s; NaN = unknown end).
 
         Args:
@@ -67,9 +83,9 @@ class Annotations:
             labels: labels of tracks in the order that reports shall have; of others in order of appearance.
 
         Raises:
-            InputError: a track's given labels lack one of a row.
+            InputError: something else than such rows, or a track's given labels lack one of a row.
         """
-        table = sorted(rows, key=lambda row: row[3])
+        table = sorted(map(_checked_row, rows), key=lambda row: row[3])
         order: dict[str, dict[str, int]] = {
             track: {label: code for code, label in enumerate(names)} for track, names in (labels or {}).items()
         }
@@ -174,6 +190,23 @@ class Annotations:
         # Reversed, so that the first of several intervals is written last.
         first[chosen.recording[::-1], chosen.code[::-1]] = chosen.start[::-1]
         return first
+
+    def check(self, recordings: int) -> None:
+        """Raise an error if these are not annotations of so many recordings.
+
+        Raises:
+            InputError: an interval of another recording, a start that is not finite, or an infinite end.
+        """
+        if len(self) and not (self.recording.min() >= 0 and self.recording.max() < recordings):
+            raise InputError(
+                f"annotations are about recordings {self.recording.min()} to {self.recording.max()}; there are "
+                f"{recordings}, from 0."
+            )
+        if len(wrong := np.flatnonzero(~np.isfinite(self.start) | np.isinf(self.end))):
+            raise InputError(
+                f"annotation {wrong[0]}, from 0, lasts from {self.start[wrong[0]]} s to {self.end[wrong[0]]} s; "
+                "expected a finite start, and an end that is not infinite."
+            )
 
     def of_recording(self, recording: int) -> Annotations:
         """The intervals of one recording."""

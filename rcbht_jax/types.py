@@ -16,11 +16,13 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax import labels
+from rcbht_jax._util.columns import column_values
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.selection import number_of, rows_of
 from rcbht_jax._util.signals import distinct, period, read_parts, warn_if_turned
 from rcbht_jax._util.svg import Bar, bands
+from rcbht_jax._util.values import ByValue
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 
@@ -32,8 +34,8 @@ Array = Any  # jax.Array or numpy.ndarray: host and device code share these cont
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Segment:
+@dataclass(frozen=True, eq=False)
+class Segment(ByValue):
     """A labelled span inside the encoder; every field has the same batch shape ``[*lanes]``.
 
     Sums are kept instead of means so that merging only adds: no product feeds an addition, hence no
@@ -51,8 +53,8 @@ class Segment:
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class LabelTrack:
+@dataclass(frozen=True, eq=False)
+class LabelTrack(ByValue):
     """Published labels of one layer, in publication order, which is time order.
 
     Every array has the same shape ``[..., slot]``. Padding: unused slots (at the end in the compact
@@ -85,8 +87,8 @@ class TrackInfo:
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class LabelTracks:
+@dataclass(frozen=True, eq=False)
+class LabelTracks(ByValue):
     """Labels of the same recordings in three layers: primitives, motion compositions, low-level behaviours.
 
     Every array is ``[axis, slot]`` for one recording, ``[recording, axis, slot]`` for several.
@@ -115,7 +117,7 @@ class LabelTracks:
             recording: number, or name, where there are several.
 
         Raises:
-            InputError: no such axis, layer or recording.
+            InputError: no such axis, layer or recording, or a name that several have.
         """
         number = number_of("axis", axis, self._axes())
         row = number_of("recording", recording, self._recordings().tolist())
@@ -193,6 +195,8 @@ class LabelTracks:
         """Picture for notebooks: the first recording's words over time, a row per axis and layer."""
         scale = 1.0 if self.info is None else 1 / self.info.rate
         rows = []
+        if not len(self._recordings()):
+            return f"<div>{self!r}</div>"
         for number, axis in enumerate(self._axes()):
             for layer in labels.LAYERS[::-1]:
                 track = jax.tree.map(lambda leaf, row=number: _batched(leaf)[0, row], getattr(self, layer))
@@ -239,8 +243,8 @@ def _batched(values: Array) -> NDArray[Any]:
 STANDARD_COLUMNS = {"arm": "R", "source": "mine", "session": "1", "outcome": "unknown", "note": ""}
 
 
-@dataclass(frozen=True)
-class Recordings:
+@dataclass(frozen=True, eq=False)
+class Recordings(ByValue):
     """A data set in memory: one row per recording (one sensor of one trial). Host arrays.
 
     Padding: ``wrench`` beyond ``length`` is zero.
@@ -281,7 +285,7 @@ class Recordings:
         *,
         axes: Sequence[str] | None = None,
         units: Sequence[str] | None = None,
-        annotations: Annotations | Iterable[tuple[int, str, str, float, float]] = (),
+        annotations: Annotations | Iterable[Any] = (),
         **columns: Any,
     ) -> Recordings:
         """A data set from recordings ``[time, axis]`` of any lengths.
@@ -292,11 +296,12 @@ class Recordings:
             axes: their names; default those of pandas or xarray, or Fx Fy Fz Mx My Mz if there are six.
             units: unit of each axis; default N and Nm for the axes of a wrench, else "".
             annotations: labelled intervals, or rows (recording, track, label, start in s, end in s).
-            columns: trial, arm, source, session, outcome, note or columns of any other name; one value for all
-                recordings or one for each.
+            columns: trial, arm, source, session, outcome, note, which are texts, or columns of any other name; one
+                value for all recordings or one for each. What is missing in a text is "", or what is not given.
 
         Raises:
-            InputError: different axes, a time that disagrees with the rate, or a column of another length.
+            InputError: different axes, a time that disagrees with the rate, a column of another length or of neither
+                texts nor numbers, or annotations about other recordings.
         """
         parts, named = read_parts(wrenches, period(rate))
         if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
@@ -314,13 +319,10 @@ class Recordings:
         values: dict[str, Any] = {name: np.full(count, text) for name, text in STANDARD_COLUMNS.items()}
         values["trial"] = np.array([f"trial-{number}" for number in range(count)])
         for name, column in columns.items():
-            array = np.asarray(column)
-            try:
-                values[name] = np.broadcast_to(array, (count,)).copy()
-            except ValueError:
-                raise InputError(f"Column {name} has {array.size} values for {count} recordings.") from None
+            values[name] = column_values(name, column, count, values.get(name))
         extra = {name: values.pop(name) for name in list(values) if name not in (*STANDARD_COLUMNS, "trial")}
         marks = annotations if isinstance(annotations, Annotations) else Annotations.from_rows(annotations)
+        marks.check(count)
         return Recordings(
             wrench, length, 1 / rate, annotations=marks, columns=extra, axes=names, units=tuple(units), **values
         )

@@ -1,8 +1,16 @@
-"""Names of columns: the unit that a name states, and the names of a time."""
+"""Columns: the unit that a name states, the names of a time, and the values of a column with one per recording."""
 
 from __future__ import annotations
 
+import math
 import re
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s per unit of time
 UNITS = {
@@ -65,3 +73,48 @@ def unit_of_time(name: str) -> float:
     """
     base, unit = base_and_unit(name)
     return SECONDS.get(unit or "s", 0.0) if base in TIMES else 0.0
+
+
+def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_] | None = None) -> NDArray[Any]:
+    """A column ``[recording]`` of texts or numbers as stores hold them, also from objects, as of a table of pandas.
+
+    Args:
+        name: of the column, for the error.
+        values: one for all recordings, or one for each; dates and other kinds stay as they are.
+        count: of recordings.
+        standard: what a column of texts holds where nothing is given; numbers in it become texts. None = any column,
+            where a missing text is "" and a missing number NaN.
+
+    Raises:
+        InputError: another number of values, or objects that are neither all texts nor all numbers.
+
+    Example:
+        >>> column_values("speed", [1, None], 2).tolist(), column_values("day", ["a", None], 2).tolist()
+        ([1.0, nan], ['a', ''])
+        >>> column_values("trial", [7, 8], 2, np.array(["trial-0", "trial-1"])).tolist()
+        ['7', '8']
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise InputError(f"Column {name} has rows of different lengths; expected a value for each recording.") from None
+    try:
+        array = np.broadcast_to(array, (count,)).copy()
+    except ValueError:
+        raise InputError(f"Column {name} has {array.size} values for {count} recordings.") from None
+    if array.dtype.kind not in "OTbiuf" or (array.dtype.kind in "biuf" and standard is None):
+        return array.astype(array.dtype.newbyteorder("="))
+    items = array.tolist()
+    there = [not (value is None or type(value).__name__ == "NAType" or _is_nan(value)) for value in items]
+    found = [value for value, given in zip(items, there, strict=True) if given]
+    if standard is None and found and all(isinstance(value, Real) for value in found):
+        return np.array([value if given else np.nan for value, given in zip(items, there, strict=True)], np.float64)
+    if not all(isinstance(value, str if standard is None else str | Real) for value in found):
+        kinds = sorted({type(value).__name__ for value in found})
+        raise InputError(f"Column {name} holds objects of the kinds {', '.join(kinds)}; expected texts, or numbers.")
+    other = [""] * count if standard is None else standard.tolist()
+    return np.array([str(value) if given else text for value, given, text in zip(items, there, other, strict=True)])
+
+
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)

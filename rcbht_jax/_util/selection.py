@@ -1,4 +1,4 @@
-"""Axes and recordings that are chosen by number, by name or by a mask."""
+"""Axes and recordings that are chosen by number, by name or by a mask, and groups by any values."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ def number_of(what: str, wanted: Any, names: Sequence[Any]) -> int:
     2
 
     Raises:
-        InputError: no such name, or something that is neither a number nor a name.
+        InputError: no such name, one that several have, or something that is neither a number nor a name.
     """
     if isinstance(wanted, str) and wanted not in names:
         raise InputError(f"There is no {what} {wanted!r}; there are {', '.join(map(str, names))}.")
+    if isinstance(wanted, str) and (count := list(names).count(wanted)) > 1:
+        raise InputError(f"{count} of them have the name {wanted}; choose the {what} by its number.")
     if isinstance(wanted, bool) or not isinstance(wanted, str | Integral):
         raise InputError(f"The {what} is {wanted!r}; expected a number or a name.")
     return names.index(wanted) if isinstance(wanted, str) else int(wanted)
@@ -45,3 +47,18 @@ def rows_of(rows: ArrayLike, count: int) -> NDArray[np.int64]:
     if given.dtype.kind not in "iu" or given.ndim != 1 or not ((-count <= given) & (given < count)).all():
         raise InputError(f"There are {count} recordings; expected numbers of some of them, or a mask of all.")
     return np.arange(count)[given]
+
+
+def group_numbers(groups: ArrayLike) -> NDArray[np.int64]:
+    """The number of each one's group, from 0 in the order of the groups.
+
+    >>> group_numbers(["b", "a", "b"]).tolist()
+    [1, 0, 1]
+
+    Raises:
+        InputError: groups without an order, such as None beside texts.
+    """
+    try:
+        return np.unique(np.asarray(groups), return_inverse=True)[1]
+    except TypeError:
+        raise InputError("Some groups are missing or of another kind; expected numbers, or texts, for all.") from None

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rcbht_jax._util.columns import unit_of_time
-from rcbht_jax._util.values import number
+from rcbht_jax._util.values import number, usable
 from rcbht_jax.errors import InputError
+from rcbht_jax.labels import AXES
 
 RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
 MANY = 24  # axes: as of four wrenches; a short recording of fewer is no cause for doubt
@@ -65,10 +66,8 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
             table of pyarrow.
     """
     if is_frame(wrench):
-        index = getattr(wrench, "index", None)
-        if index is not None and (index.name == "time" or index.dtype.kind in "mM"):
-            _check_time(index, dt)
-        times = {name: unit for name in wrench.columns if isinstance(name, str) and (unit := unit_of_time(name))}
+        _check_rows(getattr(wrench, "index", None), dt)
+        times = _times(wrench.columns)
         for name, unit in times.items():
             if (count := list(wrench.columns).count(name)) > 1:
                 raise InputError(f"There are {count} columns of the name {name}; keep one.")
@@ -82,8 +81,9 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
         if hasattr(wrench, "data_vars"):
             raise InputError('An xarray Dataset holds several arrays; make one of them: dataset.to_array("axis").')
         wrench = ordered(wrench, axis_first)
-        if "time" in wrench.coords and wrench.coords["time"].dims[-1:] == wrench.dims[-2:-1] != ():
-            _check_time(wrench.coords["time"], dt)
+        for name, unit in _times(wrench.coords).items():
+            if wrench.coords[name].dims[-1:] == wrench.dims[-2:-1] != ():
+                _check_time(wrench.coords[name], dt, unit)
         return numbers_of(wrench.to_numpy()), _coordinate_names(wrench)
     values = numbers_of(wrench)
     return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
@@ -141,6 +141,8 @@ def numbers_of(values: Any, what: str = "A signal") -> NDArray[Any]:
         array = array.astype(np.float64)
     if array.dtype.kind in "fiub":
         return array
+    if array.dtype == object and not array.ndim:  # as of a dictionary, a generator, a data set
+        raise InputError(f"{what} is {type(values).__name__}; expected an array of numbers.")
     if not np.can_cast(array.dtype, np.float32):  # as bfloat16 and its like can be
         raise InputError(f"{what} of shape {array.shape} is {array.dtype}; expected numbers.")
     return array.astype(np.float32)
@@ -158,7 +160,8 @@ def warn_if_turned(recordings: Any, samples: int, axes: int, names: tuple[str, .
     >>> warn_if_turned(np.zeros((600, 6)), 600, 6)
     """
     one = recordings[0] if isinstance(recordings, list | tuple) else recordings
-    if not (names or is_xarray(one)) and 0 < samples < axes and axes > MANY:
+    told = is_xarray(one) and ("axis" in one.dims or bool(_times(one.dims)))
+    if not (names or told) and 0 < samples < axes and axes > MANY:
         given = f"There are {axes} axes and only {samples} samples"
         warnings.warn(f"{given}; recordings are [time, axis], so turn those that are [axis, time].", stacklevel=3)
 
@@ -175,8 +178,8 @@ def whole_series(series: NDArray[np.float64], least: int = 1) -> NDArray[np.floa
     """
     if series.ndim != 2 or series.shape[1] < 1 or len(series) < least:
         raise InputError(f"A recording has the shape {series.shape}; expected [time, axis] with samples.")
-    if not np.isfinite(series).all():
-        raise InputError("A recording holds values that are not finite numbers; remove or interpolate them.")
+    if not usable(series):  # squares of much larger numbers are infinite: all would be as usual
+        raise InputError("A recording holds values that are not finite numbers, or huge; remove or interpolate them.")
     return series
 
 
@@ -243,6 +246,25 @@ def check_names(samples: Any, axes: Sequence[str]) -> None:
             raise InputError(f"The samples have the axes {', '.join(names)}; the stream has {', '.join(axes)}.")
 
 
+def check_learned(names: Sequence[str] | None, estimator: Any, what: str) -> None:
+    """Raise an error for a signal whose axes have other names, or another order, than those that were learned.
+
+    Six axes that were learned without names are Fx to Mz: the same names in another order contradict them.
+
+    Args:
+        names: of the signal; None = it has none.
+        estimator: with ``feature_names_in_`` where it learned names.
+        what: beginning of the error.
+
+    Raises:
+        InputError: the names differ.
+    """
+    unnamed = AXES if set(names or ()) == set(AXES) else names or ()
+    known = tuple(getattr(estimator, "feature_names_in_", unnamed))
+    if names and tuple(names) != known:
+        raise InputError(f"{what} have the axes {', '.join(names)}; fit had {', '.join(known)}, in this order.")
+
+
 def check_axes(
     axes: Sequence[str], units: Sequence[str], learned: Sequence[str], learned_units: Sequence[str], where: str
 ) -> None:
@@ -261,7 +283,34 @@ def check_axes(
 def _column_names(frame: Any) -> tuple[str, ...] | None:
     """Names of the axes, the columns; those that are all numbers, as pandas has them by itself, are no names."""
     numbered = all(isinstance(name, Integral) for name in frame.columns)
-    return None if numbered else distinct(map(str, frame.columns))
+    return None if numbered else _plain_names(frame.columns)
+
+
+def _plain_names(names: Iterable[Any]) -> tuple[str, ...]:
+    """Names of axes as texts, all different.
+
+    Raises:
+        InputError: names of several levels: no rule says which level tells a force from a moment, or is a time.
+    """
+    given = tuple(names)
+    if levels := next((name for name in given if isinstance(name, tuple)), None):
+        text = ".".join(map(str, levels))
+        raise InputError(f"An axis has a name of several levels, {levels}; give each axis one text, such as {text!r}.")
+    return distinct(name.decode(errors="replace") if isinstance(name, bytes) else str(name) for name in given)
+
+
+def _times(names: Iterable[Any]) -> dict[str, float]:
+    """Those of the names that are of a time, and seconds per unit."""
+    return {name: unit for name in names if isinstance(name, str) and (unit := unit_of_time(name))}
+
+
+def _check_rows(index: Any, dt: float) -> None:
+    """Raise an error for rows of a frame by a time of another rate, or with a gap: an index, or a level of one."""
+    for level in range(getattr(index, "nlevels", 0)):
+        values = index.get_level_values(level)
+        unit = next(iter(_times([values.name]).values()), 0.0)
+        if unit or values.dtype.kind in "mM":
+            _check_time(values, dt, unit or 1.0)
 
 
 def _frame_values(frame: Any) -> NDArray[Any]:
@@ -292,13 +341,14 @@ def is_xarray(wrench: Any) -> bool:
 
 
 def ordered(wrench: Any, axis_first: bool = False) -> Any:
-    """An xarray with time and axis last: the dimensions of these names, or else the last ones."""
+    """An xarray with time and axis last: the dimensions of these names, or else the last ones; "t" is a time, too."""
     dims = list(wrench.dims)
     if len(dims) < 2:
         return wrench
-    others = [dim for dim in dims if dim not in ("time", "axis")]
-    axis = "axis" if "axis" in dims else others.pop(-2 if axis_first and "time" not in dims else -1)
-    time = "time" if "time" in dims else others.pop()
+    named = ["time"] if "time" in dims else list(_times(dims))[:1]
+    others = [dim for dim in dims if dim not in (*named, "axis")]
+    axis = "axis" if "axis" in dims else others.pop(-2 if axis_first and not named else -1)
+    time = named[0] if named else others.pop()
     return wrench.transpose(*others, time, axis)
 
 
@@ -307,7 +357,7 @@ def _coordinate_names(wrench: Any) -> tuple[str, ...] | None:
     axis = wrench.dims[-1] if wrench.dims else ""
     if axis not in wrench.coords or wrench.coords[axis].dtype.kind in "fiub":
         return None
-    return distinct(map(str, wrench.coords[axis].to_numpy()))
+    return _plain_names(wrench.coords[axis].to_numpy())
 
 
 def _check_time(time: Any, dt: float, unit: float = 1.0) -> None:
@@ -316,11 +366,14 @@ def _check_time(time: Any, dt: float, unit: float = 1.0) -> None:
     steps = np.diff(seconds)
     if not steps.size:
         return
+    if np.isnan(steps).any():
+        raise InputError("The time of some samples is missing; fill it in, or leave these samples out.")
     step = float(np.median(steps))
+    if step <= 0:
+        raise InputError("The time does not grow from sample to sample; sort them, and give each a time of its own.")
     if not abs(step - dt) <= RATE_TOLERANCE * dt:
         raise InputError(
-            f"The rate is {1 / dt:g}, but the time has {1 / step if step else 0:g} samples per second; "
-            "give the rate of the time."
+            f"The rate is {1 / dt:g}, but the time has {1 / step:g} samples per second; give the rate of the time."
         )
     wrong = np.argwhere((steps > LONGEST_STEP * dt) | (steps < 0))
     if len(wrong):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -49,6 +51,20 @@ def number(what: str, value: Any) -> float:
     raise InputError(f"{what} is {str(value)[:40]!r}; expected a number.")
 
 
+def finite(what: str, value: Any) -> float:
+    """A number as a float, neither infinite nor NaN.
+
+    >>> finite("The time", 1)
+    1.0
+
+    Raises:
+        InputError: it is no such number.
+    """
+    if not math.isfinite(found := number(what, value)):
+        raise InputError(f"{what} is {found}; expected a finite number.")
+    return found
+
+
 def expect(what: str, value: Any, *kinds: type) -> None:
     """Raise an error for an object that is of none of these classes.
 
@@ -65,9 +81,20 @@ def expect(what: str, value: Any, *kinds: type) -> None:
 def same(a: Any, b: Any) -> bool:
     """Equality of two dataclasses: of one class, and equal in every field, arrays in all their elements.
 
-    >>> same(np.array([1, 2]), np.array([1, 2]))
-    True
+    What is missing in both, NaN, is equal.
+
+    >>> same(np.array([1, np.nan]), np.array([1, np.nan])), same({"a": np.ones(2)}, {"a": np.zeros(2)})
+    (True, False)
     """
     if hasattr(a, "__dataclass_fields__"):
         return type(a) is type(b) and all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
-    return bool(np.array_equal(a, b))
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    return bool(np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == np.asarray(b).dtype.kind == "f"))
+
+
+class ByValue:
+    """Base of dataclasses with arrays, which are equal by :func:`same`; Python's own comparison fails for arrays."""
+
+    def __eq__(self, other: object) -> bool:
+        return same(self, other)

@@ -51,8 +51,8 @@ def encode(
         wrench: one recording ``[time, axis]``, several ``[recording, time, axis]``, or a list of recordings of any
             lengths; NumPy, JAX, pandas, polars or xarray; any number of axes, N and Nm. Names of axes are taken from
             frames and xarray, but numbers are no names. A column, index or coordinate "time" (s, or dates) is no axis;
-            it must agree with the rate and have no gap. So must columns named like one: "t", "timestamp", "t_ms". In
-            xarray, "time" may be any of the dimensions.
+            it must agree with the rate and have no gap. So must what is named like one: "t", "timestamp", "t_ms". In
+            xarray, the time may be any of the dimensions.
         rate: samples per second.
         window: samples per straight-line fit, >= 2.
         thresholds: gradient limits: an object or array ``[axis, 4]`` (or ``[recording, axis, 4]``), or the name of a

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from rcbht_jax._util.compiling import host_device, jit
 from rcbht_jax._util.signals import in_precision, numbers_of
@@ -58,6 +58,11 @@ def _lines(
     return jax.lax.fori_loop(0, count, one, (state, ((whole, whole, real, real),) * 2))
 
 
+def _check_precision(dtype: np.dtype[Any]) -> None:
+    if jax.dtypes.canonicalize_dtype(dtype) != dtype:
+        raise InputError(f"The stream is of {dtype}, which needs JAX's 64-bit mode, and this is off; nothing changed.")
+
+
 class WindowBuffer:
     """Samples that do not fill a window yet, ``samples [window, axis]``; the first ``count`` of them are there."""
 
@@ -75,9 +80,10 @@ class WindowBuffer:
         """Samples ``[time, axis]`` in the dtype of the buffer.
 
         Raises:
-            InputError: wrong shape, a value that is not finite, or beyond ``LARGEST``, or more samples than can be
-                counted.
+            InputError: wrong shape, a value that is not finite, or beyond ``LARGEST``, more samples than can be
+                counted, or a precision that JAX does not have now.
         """
+        _check_precision(self.samples.dtype)
         chunk, axes = in_precision(numbers_of(samples), self.samples.dtype), self.samples.shape[1]
         if chunk.ndim != 2 or chunk.shape[1] != axes:
             raise InputError(f"Samples have shape {chunk.shape}; expected [time, {axes}].")
@@ -122,7 +128,11 @@ def held(
         state: at the end of the last complete window.
         buffer: the samples since then.
         ends: the labels are those that an end of the stream would publish, in place of provisional ones.
+
+    Raises:
+        InputError: a stream in double precision, where JAX's 64-bit mode is off.
     """
+    _check_precision(buffer.samples.dtype)
     count = np.full(limits.shape[0], buffer.count, np.int32)
     labels = rule_of(config).flush if ends else rule_of(config).provisional  # one program where they are the same
     return jax.tree.map(np.asarray, _held(labels, config, limits, state, buffer.samples.copy(), count))
@@ -139,7 +149,7 @@ class Encoder:
     Args:
         config: static configuration; its type chooses the rule.
         thresholds: limits ``[axis, 4]``; for the fit rule FitLimits.
-        dtype: float32 or float64 (the latter needs JAX's 64-bit mode).
+        dtype: float32 or float64 (the latter needs JAX's 64-bit mode, as long as the stream is used).
 
     Raises:
         InputError: no configuration, thresholds of wrong shape or not in order, or another dtype.
@@ -153,17 +163,18 @@ class Encoder:
         12
     """
 
-    def __init__(self, config: AnyConfig, thresholds: AnyLimits, dtype: type[np.floating] = np.float32) -> None:
+    def __init__(self, config: AnyConfig, thresholds: AnyLimits, dtype: DTypeLike = np.float32) -> None:
         self._rule = rule_of(config)
         limits = checked_limits(config, thresholds)
         if limits.ndim != 2:
             raise InputError(f"Thresholds have shape {(*limits.shape[:-1], 4)}; a stream expects [axis, 4].")
-        if dtype not in (np.float32, np.float64) or jax.dtypes.canonicalize_dtype(dtype) != dtype:
+        kind = next((one for one in (np.float32, np.float64) if dtype in (one, one.__name__)), None)
+        if kind is None or jax.dtypes.canonicalize_dtype(kind) != kind:
             raise InputError(f"A stream of {dtype} was asked for; expected float32, or float64 in JAX's 64-bit mode.")
         self._config = config
-        self._limits = jax.device_put(np.array(limits, dtype), host_device())  # a copy, which no caller can change
+        self._limits = jax.device_put(np.array(limits, kind), host_device())  # a copy, which no caller can change
         self._axes = limits.shape[0]
-        self._buffer = WindowBuffer(config.window, self._axes, dtype)
+        self._buffer = WindowBuffer(config.window, self._axes, kind)
         self._state = self._begun()
 
     @property
@@ -247,5 +258,6 @@ class Encoder:
         self._state, self._buffer.count, self._buffer.taken = self._begun(), 0, 0
 
     def _begun(self) -> EncoderState:
+        _check_precision(self._buffer.samples.dtype)
         state: EncoderState = self._rule.init(self._config, (self._axes,), self._buffer.samples.dtype)
         return jax.device_put(state, host_device())

@@ -124,7 +124,9 @@ def preset(robot: str = "hiro", axes: Sequence[str] = AXES) -> GradientThreshold
         raise InputError(f"Robot {robot!r} has no thresholds; expected one of {', '.join(ROBOTS)}.")
     force = np.array(_FORCE_LIMITS[robot])
     names = texts(axes)
-    return GradientThresholds(np.stack([force / MOMENT_SCALE if axis[:1] in "MT" else force for axis in names]))
+    return GradientThresholds(
+        np.stack([force / MOMENT_SCALE if axis.startswith(("M", "T")) else force for axis in names])
+    )
 
 
 def from_free(free: Array) -> GradientThresholds:
@@ -243,8 +245,9 @@ def read_rows(path: Path | str, axes: Sequence[str]) -> tuple[int, dict[str, NDA
     """Version, numbers ``[axis]`` by name, and provenance of a file of thresholds.
 
     Raises:
-        InputError: not such a file, it has nothing for one of the axes, or something that is no number.
+        InputError: not such a file, it has nothing for one of the axes, something that is no number, or no names.
     """
+    axes = texts(axes)
     try:
         content = load_json(as_path(path))
         version = content["format_version"]

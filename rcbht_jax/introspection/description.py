@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from rcbht_jax._util.selection import rows_of
 from rcbht_jax.encoding.arrays import encode
 from rcbht_jax.encoding.tolerance import USUAL, noise_of
 from rcbht_jax.errors import InputError
@@ -246,7 +247,7 @@ def describe_recording(
 
     Args:
         recordings: any axes.
-        row: which one.
+        row: which one; -1 is the last.
         share: of an axis's usual range in this recording (1st to 99th percentile), the smallest change to report; not
             less than what noise alone would change.
         track: of annotations to name; default the first, or its harmonised variant.
@@ -257,7 +258,7 @@ def describe_recording(
         seconds and text, in order of time.
 
     Raises:
-        InputError: a share that is not between 0 and 1, or snaps of other axes or of another rate.
+        InputError: no such recording, a share that is not between 0 and 1, or snaps of other axes or of another rate.
 
     Example:
         >>> push = np.interp(np.arange(600) / 200, [0, 1, 1.5, 3], [0, 0, 12, 12])[:, None]
@@ -269,6 +270,7 @@ def describe_recording(
     """
     if not 0 < share < 1:
         raise InputError(f"The smallest change is {share:g} of an axis's range; expected a number between 0 and 1.")
+    (row,) = rows_of(row, len(recordings)).tolist()
     wrench = recordings.wrench[row, : recordings.length[row]]
     if len(wrench) < 2:
         return []

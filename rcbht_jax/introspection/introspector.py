@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.compiling import host_device, jit
 from rcbht_jax._util.signals import check_names
-from rcbht_jax._util.values import expect, number
+from rcbht_jax._util.values import expect, finite, number
 from rcbht_jax.encoding.encoder import PackedLabels
 from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.encoding.stream import WindowBuffer, held
@@ -268,7 +268,7 @@ class Introspector:
                 samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
                 consumed.
         """
-        time = None if time is None else number("The time", time)
+        time = None if time is None else finite("The time", time)
         check_names(samples, self.axes)
         chunk = self._buffer.checked(samples)
         events: list[Event] = []

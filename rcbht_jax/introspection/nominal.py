@@ -21,8 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import plural
+from rcbht_jax._util.selection import group_numbers
 from rcbht_jax._util.signals import (
     block_means,
+    check_learned,
     moving_mean,
     period,
     read_parts,
@@ -106,7 +108,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         given = np.arange(len(series)) if groups is None else np.asarray(groups)
         if given.shape != (len(series),):
             raise InputError(f"Groups have the shape {given.shape}; expected one for each of {len(series)} recordings.")
-        names = np.unique(given, return_inverse=True)[1]
+        names = group_numbers(given)
         names = names if len(np.unique(names)) > 1 else np.arange(len(series))
         parts = [block_means(part, self.score_step) for part in series]
         if self.calibration == "split":
@@ -258,9 +260,7 @@ class MonitorStream:
         monitor = self._monitor
         read, names = read_signal(samples, 1 / monitor.rate)
         new = whole_series(np.asarray(read, np.float64), least=0)
-        known = tuple(getattr(monitor, "feature_names_in_", names or ()))
-        if names and names != known:
-            raise InputError(f"The samples have the axes {', '.join(names)}; the monitor learned {', '.join(known)}.")
+        check_learned(names, monitor, "The samples")
         if new.shape[1] != monitor.n_features_in_:
             axes = plural(new.shape[1], "axis", "axes")
             raise InputError(f"The samples have {axes}; the monitor learned {monitor.n_features_in_}.")

@@ -96,7 +96,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
                 tolerance that does not fit the axes or the rule.
         """
         expect("The data set", recordings, Recordings)
-        if [len(part) for part in y] != recordings.length.tolist():
+        if [np.shape(part) for part in y] != [(count,) for count in recordings.length.tolist()]:
             raise InputError("The labels in y have other lengths than the recordings; expected a class per sample.")
         classes = np.setdiff1d(np.concatenate(y), [UNKNOWN])
         if len(classes) < 2:

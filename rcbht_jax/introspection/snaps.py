@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.signals import check_names, columns_for, distinct, numbers_of, period
-from rcbht_jax._util.values import expect, number
+from rcbht_jax._util.values import expect, finite
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
@@ -107,7 +107,7 @@ class SnapDetector:
                 samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
                 consumed.
         """
-        time = None if time is None else number("The time", time)
+        time = None if time is None else finite("The time", time)
         check_names(samples, self.axes)
         blocks = self._encoder.lines(samples)
         end = self._encoder.received + len(np.asarray(samples))

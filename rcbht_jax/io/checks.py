@@ -57,7 +57,7 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
             )
         if wrench[row, samples:].any():
             raise InputError(f"{where}: the wrench beyond its length is not zero; expected zero padding.")
-    _check_annotations(recordings)
+    recordings.annotations.check(len(recordings))
 
 
 def check_padding(padded: int, longest: int) -> None:
@@ -71,20 +71,6 @@ def check_padding(padded: int, longest: int) -> None:
         raise InputError(
             f"the wrench has {padded} samples, and the longest recording {longest}; expected at most {most}. Cut what "
             "lies beyond."
-        )
-
-
-def _check_annotations(recordings: Recordings) -> None:
-    marks = recordings.annotations
-    if len(marks) and not (marks.recording.min() >= 0 and marks.recording.max() < len(recordings)):
-        raise InputError(
-            f"annotations are about recordings {marks.recording.min()} to {marks.recording.max()}; there are "
-            f"{len(recordings)}, from 0."
-        )
-    if len(wrong := np.flatnonzero(~np.isfinite(marks.start) | np.isinf(marks.end))):
-        raise InputError(
-            f"annotation {wrong[0]}, from 0, lasts from {marks.start[wrong[0]]} s to {marks.end[wrong[0]]} s; expected "
-            "a finite start, and an end that is not infinite."
         )
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Float, Float32
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax._util.signals import period
+from rcbht_jax._util.signals import check_learned, period
 from rcbht_jax._util.values import usable
 from rcbht_jax.encoding.arrays import read_signals
 from rcbht_jax.encoding.batch import encode_batch
@@ -130,9 +130,7 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         wrench, length, names = self._read(X)
         if wrench.shape[2] != self.n_features_in_:
             raise InputError(f"recordings have {wrench.shape[2]} axes; fit had {self.n_features_in_}.")
-        known = tuple(getattr(self, "feature_names_in_", names or ()))
-        if names and names != known:
-            raise InputError(f"recordings have the axes {', '.join(names)}; fit had {', '.join(known)}, in this order.")
+        check_learned(names, self, "recordings")
         config = self._encoder_config()
         tracks = encode_batch(config, self._encoding, wrench, length)
         return _describe(tracks, length, config.dt, self.features).values

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.selection import group_numbers
 from rcbht_jax._util.signals import numbers_of
 from rcbht_jax._util.values import positive
 from rcbht_jax.errors import InputError
@@ -93,6 +94,7 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         check_classification_targets(y)
         groups = np.arange(len(y)) if groups is None else column_or_1d(groups)
         check_consistent_length(X, groups)
+        group_numbers(groups)  # which refuses those without an order
         counted = None if sample_weight is None else _checked(sample_weight, len(y))
         if counted is not None:
             kept = counted > 0

@@ -118,8 +118,25 @@ def test_thresholds_are_equal_by_their_numbers() -> None:
     assert fitted == FitLimits(rj.preset().limits, np.ones(6)) != FitLimits(rj.preset().limits, np.full(6, 2.0))
 
 
+def test_labels_and_data_sets_are_equal_by_their_values() -> None:
+    tracks, marks = rj.encode(WRENCH), [(1, "phase", "push", 0.0, np.nan)]  # an end that is unknown in both is the same
+    assert tracks == rj.encode(WRENCH.copy())
+    assert tracks.llb == jax.tree.map(jnp.asarray, tracks.llb)
+    assert tracks != rj.encode(-WRENCH)
+    assert tracks != rj.encode(WRENCH, rate=100, thresholds=rj.preset().limits / 2)
+    assert tracks != tracks.to_frame().to_dict()
+    one, other = (rj.Recordings.from_arrays(WRENCH, annotations=marks, grip=[1.0, np.nan, 3.0]) for _ in range(2))
+    assert one == other
+    assert one.annotations == other.annotations != rj.Recordings.from_arrays(WRENCH).annotations
+    assert one != rj.Recordings.from_arrays(WRENCH, annotations=marks, grip=[1.0, 2.0, 3.0])
+    assert one != rj.Recordings.from_arrays(WRENCH, annotations=marks)
+    assert rj.Recordings.join([one.take([0, 1]), other.take(2)]) == one
+
+
 def test_none_of_the_rows_is_a_choice() -> None:
-    assert len(rj.encode(WRENCH).take([]).llb.label) == 0
+    none = rj.encode(WRENCH).take([])
+    assert len(none.llb.label) == 0
+    assert none._repr_html_() == f"<div>{none!r}</div>"
     assert len(rj.Recordings.example().take(3)) == 1
 
 
@@ -157,6 +174,14 @@ def test_recordings_are_taken_with_their_names() -> None:
     assert tracks.take(1).words("Fx") == tracks.words("Fx", recording=1)
     with pytest.raises(InputError, match="no recording 'd'; there are a, b, c"):
         tracks.words("Fx", recording="d")
+
+
+def test_a_name_of_several_recordings_chooses_none() -> None:
+    source = xr.DataArray(WRENCH, dims=("trial", "time", "axis"), coords={"trial": ["a", "b", "a"], "axis": NAMES})
+    tracks = rj.encode(source)
+    assert tracks.words("Fz", recording="b") == tracks.words("Fz", recording=1)
+    with pytest.raises(InputError, match="2 of them have the name a; choose the recording by its number"):
+        tracks.words("Fz", recording="a")
 
 
 def test_arrays_that_were_cut_are_not_called_by_other_names() -> None:

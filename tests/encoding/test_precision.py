@@ -86,6 +86,28 @@ def test_encoders_of_another_precision_are_refused(dtype: Any) -> None:
         rj.Encoder(rj.EncoderConfig(), LIMITS, dtype)
 
 
+@pytest.mark.parametrize("config", [rj.EncoderConfig(), FitConfig()], ids=["paper", "fit"])
+def test_a_stream_in_double_precision_waits_for_the_64_bit_mode(config: Any) -> None:
+    limits = FIT_LIMITS if isinstance(config, FitConfig) else LIMITS
+    with jax.enable_x64(True):
+        stream, other = (rj.Encoder(config, limits, np.float64) for _ in range(2))
+        stream.push(WRENCH[0, :13])
+    for call in (lambda: stream.push(WRENCH[0, 13:]), stream.peek, stream.ending, stream.flush, stream.restart):
+        with pytest.raises(InputError, match="needs JAX's 64-bit mode"):
+            call()
+    with jax.enable_x64(True):  # nothing was consumed
+        other.push(WRENCH[0, :13])
+        assert_trees_equal(stream.push(WRENCH[0, 13:]), other.push(WRENCH[0, 13:]))
+        assert_trees_equal(stream.flush(), other.flush())
+
+
+def test_a_precision_may_be_a_text() -> None:
+    single, named = (rj.Encoder(rj.EncoderConfig(), LIMITS, dtype) for dtype in (np.float32, "float32"))
+    assert_trees_equal(named.push(WRENCH[0]), single.push(WRENCH[0]))
+    with pytest.raises(InputError, match="A stream of single was asked for"):
+        rj.Encoder(rj.EncoderConfig(), LIMITS, "single")
+
+
 def test_data_sets_of_another_precision_are_refused() -> None:
     with pytest.raises(InputError, match="expected float32 or float64"):
         encode_batch(rj.EncoderConfig(), LIMITS, WRENCH.astype(np.float16), LENGTH)

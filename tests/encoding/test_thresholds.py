@@ -88,6 +88,13 @@ def test_a_file_takes_a_name_and_what_encoders_take(tmp_path: Path) -> None:
     assert isinstance(read_limits(path)[0], FitLimits)
 
 
+def test_the_letters_of_a_text_are_no_axes(tmp_path: Path) -> None:
+    thresholds.write_thresholds(tmp_path / "limits.json", thresholds.preset(), {})
+    for read in (thresholds.read_thresholds, read_limits):
+        with pytest.raises(InputError, match="The axes are 'Fz'; expected names"):
+            read(tmp_path / "limits.json", "Fz")
+
+
 def test_unknown_robot_is_refused() -> None:
     with pytest.raises(InputError, match="hiro"):
         thresholds.preset("r2d2")

@@ -128,3 +128,11 @@ def test_phases_that_begin_together_stay_in_their_order() -> None:
     recordings = Recordings.from_arrays([np.zeros((600, 1))], 200.0, axes=["grip"], units=["N"], annotations=marks)
     said = describe_recording(recordings, 0)
     assert said == [(0.0, "[phase: touch]"), (0.0, "[phase: search]"), (1.0, "[phase: insert]")]
+
+
+def test_a_recording_is_chosen_as_everywhere() -> None:
+    marks = [(1, "phase", "push", 0.0, 1.0)]
+    recordings = Recordings.from_arrays(np.zeros((2, 600, 1)), axes=["grip"], units=["N"], annotations=marks)
+    assert describe_recording(recordings, -1) == describe_recording(recordings, 1) == [(0.0, "[phase: push]")]
+    with pytest.raises(InputError, match="There are 2 recordings"):
+        describe_recording(recordings, 2)

@@ -299,6 +299,7 @@ def test_alarms_are_judged_by_the_onset() -> None:
         (NominalMonitor(), pushes(2, 0), "three or more"),
         (NominalMonitor(), [np.zeros((5, 2)), np.zeros((5, 3)), np.zeros((5, 2))], "same axes"),
         (NominalMonitor(), [np.full((5, 2), np.nan)] * 3, "not finite"),
+        (NominalMonitor(), [1e200 * part for part in pushes(3, 0)], "not finite numbers, or huge"),  # all scores were 0
         (NominalMonitor(calibration="none"), pushes(3, 0), "cross, split"),
         (NominalMonitor(neighbours=0), pushes(3, 0), "neighbours is 0"),
         (NominalMonitor(memory=0), pushes(3, 0), "memory is 0"),
@@ -321,7 +322,7 @@ def test_a_time_is_no_axis_and_names_of_axes_are_compared(monitor: Monitor) -> N
     expected = clone(monitor).fit(plain).scores(plain[0])
     for form in (frames[0], plain[0], xr.DataArray(plain[0].T, {"axis": ["Fz", "My"]}, ("axis", "time"))):
         np.testing.assert_array_equal(fitted.scores(form), expected)
-    with pytest.raises(InputError, match="axes My, Fz; the monitor learned Fz, My"):
+    with pytest.raises(InputError, match="axes My, Fz; fit had Fz, My"):
         fitted.scores(frames[0][["My", "Fz"]])
     with pytest.raises(InputError, match="40 samples per second"):
         fitted.scores(frames[0].assign(time=np.arange(len(plain[0])) / 40))

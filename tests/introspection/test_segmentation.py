@@ -179,8 +179,9 @@ def test_what_cannot_be_learnt_is_said():
         segment(data.take(np.array([0])), WrenchSegmenter())
     with pytest.raises(InputError, match="two are needed"):
         WrenchSegmenter().fit(data, [np.full(n, UNKNOWN) for n in data.length.tolist()])
-    with pytest.raises(InputError, match="other lengths"):
-        WrenchSegmenter().fit(data, [np.zeros(3, int)] * 2)
+    for shape in ((3,), (int(data.length[0]), 1)):
+        with pytest.raises(InputError, match="other lengths"):
+            WrenchSegmenter().fit(data, [np.zeros(shape, int)] * 2)
 
 
 def test_a_fit_that_fails_leaves_what_was_fitted_before():

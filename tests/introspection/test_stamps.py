@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, TrialStarted
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.session import Session
@@ -54,3 +56,12 @@ def test_events_say_which_trial_they_are_of():
     ]
     assert started[0][0] == 0
     assert sum(isinstance(event, Belief) for event in events[: started[1][0]]) == 6
+
+
+@pytest.mark.parametrize("time", [np.nan, np.inf])
+def test_a_stamp_that_is_no_time_is_refused(time: float) -> None:
+    detector, introspector = SnapDetector(200.0, ["Fz"], least=3.0), Introspector(model())
+    for push in (lambda: detector.push(WRENCH[:40, [2]], time), lambda: introspector.push(WRENCH[:40], time)):
+        with pytest.raises(InputError, match="expected a finite number"):
+            push()
+    assert introspector.received == 0

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.types import Recordings
 from tests.support.store_cases import same, simple
 
@@ -59,3 +63,71 @@ def test_tables_and_named_arrays_are_read_by_their_names() -> None:
                                 ([frames[0], frames[1][["Fz", "grip"]]], 100, "different axes")):  # fmt: skip
         with pytest.raises(InputError, match=why):
             Recordings.from_arrays(wrenches, rate=rate)
+
+
+REST = np.zeros((3, 20, 1), np.float32)
+COLUMNS = {
+    "texts of pandas": (pd.Series(["a", "b", None], dtype="string"), ["a", "b", ""]),
+    "objects": (np.array(["a", "b", "c"], object), ["a", "b", "c"]),
+    "counts of pandas": (pd.Series([1, 2, 5], dtype="Int64"), [1, 2, 5]),
+    "objects that are numbers": (np.array([1, 2.5, True], object), [1.0, 2.5, 1.0]),
+    "other bytes": (np.array([1, 2, 3], ">f8"), [1.0, 2.0, 3.0]),
+    "nothing": ([None] * 3, [""] * 3),
+}
+
+
+@pytest.mark.parametrize("case", COLUMNS)
+def test_columns_as_tables_hold_them_can_be_stored(case: str, tmp_path: Path) -> None:
+    given, expected = COLUMNS[case]
+    made = Recordings.from_arrays(REST, day=given)
+    assert made.column("day").tolist() == expected
+    write_recordings(tmp_path / "a.zarr", made, {})
+    assert read_recordings(tmp_path / "a.zarr").column("day").tolist() == expected
+
+
+def test_names_that_are_numbers_are_texts_and_missing_ones_are_as_if_not_given(tmp_path: Path) -> None:
+    made = Recordings.from_arrays(
+        REST, trial=[7, 8, 9], session=pd.Series(["x", None, "y"]), outcome=[True, False, None]
+    )
+    write_recordings(tmp_path / "a.zarr", made, {})
+    for one in (made, read_recordings(tmp_path / "a.zarr")):
+        assert one.trial.tolist() == ["7", "8", "9"]
+        assert one.session.tolist() == ["x", "1", "y"]
+        assert one.outcome.tolist() == ["True", "False", "unknown"]
+    with pytest.raises(InputError, match="Column day holds objects of the kinds int, str"):
+        Recordings.from_arrays(REST, day=np.array([1, "a", None], object))
+    with pytest.raises(InputError, match="Column day has rows of different lengths"):
+        Recordings.from_arrays(REST, day=[[1], [1, 2], 3])
+
+
+@pytest.mark.parametrize(
+    ("rows", "sentence"),
+    [
+        ([(3, "phase", "a", 0, 1)], "about recordings 3 to 3; there are 3"),
+        ([(-1, "phase", "a", 0, 1)], "about recordings -1 to -1"),  # it was taken for the last one
+        ([(1.7, "phase", "a", 0, 1)], "An annotation is"),
+        ([(0, "phase", "a", 0)], "An annotation is"),
+        ([(0, "phase", "a", None, 1)], "An annotation is"),
+        ([(0, "phase", None, 0, 1)], "An annotation is"),
+        ([(0, "phase", "a", np.nan, 1)], "expected a finite start"),
+        (pd.DataFrame([(0, "phase", "a", 0, 1)]), "An annotation is 0; expected recording, track, label"),
+        ({"phase": [(0, 1)]}, "An annotation is phase"),
+    ],
+)
+def test_annotations_that_are_none_are_refused(rows: Any, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        Recordings.from_arrays(REST, annotations=rows)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [list, np.array, lambda rows: np.array(rows, object), lambda rows: pd.DataFrame(rows).itertuples(index=False)],
+)
+def test_rows_of_annotations_come_in_many_forms(form: Callable[[Any], Any], tmp_path: Path) -> None:
+    """Labels that are numbers are texts; times that are texts are sorted as numbers."""
+    rows = form([(0, "phase", 12, 10.0, 11.0), (0, "phase", 3, 9.0, 10.0), (2, "phase", 3, 0.5, np.nan)])
+    made = Recordings.from_arrays(REST, annotations=rows)
+    assert made.annotations.labels == {"phase": ("3", "12")}
+    np.testing.assert_array_equal(made.starts("phase"), [[9, 10], [np.nan, np.nan], [0.5, np.nan]])
+    write_recordings(tmp_path / "a.zarr", made, {})
+    same(read_recordings(tmp_path / "a.zarr"), made)
