@@ -1,9 +1,12 @@
-"""Errors in functions that users write for their assemblies and robots, as one sentence."""
+"""Errors in what users write for their assemblies and robots, as one sentence."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
 
 from rcbht_jax.errors import InputError
 
@@ -30,3 +33,21 @@ def own_code(what: str) -> Iterator[None]:
     except Exception as error:
         reason = str(error).strip().partition("\n")[0].rstrip(".")
         raise InputError(f"{what} ends in {type(error).__name__}: {reason}.") from error
+
+
+def finite(values: Any, *shape: int) -> bool:
+    """Whether values that a user gave are finite real numbers of a shape.
+
+    Args:
+        values: anything.
+        shape: () = one number, -1 = any length.
+
+    >>> finite(0.5), finite((0.5, 0.0, 0.1), 3), finite((0.5, "0"), 2), finite(None), finite([1, 2], -1)
+    (True, True, False, False, True)
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError:  # rows of unequal lengths
+        return False
+    fits = len(array.shape) == len(shape) and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
+    return fits and array.dtype.kind in "iuf" and bool(np.isfinite(array).all())

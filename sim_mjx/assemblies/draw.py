@@ -11,7 +11,7 @@ import numpy as np
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, FaultOf, Mount, Parts, Range, Variation
-from sim_mjx.assemblies.checks import check_faulty
+from sim_mjx.assemblies.checks import check_faulty, check_like
 from sim_mjx.assemblies.scene import home
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.sensor import SensorParams
@@ -105,6 +105,8 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
     nominal, which = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))
     kind = "none" if nominal or not kinds else kinds[which]  # all other random numbers are those of a nominal trial
     task, own = drawn(assembly, spec, rng)
+    for like, found in zip(drawn(assembly, spec, stream(0, 0)), (task, own), strict=True):
+        check_like(f"draw of {assembly.name}", like, found)
     trial = AssemblyTrial(
         task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),
         timeout=np.asarray(assembly.timeout), command_delay=np.array(lag, np.int32), seed=key,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,8 +26,16 @@ from sim_mjx.robots import ROBOTS, Robot
 CLIP, PANDA = ASSEMBLIES["clip"], ROBOTS["panda"]
 
 
+def altered(thing: Any, **values: Any) -> Any:
+    """A copy with values of any type, which the annotations of the tests' run refuse."""
+    new = copy(thing)
+    for name, value in values.items():
+        object.__setattr__(new, name, value)
+    return new
+
+
 def changed(**values: Any) -> Assembly:
-    return Assembly(**{**vars(CLIP), **values})
+    return altered(CLIP, **values)
 
 
 def with_phase(move: Callable[..., Any] = press, leave: Callable[..., Any] = at_bottom) -> dict[str, Any]:
@@ -88,8 +97,15 @@ def drawing(task: Any = None, own: Any = None) -> dict[str, Any]:
         (drawing(own=Named(Named(1.0))), "material of Named of clip is of type Named; expected an array"),
         (drawing(own=Named(None)), "material of Named of clip is of type NoneType; expected an array"),
         ({"timeout": float("nan")}, "timeout of clip is nan s"),
+        ({"timeout": "20"}, "timeout of clip is 20 s; expected a positive"),
+        ({"start": float("nan")}, "start of clip is nan m; expected a finite number"),
+        ({"reach": None}, "reach of clip is None m"),
         ({"substeps": 0}, "substeps of clip are 0"),
+        ({"substeps": 2.5}, "substeps of clip are 2.5; expected a count"),
         ({"mount_stiffness": (-1e4, 1e4, 1e4)}, "mount_stiffness of clip is"),
+        ({"mount_stiffness": (1e4, 1e4)}, r"mount_stiffness of clip is \(10000.0, 10000.0\); expected three numbers"),
+        ({"mount_stiffness": 1e4}, "mount_stiffness of clip is 10000.0; expected three numbers"),
+        (drawing(own=Named(np.asarray(np.nan))), "draw of clip sets material to nan; expected numbers"),
         ({"name": "camera-snap"}, "The name camera-snap is that of the recorded assembly"),
         ({"name": "a\nb"}, "names the assembly, a phase, a fault or a tab of 'a"),
     ],
@@ -123,11 +139,29 @@ def test_a_fault_that_fails_is_named() -> None:
             r"the shape of parts.own.material from \[\] to",
         ),
         (lambda trial, spec, rng: replace(trial, timeout=np.array(np.nan)), "sets a timeout of nan s"),
-        (lambda trial, spec, rng: replace(trial, command_delay=np.array(40)), "sets a delay of 40 periods; expected 0"),
+        (
+            lambda trial, spec, rng: replace(trial, command_delay=np.array(40)),
+            "sets a delay of 40 periods; expected a whole number, 0 to 10",
+        ),
+        (lambda trial, spec, rng: altered(trial, command_delay=np.array(1.5)), "sets a delay of .* periods"),
+        (lambda trial, spec, rng: replace(trial, hand=trial.hand * np.nan), r"sets hand to \[nan"),
+        (lambda trial, spec, rng: with_own(trial, material="brass"), "sets parts.own.material to brass; expected num"),
+        (lambda trial, spec, rng: with_own(trial, material=None), "does not always give parts.own.material"),
     ):
         scenario = pair(changed(faults={"bad": fault}, **drawing(own=Named(np.asarray(1.0)))), PANDA)
         with pytest.raises(InputError, match=sentence):
             scenario.draw(0, 0, scenario.spec(nominal_share=0.0))
+
+
+def test_parameters_have_one_shape_in_all_trials() -> None:
+    def draw(spec: Any, rng: np.random.Generator) -> Any:
+        task, _ = CLIP.draw(spec, rng)
+        return task, Named(np.zeros(3 if rng.random() < 0.5 else 2))
+
+    scenario = pair(changed(draw=draw), PANDA)
+    for indices in (range(8), range(1, 9), [8, 3]):
+        with pytest.raises(InputError, match=r"draw of clip changes the shape of material from \[\d\] to \[\d\]"):
+            scenario.draw_batch(0, indices, scenario.spec(nominal_share=1.0))
 
 
 def poked(write: Callable[[FieldWriter, Any], None], extra: Callable[[mujoco.MjSpec, Any], Any] | None = None) -> Any:
@@ -186,6 +220,7 @@ def test_what_a_scene_cannot_have_is_named() -> None:
         (motor, "clip adds the actuator 'MOTOR', which nothing commands"),
         (reading, "MuJoCo cannot compile clip on panda: repeated name 'PLACE_0'"),
         (lambda spec, body: body.absent(), "MuJoCo cannot compile clip on panda: .* has no attribute 'absent'"),
+        (lambda spec, body: 1 / 0, "male or female of clip ends in ZeroDivisionError: division by zero"),
     ):
         with pytest.raises(InputError, match=sentence):
             scene(poked(CLIP.write, extra), PANDA)
@@ -193,12 +228,19 @@ def test_what_a_scene_cannot_have_is_named() -> None:
 
 def test_a_mistake_in_a_robot_is_one_sentence() -> None:
     def robot(**values: Any) -> Robot:
-        return replace(PANDA, **{"name": "mine", **values})
+        new: Robot = altered(PANDA, **{"name": "mine", **values})
+        new.__post_init__()
+        return new
 
     for values, sentence in (
         ({"tool_mass": -1.0}, "tool_mass of the robot mine is -1.0 kg; expected zero"),
         ({"tool_mass": float("nan")}, "tool_mass of the robot mine is nan"),
         ({"home": (np.nan,) * 7}, "home of the robot mine is .*; expected finite numbers"),
+        ({"home": None}, "home of the robot mine is None; expected finite numbers, one for each joint"),
+        ({"place": (0.5, 0.0)}, r"place of the robot mine is \(0.5, 0.0\); expected three finite numbers"),
+        ({"place": ("0.5", 0.0, 0.1)}, "place of the robot mine is .*; expected three finite numbers"),
+        ({"tool_mass": "light"}, "tool_mass of the robot mine is light; expected a finite number"),
+        ({"name": "a\nb"}, r"'a\\nb' names a robot; expected a word"),
         ({"home": (0.0, 1.0)}, "home has 2 angles; expected one per joint of the arm, 7"),
         ({"wrist": "HAND"}, "The robot mine has no site 'HAND'"),
         ({"build": lambda: 1 / 0}, "build of the robot mine ends in ZeroDivisionError: division by zero"),
