@@ -51,3 +51,28 @@ def finite(values: Any, *shape: int) -> bool:
         return False
     fits = len(array.shape) == len(shape) and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
     return fits and array.dtype.kind in "iuf" and bool(np.isfinite(array).all())
+
+
+def two_numbers(name: str, value: Any) -> tuple[float, float]:
+    """The two numbers of a range that a user gave.
+
+    Args:
+        name: of the range.
+        value: anything.
+
+    Raises:
+        InputError: it is no pair of numbers.
+
+    >>> two_numbers("friction", [0.1, 0.2])
+    (0.1, 0.2)
+    """
+    if not finite(value, 2):
+        raise InputError(f"The range of {name} is {value}; expected two numbers, the lowest and the highest.")
+    return float(value[0]), float(value[1])
+
+
+def with_tuples(thing: Any) -> None:
+    """Make the lists of a frozen dataclass tuples, so that it can be hashed; for its ``__post_init__``."""
+    for name, value in vars(thing).items():
+        if isinstance(value, list):
+            object.__setattr__(thing, name, tuple(value))

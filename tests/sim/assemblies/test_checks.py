@@ -15,11 +15,13 @@ import pytest
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies import ASSEMBLIES, Phase, Variation
 from sim_mjx.assemblies.assembly import Assembly
-from sim_mjx.assemblies.draw import with_own
+from sim_mjx.assemblies.draw import check, with_own
 from sim_mjx.assemblies.fields import FieldWriter, ball, box, touch
 from sim_mjx.assemblies.pressing import APPROACH, at_bottom, press
 from sim_mjx.assemblies.scene import scene
+from sim_mjx.engines.device import put_scene
 from sim_mjx.engines.native import model_of
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import pair
 from sim_mjx.robots import ROBOTS, Robot
 
@@ -130,6 +132,31 @@ def test_a_variation_may_hold_more_than_ranges() -> None:
         scenario.draw(0, 0, scenario.spec(stop_at=(-1.0, 1.0)))
 
 
+def test_a_range_is_two_numbers_and_a_spec_that_of_its_assembly() -> None:
+    scenario = pair(CLIP, PANDA)
+    for values, sentence in (
+        ({"friction": 0.3}, "The range of friction is 0.3; expected two numbers"),
+        ({"friction": (0.1, 0.2, 0.3)}, r"The range of friction is \(0.1, 0.2, 0.3\); expected two numbers"),
+        ({"worn": None}, "The range of worn is None; expected two numbers"),
+        ({"noise": np.array([2.0, 1.0])}, "The range of noise is 2.0 to 1.0; expected two increasing numbers"),
+        ({"lag": (1.5, 2.5)}, r"The lag is \(1.5, 2.5\); expected two increasing counts"),
+        ({"lag": 2}, "The lag is 2; expected two increasing counts"),
+        ({"longest": "3"}, "The longest trial is 3 s; expected a positive number"),
+        ({"nominal_share": "1"}, "The nominal share is 1; expected 0 to 1"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            check(altered(scenario.spec(), **values), CLIP)
+    for spec, sentence in (
+        (ASSEMBLIES["peg-in-hole"].variation(), "Distributions of clip are a LatchVariation; this PegVariation has no"),
+        (DomainRandomization(), "Distributions of clip are a LatchVariation; this DomainRandomization has no nom"),
+        ({"nominal_share": 1.0}, "Distributions of clip are a LatchVariation; this dict has no nominal_share"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            check(spec, CLIP)
+    with pytest.raises(InputError, match="There is no trial of clip to draw"):
+        scenario.draw_batch(0, (), scenario.spec())
+
+
 def test_a_fault_that_fails_is_named() -> None:
     for fault, sentence in (
         (lambda trial, spec, rng: None, "the fault 'bad' of clip gives a NoneType; expected the changed trial"),
@@ -224,6 +251,19 @@ def test_what_a_scene_cannot_have_is_named() -> None:
     ):
         with pytest.raises(InputError, match=sentence):
             scene(poked(CLIP.write, extra), PANDA)
+
+
+def test_what_mjx_cannot_simulate_is_one_sentence() -> None:
+    def can(spec: mujoco.MjSpec, body: Any) -> None:
+        body.add_geom(name="CAN", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(0.01, 0.01, 0.0), contype=0, conaffinity=0)
+        touch(spec, "CAN", "UPRIGHT")
+
+    def smooth(spec: mujoco.MjSpec, body: Any) -> None:
+        spec.pair("BALL:UPRIGHT").condim = 1
+
+    for extra, reason in ((can, ".*CYLINDER.* collisions not implemented"), (smooth, "condim=1 with .*")):
+        with pytest.raises(InputError, match=f"^MJX cannot simulate this scene: {reason}; choose the engine native.$"):
+            put_scene(scene(poked(CLIP.write, extra), PANDA), 1, "jax")
 
 
 def test_a_mistake_in_a_robot_is_one_sentence() -> None:
