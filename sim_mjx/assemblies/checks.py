@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from itertools import zip_longest
 from typing import Any
@@ -22,10 +23,11 @@ def check_assembly(assembly: Assembly) -> None:
     """Check what can be checked without a robot and without drawing a trial.
 
     Raises:
-        InputError: no phase or two of one name, no marks or tabs for some of them only, an impossible number, a
-            fault of the name that trials without a fault have, or a ``seated`` that does not give one truth value for
-            each mark.
+        InputError: a field of another kind, no phase or two of one name, no marks or tabs for some of them only, an
+            impossible number, a fault of the name that trials without a fault have, or a ``seated`` that does not give
+            one truth value for each mark.
     """
+    _check_kinds(assembly)
     name, states = assembly.name, tuple(phase.name for phase in assembly.phases)
     for text in (name, *states, *assembly.faults, *assembly.tabs):
         if not text.strip() or not text.isprintable():
@@ -45,6 +47,22 @@ def check_assembly(assembly: Assembly) -> None:
         raise InputError(f"{name} has a fault named 'none', as trials without a fault are called; rename it.")
     _check_numbers(assembly)
     _check_seated(assembly)
+
+
+def _check_kinds(assembly: Assembly) -> None:
+    name, phases, faults, tabs = assembly.name, assembly.phases, assembly.faults, assembly.tabs
+    for field, expected, value, holds in (
+        ("name", "a word", name, isinstance(name, str)),
+        ("phases", "a tuple of Phase", phases, _all_are(phases, Phase)),
+        ("faults", "a dict of functions by name", faults, isinstance(faults, Mapping) and _all_are([*faults], str)),
+        ("tabs", "a tuple of names", tabs, _all_are(tabs, str)),
+    ):
+        if not holds:
+            raise InputError(f"{field} of the assembly {name} is {value!r}; expected {expected}.")
+
+
+def _all_are(values: Any, kind: type) -> bool:
+    return isinstance(values, tuple | list) and all(isinstance(value, kind) for value in values)
 
 
 def _check_numbers(assembly: Assembly) -> None:

@@ -117,8 +117,11 @@ def from_mjcf(
 
 
 def _built(robot: Robot) -> mujoco.MjSpec:
-    with own_code(f"build of the robot {robot.name}"):
-        return robot.build()
+    with own_code(what := f"build of the robot {robot.name}"):
+        spec = robot.build()
+    if not isinstance(spec, mujoco.MjSpec):
+        raise InputError(f"{what} gives a {type(spec).__name__}; expected a mujoco.MjSpec.")
+    return spec.copy()  # which is changed below; the user's may be the same object at every call
 
 
 @cache

@@ -98,6 +98,12 @@ def drawing(task: Any = None, own: Any = None) -> dict[str, Any]:
         (drawing(own=Named()), "material of Named of clip is of type str; expected an array"),
         (drawing(own=Named(Named(1.0))), "material of Named of clip is of type Named; expected an array"),
         (drawing(own=Named(None)), "material of Named of clip is of type NoneType; expected an array"),
+        ({"phases": None}, "phases of the assembly clip is None; expected a tuple of Phase"),
+        ({"phases": ("approach",)}, r"phases of the assembly clip is \('approach',\); expected a tuple of Phase"),
+        ({"faults": None}, "faults of the assembly clip is None; expected a dict of functions by name"),
+        ({"faults": {3: CLIP.faults["chip"]}}, "faults of the assembly clip is .*; expected a dict of functions by"),
+        ({"tabs": "LATCH"}, "tabs of the assembly clip is 'LATCH'; expected a tuple of names"),
+        ({"name": None}, "name of the assembly None is None; expected a word"),
         ({"timeout": float("nan")}, "timeout of clip is nan s"),
         ({"timeout": "20"}, "timeout of clip is 20 s; expected a positive"),
         ({"start": float("nan")}, "start of clip is nan m; expected a finite number"),
@@ -283,6 +289,7 @@ def test_a_mistake_in_a_robot_is_one_sentence() -> None:
         ({"name": "a\nb"}, r"'a\\nb' names a robot; expected a word"),
         ({"home": (0.0, 1.0)}, "home has 2 angles; expected one per joint of the arm, 7"),
         ({"wrist": "HAND"}, "The robot mine has no site 'HAND'"),
+        ({"build": lambda: None}, "build of the robot mine gives a NoneType; expected a mujoco.MjSpec"),
         ({"build": lambda: 1 / 0}, "build of the robot mine ends in ZeroDivisionError: division by zero"),
     ):
         with pytest.raises(InputError, match=sentence):
