@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from itertools import zip_longest
 from typing import Any
 
 import jax
@@ -14,17 +16,18 @@ from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase
 from sim_mjx.assembly.rollout import as_float32
 from sim_mjx.assembly.sensor import LONGEST_DELAY
 from sim_mjx.controllers import Sense
-from sim_mjx.own_code import own_code
+from sim_mjx.own_code import finite, own_code
 
 
 def check_assembly(assembly: Assembly) -> None:
     """Check what can be checked without a robot and without drawing a trial.
 
     Raises:
-        InputError: no phase or two of one name, no marks or tabs for some of them only, an impossible number, a
-            fault of the name that trials without a fault have, or a ``seated`` that does not give one truth value for
-            each mark.
+        InputError: a field of another kind, no phase or two of one name, no marks or tabs for some of them only, an
+            impossible number, a fault of the name that trials without a fault have, or a ``seated`` that does not give
+            one truth value for each mark.
     """
+    _check_kinds(assembly)
     name, states = assembly.name, tuple(phase.name for phase in assembly.phases)
     for text in (name, *states, *assembly.faults, *assembly.tabs):
         if not text.strip() or not text.isprintable():
@@ -46,15 +49,33 @@ def check_assembly(assembly: Assembly) -> None:
     _check_seated(assembly)
 
 
+def _check_kinds(assembly: Assembly) -> None:
+    name, phases, faults, tabs = assembly.name, assembly.phases, assembly.faults, assembly.tabs
+    for field, expected, value, holds in (
+        ("name", "a word", name, isinstance(name, str)),
+        ("phases", "a tuple of Phase", phases, _all_are(phases, Phase)),
+        ("faults", "a dict of functions by name", faults, isinstance(faults, Mapping) and _all_are([*faults], str)),
+        ("tabs", "a tuple of names", tabs, _all_are(tabs, str)),
+    ):
+        if not holds:
+            raise InputError(f"{field} of the assembly {name} is {value!r}; expected {expected}.")
+
+
+def _all_are(values: Any, kind: type) -> bool:
+    return isinstance(values, tuple | list) and all(isinstance(value, kind) for value in values)
+
+
 def _check_numbers(assembly: Assembly) -> None:
-    if not 0.0 < assembly.timeout < np.inf:
-        raise InputError(f"The timeout of {assembly.name} is {assembly.timeout} s; expected a positive, finite number.")
-    if assembly.substeps < 1:
-        raise InputError(f"The substeps of {assembly.name} are {assembly.substeps}; expected a count of 1 or more.")
-    if not all(0.0 <= stiffness < np.inf for stiffness in assembly.mount_stiffness):
-        raise InputError(
-            f"The mount_stiffness of {assembly.name} is {assembly.mount_stiffness}; expected zero or more each."
-        )
+    name, substeps, stiffness = assembly.name, assembly.substeps, assembly.mount_stiffness
+    if not finite(assembly.timeout) or assembly.timeout <= 0:
+        raise InputError(f"The timeout of {name} is {assembly.timeout} s; expected a positive, finite number.")
+    for what in ("reach", "start"):
+        if not finite(value := getattr(assembly, what)):
+            raise InputError(f"The {what} of {name} is {value} m; expected a finite number.")
+    if not isinstance(substeps, int | np.integer) or substeps < 1:
+        raise InputError(f"The substeps of {name} are {substeps}; expected a count of 1 or more.")
+    if not finite(stiffness, 3) or min(stiffness) < 0:
+        raise InputError(f"The mount_stiffness of {name} is {stiffness}; expected three numbers, zero or more each.")
 
 
 def _check_seated(assembly: Assembly) -> None:
@@ -73,8 +94,8 @@ def check_drawn(assembly: Assembly, task: Any, own: Any) -> None:
     """Check the parameters that an assembly draws, and its phases with them.
 
     Raises:
-        InputError: the parameters are no dataclasses that JAX knows, or hold something else than arrays; or a phase's
-            motion is no twist, or its condition no truth value.
+        InputError: the parameters are no dataclasses that JAX knows, or hold something else than arrays, or NaN; or a
+            phase's motion is no twist, or its condition no truth value.
     """
     for what, values in (("task", task), ("parts", own)):
         kind = type(values).__name__
@@ -87,6 +108,7 @@ def check_drawn(assembly: Assembly, task: Any, own: Any) -> None:
             if isinstance(value, tuple | list) or np.asarray(value).dtype.kind not in "biuf":
                 found = type(value).__name__
                 raise InputError(f"{field.name} of {kind} of {assembly.name} is of type {found}; expected an array.")
+        check_like(f"draw of {assembly.name}", values, values)
     for phase in assembly.phases:
         _check_phase(assembly, phase, as_float32(task))
 
@@ -105,6 +127,30 @@ def _check_phase(assembly: Assembly, phase: Phase, task: Any) -> None:
             raise InputError(f"{what} of {where} gives {text}; expected {expected}.")
 
 
+def check_like(what: str, like: Any, found: Any) -> None:
+    """Check the numbers of a trial against those of another one: a batch, and a store, has one shape for all.
+
+    Args:
+        what: where they come from, as a sentence begins.
+        like: a pytree. found: another one.
+
+    Raises:
+        InputError: an array has another shape, or holds NaN or no numbers.
+    """
+    before, after = (jax.tree_util.tree_leaves_with_path(tree) for tree in (like, found))
+    old: Any
+    new: Any
+    for (path, old), (same, new) in zip_longest(before, after, fillvalue=((), None)):
+        name = jax.tree_util.keystr(path or same).lstrip(".")
+        if path != same:
+            raise InputError(f"{what} does not always give {name}; expected the same parameters in every trial.")
+        if np.shape(old) != np.shape(new):
+            shapes = [list(np.shape(one)) for one in (old, new)]
+            raise InputError(f"{what} changes the shape of {name} from {shapes[0]} to {shapes[1]}.")
+        if np.asarray(new).dtype.kind not in "biuf" or np.isnan(new).any():
+            raise InputError(f"{what} sets {name} to {new}; expected numbers.")
+
+
 def check_faulty(what: str, nominal: AssemblyTrial, faulty: Any) -> None:
     """Check the trial that a fault gives.
 
@@ -113,16 +159,13 @@ def check_faulty(what: str, nominal: AssemblyTrial, faulty: Any) -> None:
         nominal: the trial before. faulty: what the fault gave.
 
     Raises:
-        InputError: it is no trial, its arrays have other shapes, or its timeout or delay is impossible.
+        InputError: it is no trial, its arrays have other shapes or hold NaN, or its timeout or delay is impossible.
     """
     if not isinstance(faulty, AssemblyTrial):
         raise InputError(f"{what} gives a {type(faulty).__name__}; expected the changed trial.")
-    before, after = (jax.tree_util.tree_leaves_with_path(trial) for trial in (nominal, faulty))
-    for (path, old), (same, new) in zip(before, after, strict=False):
-        if path != same or np.shape(old) != np.shape(new):
-            name, shapes = jax.tree_util.keystr(path).lstrip("."), [list(np.shape(one)) for one in (old, new)]
-            raise InputError(f"{what} changes the shape of {name} from {shapes[0]} to {shapes[1]}.")
-    if not 0.0 < faulty.timeout < np.inf:
+    delay, most = faulty.command_delay, LONGEST_DELAY - 2
+    if not finite(faulty.timeout) or faulty.timeout <= 0:
         raise InputError(f"{what} sets a timeout of {faulty.timeout} s; expected a positive, finite number.")
-    if not 0 <= faulty.command_delay <= LONGEST_DELAY - 2:
-        raise InputError(f"{what} sets a delay of {faulty.command_delay} periods; expected 0 to {LONGEST_DELAY - 2}.")
+    if not finite(delay) or np.asarray(delay).dtype.kind == "f" or not 0 <= delay <= most:
+        raise InputError(f"{what} sets a delay of {delay} periods; expected a whole number, 0 to {most}.")
+    check_like(what, nominal, faulty)

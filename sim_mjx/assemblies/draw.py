@@ -11,11 +11,11 @@ import numpy as np
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, FaultOf, Mount, Parts, Range, Variation
-from sim_mjx.assemblies.checks import check_faulty
+from sim_mjx.assemblies.checks import check_faulty, check_like
 from sim_mjx.assemblies.scene import home
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.sensor import SensorParams
-from sim_mjx.own_code import own_code
+from sim_mjx.own_code import own_code, two_numbers
 from sim_mjx.randomization.trials import Fault, check_common, stream
 from sim_mjx.robots.robot import Robot
 
@@ -38,18 +38,24 @@ def uniform(rng: np.random.Generator, span: Range, size: int | None = None) -> A
     return np.asarray(rng.uniform(span[0], span[1], size))
 
 
-def check(spec: Variation, assembly: Assembly) -> None:
+def check(spec: Any, assembly: Assembly) -> None:
     """Raise an error for distributions from which no trial can be drawn.
 
     Raises:
-        InputError: an invalid share, range, lag or time, or an unknown fault.
+        InputError: distributions of another assembly, an invalid share, range, lag or time, or an unknown fault.
     """
+    has = {field.name for field in fields(spec)} if isinstance(spec, Variation) else set()
+    if lacking := [field.name for field in fields(assembly.variation) if field.name not in has]:
+        found, expected = type(spec).__name__, assembly.variation.__name__
+        raise InputError(f"Distributions of {assembly.name} are a {expected}; this {found} has no {lacking[0]}.")
     check_common(spec.nominal_share, spec.longest, spec.lag)
     unknown = [name for name in spec.faults if name not in assembly.faults]
     if unknown:
         raise InputError(f"{assembly.name} has no fault {unknown[0]!r}; it has {', '.join(assembly.faults)}.")
     for field in fields(spec):
         value = getattr(spec, field.name)
+        if _is_range(field.default) and not _is_range(value):  # an array is one, too
+            value = two_numbers(field.name, value)
         if _is_range(value) and not -np.inf < value[0] <= value[1] < np.inf:
             raise InputError(f"The range of {field.name} is {value[0]} to {value[1]}; expected two increasing numbers.")
     for name in _NOT_NEGATIVE:
@@ -105,6 +111,8 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
     nominal, which = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))
     kind = "none" if nominal or not kinds else kinds[which]  # all other random numbers are those of a nominal trial
     task, own = drawn(assembly, spec, rng)
+    for like, found in zip(drawn(assembly, spec, stream(0, 0)), (task, own), strict=True):
+        check_like(f"draw of {assembly.name}", like, found)
     trial = AssemblyTrial(
         task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),
         timeout=np.asarray(assembly.timeout), command_delay=np.array(lag, np.int32), seed=key,
@@ -123,7 +131,13 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
 def sample_batch(
     pairing: Pairing, seed: int, indices: Sequence[int], spec: Variation
 ) -> tuple[AssemblyTrial, list[Fault]]:
-    """Several trials ``[trial, ...]``: :func:`sample` of each index, since an assembly draws one trial at a time."""
+    """Several trials ``[trial, ...]``: :func:`sample` of each index, since an assembly draws one trial at a time.
+
+    Raises:
+        InputError: as :func:`sample`, or no index.
+    """
+    if not len(indices):
+        raise InputError(f"There is no trial of {pairing.assembly.name} to draw; expected one index or more.")
     drawn = [sample(pairing, seed, index, spec) for index in indices]
     return stack([params for params, _ in drawn]), [fault for _, fault in drawn]
 

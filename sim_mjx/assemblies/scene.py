@@ -83,6 +83,9 @@ def _compiling(assembly: Assembly, robot: Robot) -> Iterator[None]:
     except (ValueError, AttributeError, TypeError, KeyError) as error:  # of MuJoCo, or of the functions that call it
         reason = " ".join(str(error).removeprefix("Error: ").split())
         raise InputError(f"MuJoCo cannot compile {assembly.name} on {robot.name}: {reason.rstrip('.')}.") from error
+    except Exception:
+        with own_code(f"male or female of {assembly.name}"):
+            raise
 
 
 def _elements(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:

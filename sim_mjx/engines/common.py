@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
@@ -80,6 +82,26 @@ _forwards.def_abstract_eval(lambda tangent: tangent)
 ad.deflinear2(_forwards, _refuse)
 batching.defvectorized(_forwards)
 mlir.register_lowering(_forwards, lambda _, tangent: [tangent])
+
+
+@contextmanager
+def unwarned() -> Iterator[None]:
+    """Without MuJoCo's warnings of physics that diverges, which it prints and adds to a file in the working folder.
+
+    Trials that diverge are marked. A handler of warnings that the program has set stays.
+
+    >>> with unwarned():
+    ...     mujoco.get_mju_user_warning() is None
+    False
+    """
+    if mujoco.get_mju_user_warning() is not None:
+        yield
+        return
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
 
 
 def select_lanes(which: Bool[Array, " lane"], first: Any, second: Any) -> Any:

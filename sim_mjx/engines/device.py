@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
 from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts, batch_size
@@ -158,7 +159,11 @@ def layout_of(scene: Scene) -> Layout:
 
 @single
 def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]:
-    """The scene's model on the device, and data of one trial; Warp's kernels step at most ``count`` at once."""
+    """The scene's model on the device, and data of one trial; Warp's kernels step at most ``count`` at once.
+
+    Raises:
+        InputError: the scene has something that MJX does not simulate.
+    """
     sizes = {}
     if impl == "warp":
         contacts, rows = most_contacts(scene.model)
@@ -167,7 +172,11 @@ def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]
     compiled.opt.tolerance = max(compiled.opt.tolerance, TOLERANCE)
     compiled.opt.iterations = min(compiled.opt.iterations, SOLVER[0])
     compiled.opt.ls_iterations = min(compiled.opt.ls_iterations, SOLVER[1])
-    model, empty = mjx.put_model(compiled, impl=impl), mjx.make_data(compiled, impl=impl, **sizes)
+    try:
+        model, empty = mjx.put_model(compiled, impl=impl), mjx.make_data(compiled, impl=impl, **sizes)
+    except NotImplementedError as error:
+        reason = str(error).partition("\n")[0].rstrip(".")
+        raise InputError(f"MJX cannot simulate this scene: {reason}; choose the engine native.") from error
     if impl == "warp":  # its kernels would print whenever a line search ends at its limit
         model = model.tree_replace({"opt._impl.warn_overflow": 0})
     return model, empty

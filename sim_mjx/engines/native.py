@@ -30,7 +30,7 @@ from rcbht_jax._util.compiling import compiler_options
 from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
-from sim_mjx.engines.common import SETTLING, collect, sane, select_lanes
+from sim_mjx.engines.common import SETTLING, collect, sane, select_lanes, unwarned
 
 LANES = 64  # of a thread; a program for more lanes costs a trial less time, but more where trials are few
 THREADS = 8  # of a process; more would wait for each other for longer than their physics takes
@@ -65,7 +65,7 @@ def simulate(
     timeout = np.asarray(scene.program.timeout(params))
     job = _Job(scene, params, deque(np.argsort(-timeout, kind="stable").tolist()), watch, progress)
     workers = min(threads or min(os.cpu_count() or 1, THREADS), -(-len(timeout) // LANES))
-    with ThreadPoolExecutor(workers) as pool:
+    with unwarned(), ThreadPoolExecutor(workers) as pool:
         try:
             done = [future.result() for future in [pool.submit(job.work) for _ in range(workers)]]
         except BaseException:

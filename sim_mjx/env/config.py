@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.own_code import finite, with_tuples
 
 ACTIONS = ("set-points", "joint", "cartesian")
 CONTROLLERS = ("recorded", "none")
@@ -48,6 +49,7 @@ class EnvConfig:
     turn: float = 0.005
 
     def __post_init__(self) -> None:
+        with_tuples(self)
         _check_choice("action", self.action, ACTIONS)
         _check_choice("controller", self.controller, CONTROLLERS)
         for part in self.observe:
@@ -58,11 +60,11 @@ class EnvConfig:
             raise InputError(
                 'action="set-points" needs controller="recorded"; use that, or action="joint" or action="cartesian".'
             )
-        if self.periods < 1:
+        if not isinstance(self.periods, int) or self.periods < 1:
             raise InputError(f"periods is {self.periods}; expected 1 control period per step or more.")
         for name in ("hold", "force", "moment", "angle", "shift", "turn"):
             value = getattr(self, name)
-            if not 0.0 < value < float("inf"):
+            if not finite(value) or value <= 0:
                 raise InputError(f"The environment's {name} is {value}; expected a positive, finite number.")
 
     @property

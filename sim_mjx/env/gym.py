@@ -43,15 +43,15 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         seed: seed of the first episodes, unless :meth:`reset` is given another.
 
     Raises:
-        InputError: fewer than one environment.
+        InputError: fewer than one environment, or a negative seed.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  # Gymnasium wants a plain class attribute
 
     def __init__(self, env: Environment, num_envs: int, seed: int = 0) -> None:
-        if num_envs < 1:
+        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise InputError(f"num_envs is {num_envs}; expected 1 or more.")
-        self.env, self.num_envs, self._key = env, num_envs, jax.random.key(seed)
+        self.env, self.num_envs, self._key = env, int(num_envs), _key(seed)
         self.single_observation_space, self.single_action_space = spaces(env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -62,7 +62,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         """Begin an episode in every environment; ``options`` are not used."""
         super().reset(seed=seed)
         if seed is not None:
-            self._key = jax.random.key(seed)
+            self._key = _key(seed)
         self._key, key = jax.random.split(self._key)
         self._state = self._reset(self.env, self.num_envs, key)
         return _host(self._state.obs), _infos(self._state)
@@ -71,7 +71,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         """Step all environments; where an episode had ended, the action is ignored and the next episode begins.
 
         Raises:
-            InputError: before the first :meth:`reset`, or actions with a wrong shape or NaN.
+            InputError: before the first :meth:`reset`, or actions with a wrong shape or NaN, or no numbers.
         """
         state, values = _started(self._state), _checked(actions, (self.num_envs, self.env.action_size))
         self._key, key = jax.random.split(self._key)
@@ -88,12 +88,15 @@ class SingleEnv(gymnasium.Env):
     Args:
         env: made by :func:`sim_mjx.env.load`.
         seed: seed of the first episode, unless :meth:`reset` is given another.
+
+    Raises:
+        InputError: a negative seed.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # Gymnasium wants a plain class attribute
 
     def __init__(self, env: Environment, seed: int = 0) -> None:
-        self.env, self._key = env, jax.random.key(seed)
+        self.env, self._key = env, _key(seed)
         self.observation_space, self.action_space = spaces(env)
         self._reset, self._step = jit(env.reset), jit(env.step)
         self._state: State | None = None
@@ -102,7 +105,7 @@ class SingleEnv(gymnasium.Env):
         """Begin an episode; ``options`` are not used."""
         super().reset(seed=seed)
         if seed is not None:
-            self._key = jax.random.key(seed)
+            self._key = _key(seed)
         self._key, key = jax.random.split(self._key)
         self._state = self._reset(key)
         return _host(self._state.obs), _infos(self._state)
@@ -111,7 +114,7 @@ class SingleEnv(gymnasium.Env):
         """One step.
 
         Raises:
-            InputError: before the first :meth:`reset`, or an action with a wrong shape or NaN.
+            InputError: before the first :meth:`reset`, or an action with a wrong shape or NaN, or no numbers.
         """
         self._state = self._step(_started(self._state), _checked(action, (self.env.action_size,)))
         truncated = bool(self._state.info["truncation"] > 0.5)
@@ -129,6 +132,22 @@ def _step(env: Environment, state: State, actions: Any, key: Any) -> State:
     return select_lanes(state.done > 0.5, fresh, stepped)
 
 
+def _key(seed: int) -> Any:
+    """The key of a seed of any size, whose lowest 32 bits JAX would take alone.
+
+    Raises:
+        InputError: it is negative or no whole number.
+    """
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"seed is {seed!r}; expected a whole number, zero or more.")
+    rest, low = divmod(int(seed), 2**32)
+    key = jax.random.key(low)
+    while rest:
+        rest, low = divmod(rest, 2**32)
+        key = jax.random.fold_in(key, np.uint32(low))
+    return key
+
+
 def _started(state: State | None) -> State:
     if state is None:
         raise InputError("The environment has no episode yet; call reset first.")
@@ -136,7 +155,10 @@ def _started(state: State | None) -> State:
 
 
 def _checked(actions: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    values = np.asarray(actions, np.float32)
+    try:
+        values = np.asarray(actions, np.float32)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"The actions are no array of numbers; expected float32 {list(shape)}.") from error
     if values.shape != shape:
         raise InputError(f"The actions have shape {values.shape}; expected {shape}.")
     if np.isnan(values).any():

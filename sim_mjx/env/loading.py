@@ -65,7 +65,7 @@ def load(
         raise InputError(
             f"An environment cannot use the engine {engine!r}; expected {' or '.join(engines.IMPLEMENTATIONS)}."
         )
-    if trials < 1 or parallel < 1:
+    if not all(isinstance(count, int | np.integer) and count >= 1 for count in (trials, parallel)):
         raise InputError(f"trials is {trials} and parallel {parallel}; expected 1 or more of each.")
     if name not in (*ALIASES, *PRESETS) and "@" not in name:
         raise InputError(

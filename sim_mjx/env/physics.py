@@ -19,7 +19,7 @@ from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import device, native
-from sim_mjx.engines.common import SETTLING
+from sim_mjx.engines.common import SETTLING, unwarned
 from sim_mjx.engines.device import Body, Layout
 from sim_mjx.engines.quiet import mjx
 
@@ -153,7 +153,7 @@ def settled(scene: Scene, params: Any) -> tuple[Body, Glance]:
     """
     home = np.asarray(scene.program.home(params), np.float64)
     parts = [jax.tree.map(lambda leaf, i=i: leaf[i], params.parts) for i in range(len(home))]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with unwarned(), ThreadPoolExecutor(os.cpu_count()) as pool:
         bodies, glances = zip(*pool.map(partial(_settle, scene), parts, home), strict=True)
     return stack(list(bodies)), stack(list(glances))
 

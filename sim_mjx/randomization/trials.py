@@ -22,6 +22,7 @@ from sim_mjx.assembly.parts import TABS, PartParams
 from sim_mjx.assembly.rollout import TrialParams, repeated
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams
 from sim_mjx.assembly.task import TaskParams, horizontal
+from sim_mjx.own_code import finite, two_numbers, with_tuples
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.presets.session import Range, SessionPreset
 from sim_mjx.randomization import overrides
@@ -80,6 +81,9 @@ class DomainRandomization:
     moved_by: Range = (0.021, 0.040)  # m, part along x or y: beyond every pose fault; chosen
     stop_at: Range = (0.3, 0.9)  # share of the time to mating after which the robot stops; chosen
 
+    def __post_init__(self) -> None:
+        with_tuples(self)
+
 
 # Limits of a user's ranges: no trial could be simulated beyond them.
 LIMITS: dict[str, Range] = {
@@ -133,17 +137,17 @@ _DRAWN = (
 )  # fmt: skip
 
 
-def check_common(nominal_share: float, longest: float | None, lag: tuple[int, int]) -> None:
+def check_common(nominal_share: Any, longest: Any, lag: Any) -> None:
     """Check the options that the distributions of all assemblies have; arguments as of :class:`DomainRandomization`.
 
     Raises:
         InputError: an invalid share, time or lag.
     """
-    if not 0.0 <= nominal_share <= 1.0:
+    if not finite(nominal_share) or not 0.0 <= nominal_share <= 1.0:
         raise InputError(f"The nominal share is {nominal_share}; expected 0 to 1.")
-    if longest is not None and not 0.0 < longest < np.inf:
+    if longest is not None and not (finite(longest) and longest > 0):
         raise InputError(f"The longest trial is {longest} s; expected a positive number of seconds.")
-    if not 0 <= lag[0] <= lag[1] <= LONGEST_DELAY - 2:
+    if not finite(lag, 2) or np.asarray(lag).dtype.kind == "f" or not 0 <= lag[0] <= lag[1] <= LONGEST_DELAY - 2:
         raise InputError(f"The lag is {lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
 
 
@@ -165,7 +169,7 @@ def check(spec: DomainRandomization) -> None:
     for name, (least, most) in LIMITS.items():
         if getattr(spec, name) is None:
             continue
-        low, high = getattr(spec, name)
+        low, high = two_numbers(name, getattr(spec, name))
         if not least <= low <= high <= most:
             raise InputError(f"The range of {name} is {low} to {high}; expected it within {least} to {most}.")
 

@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from jaxtyping import Float64
 
 from rcbht_jax.errors import InputError
-from sim_mjx.own_code import own_code
+from sim_mjx.own_code import finite, own_code
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -35,7 +36,8 @@ class Robot:
     """An arm that can carry out assemblies.
 
     Raises:
-        InputError: home, place or tool_mass are no finite numbers, or a mass is negative.
+        InputError: the name is no word; home, place or tool_mass are no finite numbers, or not as many as they must
+            be; or the mass is negative.
 
     Example:
         >>> from sim_mjx.robots import get_robot
@@ -51,9 +53,15 @@ class Robot:
     tool_mass: float = 0.4  # kg, of what hangs behind the wrist's sensor
 
     def __post_init__(self) -> None:
-        for name, values in (("home", self.home), ("place", self.place), ("tool_mass", (self.tool_mass,))):
-            if not np.isfinite(values).all():
-                raise InputError(f"{name} of the robot {self.name} is {getattr(self, name)}; expected finite numbers.")
+        if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
+            raise InputError(f"{self.name!r} names a robot; expected a word.")
+        for name, shape, expected in (
+            ("home", (-1,), "finite numbers, one for each joint"),
+            ("place", (3,), "three finite numbers"),
+            ("tool_mass", (), "a finite number"),
+        ):
+            if not finite(values := getattr(self, name), *shape):
+                raise InputError(f"{name} of the robot {self.name} is {values}; expected {expected}.")
         if self.tool_mass < 0:
             raise InputError(f"tool_mass of the robot {self.name} is {self.tool_mass} kg; expected zero or more.")
 
@@ -102,14 +110,18 @@ def from_mjcf(
         spec.attach(own, prefix=ARM, frame=spec.worldbody.add_frame())
         return spec
 
-    robot = Robot(name or source.stem, build, f"{ARM}{site}", tuple(home), place, tool_mass)
+    angles: Any = tuple(home) if finite(home, -1) else home  # which the robot refuses
+    robot = Robot(name or source.stem, build, f"{ARM}{site}", angles, place, tool_mass)
     _joints(robot)  # which reads the file
     return robot
 
 
 def _built(robot: Robot) -> mujoco.MjSpec:
-    with own_code(f"build of the robot {robot.name}"):
-        return robot.build()
+    with own_code(what := f"build of the robot {robot.name}"):
+        spec = robot.build()
+    if not isinstance(spec, mujoco.MjSpec):
+        raise InputError(f"{what} gives a {type(spec).__name__}; expected a mujoco.MjSpec.")
+    return spec.copy()  # which is changed below; the user's may be the same object at every call
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,19 +15,29 @@ import pytest
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies import ASSEMBLIES, Phase, Variation
 from sim_mjx.assemblies.assembly import Assembly
-from sim_mjx.assemblies.draw import with_own
+from sim_mjx.assemblies.draw import check, with_own
 from sim_mjx.assemblies.fields import FieldWriter, ball, box, touch
 from sim_mjx.assemblies.pressing import APPROACH, at_bottom, press
 from sim_mjx.assemblies.scene import scene
+from sim_mjx.engines.device import put_scene
 from sim_mjx.engines.native import model_of
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import pair
 from sim_mjx.robots import ROBOTS, Robot
 
 CLIP, PANDA = ASSEMBLIES["clip"], ROBOTS["panda"]
 
 
+def altered(thing: Any, **values: Any) -> Any:
+    """A copy with values of any type, which the annotations of the tests' run refuse."""
+    new = copy(thing)
+    for name, value in values.items():
+        object.__setattr__(new, name, value)
+    return new
+
+
 def changed(**values: Any) -> Assembly:
-    return Assembly(**{**vars(CLIP), **values})
+    return altered(CLIP, **values)
 
 
 def with_phase(move: Callable[..., Any] = press, leave: Callable[..., Any] = at_bottom) -> dict[str, Any]:
@@ -87,9 +98,22 @@ def drawing(task: Any = None, own: Any = None) -> dict[str, Any]:
         (drawing(own=Named()), "material of Named of clip is of type str; expected an array"),
         (drawing(own=Named(Named(1.0))), "material of Named of clip is of type Named; expected an array"),
         (drawing(own=Named(None)), "material of Named of clip is of type NoneType; expected an array"),
+        ({"phases": None}, "phases of the assembly clip is None; expected a tuple of Phase"),
+        ({"phases": ("approach",)}, r"phases of the assembly clip is \('approach',\); expected a tuple of Phase"),
+        ({"faults": None}, "faults of the assembly clip is None; expected a dict of functions by name"),
+        ({"faults": {3: CLIP.faults["chip"]}}, "faults of the assembly clip is .*; expected a dict of functions by"),
+        ({"tabs": "LATCH"}, "tabs of the assembly clip is 'LATCH'; expected a tuple of names"),
+        ({"name": None}, "name of the assembly None is None; expected a word"),
         ({"timeout": float("nan")}, "timeout of clip is nan s"),
+        ({"timeout": "20"}, "timeout of clip is 20 s; expected a positive"),
+        ({"start": float("nan")}, "start of clip is nan m; expected a finite number"),
+        ({"reach": None}, "reach of clip is None m"),
         ({"substeps": 0}, "substeps of clip are 0"),
+        ({"substeps": 2.5}, "substeps of clip are 2.5; expected a count"),
         ({"mount_stiffness": (-1e4, 1e4, 1e4)}, "mount_stiffness of clip is"),
+        ({"mount_stiffness": (1e4, 1e4)}, r"mount_stiffness of clip is \(10000.0, 10000.0\); expected three numbers"),
+        ({"mount_stiffness": 1e4}, "mount_stiffness of clip is 10000.0; expected three numbers"),
+        (drawing(own=Named(np.asarray(np.nan))), "draw of clip sets material to nan; expected numbers"),
         ({"name": "camera-snap"}, "The name camera-snap is that of the recorded assembly"),
         ({"name": "a\nb"}, "names the assembly, a phase, a fault or a tab of 'a"),
     ],
@@ -114,6 +138,31 @@ def test_a_variation_may_hold_more_than_ranges() -> None:
         scenario.draw(0, 0, scenario.spec(stop_at=(-1.0, 1.0)))
 
 
+def test_a_range_is_two_numbers_and_a_spec_that_of_its_assembly() -> None:
+    scenario = pair(CLIP, PANDA)
+    for values, sentence in (
+        ({"friction": 0.3}, "The range of friction is 0.3; expected two numbers"),
+        ({"friction": (0.1, 0.2, 0.3)}, r"The range of friction is \(0.1, 0.2, 0.3\); expected two numbers"),
+        ({"worn": None}, "The range of worn is None; expected two numbers"),
+        ({"noise": np.array([2.0, 1.0])}, "The range of noise is 2.0 to 1.0; expected two increasing numbers"),
+        ({"lag": (1.5, 2.5)}, r"The lag is \(1.5, 2.5\); expected two increasing counts"),
+        ({"lag": 2}, "The lag is 2; expected two increasing counts"),
+        ({"longest": "3"}, "The longest trial is 3 s; expected a positive number"),
+        ({"nominal_share": "1"}, "The nominal share is 1; expected 0 to 1"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            check(altered(scenario.spec(), **values), CLIP)
+    for spec, sentence in (
+        (ASSEMBLIES["peg-in-hole"].variation(), "Distributions of clip are a LatchVariation; this PegVariation has no"),
+        (DomainRandomization(), "Distributions of clip are a LatchVariation; this DomainRandomization has no nom"),
+        ({"nominal_share": 1.0}, "Distributions of clip are a LatchVariation; this dict has no nominal_share"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            check(spec, CLIP)
+    with pytest.raises(InputError, match="There is no trial of clip to draw"):
+        scenario.draw_batch(0, (), scenario.spec())
+
+
 def test_a_fault_that_fails_is_named() -> None:
     for fault, sentence in (
         (lambda trial, spec, rng: None, "the fault 'bad' of clip gives a NoneType; expected the changed trial"),
@@ -123,11 +172,29 @@ def test_a_fault_that_fails_is_named() -> None:
             r"the shape of parts.own.material from \[\] to",
         ),
         (lambda trial, spec, rng: replace(trial, timeout=np.array(np.nan)), "sets a timeout of nan s"),
-        (lambda trial, spec, rng: replace(trial, command_delay=np.array(40)), "sets a delay of 40 periods; expected 0"),
+        (
+            lambda trial, spec, rng: replace(trial, command_delay=np.array(40)),
+            "sets a delay of 40 periods; expected a whole number, 0 to 10",
+        ),
+        (lambda trial, spec, rng: altered(trial, command_delay=np.array(1.5)), "sets a delay of .* periods"),
+        (lambda trial, spec, rng: replace(trial, hand=trial.hand * np.nan), r"sets hand to \[nan"),
+        (lambda trial, spec, rng: with_own(trial, material="brass"), "sets parts.own.material to brass; expected num"),
+        (lambda trial, spec, rng: with_own(trial, material=None), "does not always give parts.own.material"),
     ):
         scenario = pair(changed(faults={"bad": fault}, **drawing(own=Named(np.asarray(1.0)))), PANDA)
         with pytest.raises(InputError, match=sentence):
             scenario.draw(0, 0, scenario.spec(nominal_share=0.0))
+
+
+def test_parameters_have_one_shape_in_all_trials() -> None:
+    def draw(spec: Any, rng: np.random.Generator) -> Any:
+        task, _ = CLIP.draw(spec, rng)
+        return task, Named(np.zeros(3 if rng.random() < 0.5 else 2))
+
+    scenario = pair(changed(draw=draw), PANDA)
+    for indices in (range(8), range(1, 9), [8, 3]):
+        with pytest.raises(InputError, match=r"draw of clip changes the shape of material from \[\d\] to \[\d\]"):
+            scenario.draw_batch(0, indices, scenario.spec(nominal_share=1.0))
 
 
 def poked(write: Callable[[FieldWriter, Any], None], extra: Callable[[mujoco.MjSpec, Any], Any] | None = None) -> Any:
@@ -186,21 +253,43 @@ def test_what_a_scene_cannot_have_is_named() -> None:
         (motor, "clip adds the actuator 'MOTOR', which nothing commands"),
         (reading, "MuJoCo cannot compile clip on panda: repeated name 'PLACE_0'"),
         (lambda spec, body: body.absent(), "MuJoCo cannot compile clip on panda: .* has no attribute 'absent'"),
+        (lambda spec, body: 1 / 0, "male or female of clip ends in ZeroDivisionError: division by zero"),
     ):
         with pytest.raises(InputError, match=sentence):
             scene(poked(CLIP.write, extra), PANDA)
 
 
+def test_what_mjx_cannot_simulate_is_one_sentence() -> None:
+    def can(spec: mujoco.MjSpec, body: Any) -> None:
+        body.add_geom(name="CAN", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(0.01, 0.01, 0.0), contype=0, conaffinity=0)
+        touch(spec, "CAN", "UPRIGHT")
+
+    def smooth(spec: mujoco.MjSpec, body: Any) -> None:
+        spec.pair("BALL:UPRIGHT").condim = 1
+
+    for extra, reason in ((can, ".*CYLINDER.* collisions not implemented"), (smooth, "condim=1 with .*")):
+        with pytest.raises(InputError, match=f"^MJX cannot simulate this scene: {reason}; choose the engine native.$"):
+            put_scene(scene(poked(CLIP.write, extra), PANDA), 1, "jax")
+
+
 def test_a_mistake_in_a_robot_is_one_sentence() -> None:
     def robot(**values: Any) -> Robot:
-        return replace(PANDA, **{"name": "mine", **values})
+        new: Robot = altered(PANDA, **{"name": "mine", **values})
+        new.__post_init__()
+        return new
 
     for values, sentence in (
         ({"tool_mass": -1.0}, "tool_mass of the robot mine is -1.0 kg; expected zero"),
         ({"tool_mass": float("nan")}, "tool_mass of the robot mine is nan"),
         ({"home": (np.nan,) * 7}, "home of the robot mine is .*; expected finite numbers"),
+        ({"home": None}, "home of the robot mine is None; expected finite numbers, one for each joint"),
+        ({"place": (0.5, 0.0)}, r"place of the robot mine is \(0.5, 0.0\); expected three finite numbers"),
+        ({"place": ("0.5", 0.0, 0.1)}, "place of the robot mine is .*; expected three finite numbers"),
+        ({"tool_mass": "light"}, "tool_mass of the robot mine is light; expected a finite number"),
+        ({"name": "a\nb"}, r"'a\\nb' names a robot; expected a word"),
         ({"home": (0.0, 1.0)}, "home has 2 angles; expected one per joint of the arm, 7"),
         ({"wrist": "HAND"}, "The robot mine has no site 'HAND'"),
+        ({"build": lambda: None}, "build of the robot mine gives a NoneType; expected a mujoco.MjSpec"),
         ({"build": lambda: 1 / 0}, "build of the robot mine ends in ZeroDivisionError: division by zero"),
     ):
         with pytest.raises(InputError, match=sentence):

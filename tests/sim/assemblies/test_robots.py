@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -123,6 +124,15 @@ def test_anybodys_arm(tmp_path: Path) -> None:
     sliding = mujoco.MjModel.from_xml_string(ARM.replace('name="d"', 'name="d" type="slide"'))
     with pytest.raises(InputError, match="'d' is no hinge"):
         serial_chain(sliding, "wrist")
+
+
+def test_a_robot_may_be_built_once() -> None:
+    spec = ROBOTS["panda"].build()
+    once, panda = replace(ROBOTS["panda"], build=lambda: spec), ROBOTS["panda"]
+    for _ in range(2):
+        first, second = (pair(ASSEMBLIES["clip"], robot).scene().model for robot in (once, panda))
+        np.testing.assert_array_equal(first.body_mass, second.body_mass)
+    assert (len(spec.actuators), len(spec.sensors), spec.body(HAND)) == (0, 0, None)
 
 
 def test_what_a_file_says_of_its_arm_holds_for_the_arm_and_for_nothing_else(tmp_path: Path) -> None:

@@ -141,8 +141,10 @@ def test_a_trial_does_not_depend_on_the_others(native: Rollouts) -> None:
     assert (mixed.wrench[0, mixed.length[0] :] == 0).all()
 
 
-def test_divergence_is_marked_and_not_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into a file there
+def test_divergence_is_marked_and_not_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     params = short_trials(2, longest=0.3)
     stiffness = params.parts.tab_stiffness.copy()
     stiffness[1] = 1e12
@@ -155,6 +157,13 @@ def test_divergence_is_marked_and_not_stored(tmp_path: Path, monkeypatch: pytest
     assert np.abs(out.wrench[0]).max() > 0
     assert (out.wrench[1] == 0).all()
     assert not out.seated[1].any()
+    # MuJoCo would print its warnings, and write them into a file of the folder
+    assert (list(tmp_path.iterdir()), capfd.readouterr()) == ([], ("", ""))
+    heard: list[str] = []
+    mujoco.set_mju_user_warning(heard.append)
+    engines.simulate(SCENE, params, "native")  # a program's own handler stays
+    mujoco.set_mju_user_warning(None)
+    assert heard
 
 
 def test_unknown_engines_are_refused() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -297,6 +298,23 @@ def test_words_and_beliefs_are_those_of_the_stream() -> None:
 def test_impossible_configurations_are_refused(change: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         EnvConfig(**change)
+
+
+def test_a_configuration_is_checked_whatever_its_types() -> None:
+    def given(**values: Any) -> EnvConfig:  # which the annotations of the tests' run refuse
+        config = copy(EnvConfig())
+        for name, value in values.items():
+            object.__setattr__(config, name, value)
+        config.__post_init__()
+        return config
+
+    assert hash(given(observe=["joints", "wrench"])) == hash(EnvConfig(observe=("joints", "wrench")))
+    for values, sentence in (
+        ({"periods": 2.5}, "periods is 2.5; expected 1 control period"),
+        ({"force": "20"}, "The environment's force is 20; expected a positive, finite number"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            given(**values)
 
 
 def test_words_without_a_model_take_any_thresholds(tmp_path: Path) -> None:

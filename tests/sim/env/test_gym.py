@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 from rcbht_jax.errors import InputError
 from sim_mjx.env.config import EnvConfig
-from sim_mjx.env.gym import SingleEnv, VectorEnv
+from sim_mjx.env.gym import SingleEnv, VectorEnv, _key
 from tests.support.fake_physics import environment, trials
 
 CONFIG = EnvConfig(action="joint", controller="none", angle=0.02, hold=0.1)
@@ -70,6 +71,20 @@ def test_seeds_repeat_and_episodes_differ(many: VectorEnv) -> None:
     assert len({tuple(many.reset(seed=seed)[1]["trial"].tolist()) for seed in range(8)}) > 1
 
 
+def test_a_seed_may_have_any_number_of_bits(many: VectorEnv) -> None:
+    def drawn(seed: int) -> list[int]:
+        return jax.random.key_data(_key(seed)).tolist()
+
+    seeds = [5, 2**32 + 5, 2**63 + 5, 2**64 + 5, 2**65 + 5, (5 << 64) + 5, np.random.SeedSequence(1).entropy << 96]
+    assert len({tuple(drawn(seed)) for seed in seeds}) == len(seeds)
+    for seed in (0, 5, 2**32 - 1):  # as before
+        assert drawn(seed) == jax.random.key_data(jax.random.key(seed)).tolist()
+    many.reset(seed=2**127)
+    SingleEnv(many.env, seed=2**64).reset()
+    with pytest.raises(InputError, match="seed is -1; expected a whole number, zero or more"):
+        SingleEnv(many.env, seed=-1)
+
+
 def test_misuse_is_refused(many: VectorEnv) -> None:
     with pytest.raises(InputError, match="call reset first"):
         SingleEnv(many.env).step(SEATING)
@@ -78,6 +93,9 @@ def test_misuse_is_refused(many: VectorEnv) -> None:
         many.step(SEATING)
     with pytest.raises(InputError, match="An action is NaN"):
         many.step(np.full((3, 6), np.nan))
+    for actions in ([["left"] * 6] * 3, [[1.0], [1.0, 2.0]]):
+        with pytest.raises(InputError, match=r"The actions are no array of numbers; expected float32 \[3, 6\]"):
+            many.step(actions)
     many.step(np.full((3, 6), np.inf))  # as 1, the largest
     with pytest.raises(InputError, match="num_envs is 0"):
         VectorEnv(many.env, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from copy import copy
 from dataclasses import replace
 
 import hypothesis.strategies as st
@@ -23,6 +24,15 @@ PATTERN = re.compile(r"([+-]x)?([+-]y)?([+-]r)?")  # as rcbht_jax.types.Recordin
 
 def only(kind: str, **changes: object) -> DomainRandomization:
     return replace(DomainRandomization(nominal_share=0.0, faults=(kind,)), **changes)
+
+
+def given_as(spec: DomainRandomization, **values: object) -> DomainRandomization:
+    """The spec with values of any type, which the annotations of the tests' run refuse."""
+    new = copy(spec)
+    for name, value in values.items():
+        object.__setattr__(new, name, value)
+    new.__post_init__()
+    return new
 
 
 def same(a: TrialParams, b: TrialParams) -> bool:
@@ -83,6 +93,21 @@ def test_any_allowed_range_gives_a_trial_inside_it(chosen: tuple[str, tuple[floa
         slack = 1e-9 * max(1.0, abs(low), abs(high))
         assert ((ratios[name] >= low - slack) & (ratios[name] <= high + slack)).all()
     assert fault.kind == kind
+
+
+def test_ranges_may_be_lists_and_nothing_else_than_two_numbers() -> None:
+    listed = given_as(NOMINAL, friction=[0.9, 1.1], faults=["pose"], lag=[4, 5])
+    plain = replace(NOMINAL, friction=(0.9, 1.1), faults=("pose",), lag=(4, 5))
+    assert listed == plain
+    assert same(sample(ONE_ARM["B"], 0, 0, listed)[0], sample(ONE_ARM["B"], 0, 0, plain)[0])
+    for values, sentence in (
+        ({"friction": 0.9}, "The range of friction is 0.9; expected two numbers"),
+        ({"friction": (0.9, 1.0, 1.1)}, r"The range of friction is \(0.9, 1.0, 1.1\); expected two numbers"),
+        ({"lag": (4.5, 5.0)}, r"The lag is \(4.5, 5.0\); expected two increasing counts"),
+        ({"longest": "3"}, "The longest trial is 3 s"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            sample(ONE_ARM["B"], 0, 0, given_as(NOMINAL, **values))
 
 
 @pytest.mark.parametrize("name", sorted(LIMITS))
