@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
@@ -25,12 +24,11 @@ from rcbht_jax._util.untrusted import (
     read_arrays,
 )
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.names import GROUPS, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
-
-SIDE = re.compile(r"(?:^|[\W_])(?:left|right)(?:$|[\W_])", re.IGNORECASE)
 
 
 @contextmanager
@@ -133,7 +131,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         )
         group = _like(file, h5py)
         parts = [("", file)] if group is None else _groups(group, h5py)
-        sides = all(SIDE.search(part) for part, _ in parts)
+        sides = all(names_side(part) for part, _ in parts)
         for part, node in parts:
             prefix = node.name.rstrip("/") + "/"
             found = {one.name.removeprefix(prefix): one for one in datasets if one.name.startswith(prefix)}

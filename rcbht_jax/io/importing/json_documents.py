@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import unit_of_time
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, parse_json
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.arrays import SIDE, reading
+from rcbht_jax.io.importing.arms import names_side
+from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.json_lines import Rows
 from rcbht_jax.io.importing.mapping import Track
@@ -72,7 +73,7 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
     if several := _several(value):
         if len(several) > MAX_GROUPS:
             raise InputError(f"{path} holds more than {MAX_GROUPS} recordings; split it.")
-        sides = all(map(SIDE.search, several))
+        sides = all(map(names_side, several))
         around = value if isinstance(value, dict) else {}
         around = {key: one for key, one in around.items() if key not in several and not _several(one)}
         rate, facts = scalars_of({key: one for key, one in _named(around) if one.ndim == 0})

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from rcbht_jax._util.columns import UNITS
-from rcbht_jax.io.importing import cells
+from rcbht_jax.io.importing import cells, labview
 from rcbht_jax.io.importing.names import wrenches
 
 _RATES = ("sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency")  # or longer words
@@ -33,9 +33,8 @@ def line_of_names(lines: list[bytes]) -> int:
     2
     """
     filled = [number for number, line in enumerate(lines) if line.strip()]
-    ends = [place for place, number in enumerate(filled) if lines[number].startswith(b"***End_of_Header***")]
-    if ends and ends[-1] + 1 < len(filled):  # of LabVIEW
-        return filled[ends[-1] + 1]
+    if after := labview.end_of_header(lines):
+        return after
     if len(filled) < 3:
         return 0
     delimiter = cells.delimiter_of(lines[filled[-1]])
@@ -73,11 +72,7 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
             counts |= dict.fromkeys(those, per)
             unit = UNITS.get(re.sub(r"[ -]", "", said.get(f"{quantity} units", "").lower()), "")
             units |= dict.fromkeys(those, unit) if unit else {}
-    for line in lines:
-        if line.startswith(b"Y_Unit_Label"):  # of LabVIEW; the first column is that of the time
-            row = cells.split(line, cells.delimiter_of(line))
-            pairs = zip(names[1:], map(str.lower, row[1:]), strict=False)  # a comment has no unit
-            units |= {name: UNITS[cell] for name, cell in pairs if cell in UNITS}
+    units |= labview.units_in(lines, names)
     return Stated(next((rate for rate in rates if rate > 0), None), counts, units)
 
 

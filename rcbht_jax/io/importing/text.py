@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import cells
+from rcbht_jax.io.importing import cells, labview
 from rcbht_jax.io.importing.preamble import line_of_names, stated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.unpacked import opened
@@ -51,8 +51,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
         head, comment, comments = _head(file, path)
         delimiter = cells.delimiter_of(head)
         titles, below = cells.split(head, delimiter, encoding), _below(file, delimiter, encoding)
-        if before and titles[-1] == "Comment" and len(titles) == len(below) + 1:
-            titles = titles[:-1]  # LabVIEW names it whether or not rows have one
+        titles = labview.without_comment(titles, below) if before else titles
         titled = comment or cells.is_title(titles, below)
         body = file.tell() if titled else file.tell() - len(head)
         units, first = _units_below(file, delimiter, encoding) if titled else ([], body)
