@@ -15,6 +15,7 @@ from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
+from rcbht_jax.io.importing.numerals import two_meanings
 from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, is_clock, is_stamp, with_time
@@ -200,7 +201,10 @@ def _check_axes(table: Table, free: list[str]) -> None:
         whole = len(words) > MAX_LABELS and re.split(r"[\W_]+", names.snake(column))[-1] in names.WHOLE
         if len(words) and (column in axes or whole):
             first = next(text for text in table.columns[column] if text)
-            raise InputError(f"{table.name}: column {column!r} holds {str(first)[:30]!r}, which is not a number.")
+            raise InputError(
+                f"{table.name}: column {column!r} holds {str(first)[:30]!r}, which is not a number."
+                + two_meanings(str(first))
+            )
 
 
 def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:

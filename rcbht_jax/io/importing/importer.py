@@ -4,7 +4,8 @@ Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at 
 that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
 ``stuck:AXIS``, ``counts`` (were divided), ``other-arrays:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
 ``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples), ``windows:COUNT``
-(of so many samples), ``restarts:COUNT`` (of the time), ``cp1252``, ``changes:COLUMN`` (one that should be constant),
+(of so many samples), ``lines:COUNT`` (that are no samples),
+``restarts:COUNT`` (of the time), ``cp1252``, ``cp932``, ``gb18030``, ``changes:COLUMN`` (one that should be constant),
 ``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
@@ -227,7 +228,8 @@ def _understood(
     mapping, understood = guess(table, base)
     more = "" if base.channels else more_wrenches(table, mapping)
     left = f"Arrays of another shape were left out: {some(table.others)}." if table.others else ""
-    report.remarks += [text for text in (more, left) if text and text not in report.remarks]
+    lines = f"Lines that are no samples were left out: {some(table.lines)}." if table.lines else ""
+    report.remarks += [text for text in (more, left, lines) if text and text not in report.remarks]
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rcbht_jax._util.columns import UNITS
 from rcbht_jax.io.importing import cells, labview
 from rcbht_jax.io.importing.names import wrenches
 
+LINES = 5  # of names and units at most
 _RATES = ("sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency")  # or longer words
 _RATE, _PERIOD = ("rate", "frequency", "fs"), ("dt", "sample time", "sampling time", "sampling period", "sample period")
 
@@ -37,18 +38,31 @@ def line_of_names(lines: list[bytes]) -> int:
         return after
     if len(filled) < 3:
         return 0
+    begins = [next(iter(cells.split(lines[number], cells.delimiter_of(lines[number]))), "") for number in filled]
+    samples = [place for place, cell in enumerate(begins) if not cells.is_word(cell)]
+    if 2 * len(samples) > len(filled):  # words below the last sample are no rows
+        filled = filled[: samples[-1] + 1]
     delimiter = cells.delimiter_of(lines[filled[-1]])
     rows = [cells.split(lines[number], delimiter) for number in filled]
     width = len(rows[-1])
     first = max((at + 1 for at, row in enumerate(rows) if len(row) != width), default=0)
     if not 0 < first < len(rows) - 1 or any(len(row) > width for row in rows[:first]):
         return 0
-    while first < len(rows) - 2 and any(map(cells.is_number, rows[first])):
+    while first < len(rows) - 2 and cells.count_numbers(rows[first]):
         first += 1  # a line about every column, such as its date or its number of samples
-    below = rows[min(first + 1 + bool(cells.units(rows[first + 1])), len(rows) - 1)]
-    named = not any(map(cells.is_number, rows[first])) and 2 * sum(map(cells.is_number, below)) >= width
+    below = row_of_numbers(rows[first + 1 :]) or []
+    named = not cells.count_numbers(rows[first]) and 2 * cells.count_numbers(below) >= width
     comments = any(lines[number].startswith((b"#", b"%")) for number in filled[:first])
     return filled[first] if named and not comments else 0
+
+
+def row_of_numbers(rows: Sequence[list[str]]) -> list[str] | None:
+    """The first of the next rows that has a number; None = none has one.
+
+    >>> row_of_numbers([["x", "y"], ["[N]", ""], ["1", "2"]])
+    ['1', '2']
+    """
+    return next((row for row in rows[:LINES] if cells.count_numbers(row)), None)
 
 
 def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:

@@ -288,9 +288,19 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
         try:
             return seconds_of(column.tolist())
         except ValueError:
-            raise InputError(f"column {mapping.time!r} holds {str(column[0])!r}, which is not a time.") from None
+            raise InputError(f"column {mapping.time!r} holds {_no_time(column)!r}, which is not a time.") from None
     scaled: NDArray[np.float64] = column * SECONDS[mapping.time_unit]
     return scaled + table.columns[mapping.nanoseconds][rows] * 1e-9 if mapping.nanoseconds else scaled
+
+
+def _no_time(column: NDArray[np.str_]) -> str:
+    """The first text that is no time, else the first."""
+    for one in column.tolist():
+        try:
+            seconds_of([one])
+        except ValueError:
+            return str(one)
+    return str(column[0])
 
 
 def _readable_stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.float64] | None:

@@ -47,6 +47,7 @@ class Table:
     intervals: tuple[Interval, ...] = ()  # on the clock of the columns, where their times can be nothing else
     notes: tuple[str, ...] = ()
     others: tuple[str, ...] = ()  # arrays of other shapes, which are left out
+    lines: tuple[str, ...] = ()  # how lines begin that are no samples, and are left out
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
 
     @property

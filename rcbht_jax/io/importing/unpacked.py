@@ -1,4 +1,4 @@
-"""Files of text as they are read: unpacked if they are compressed, and in UTF-8 where they are in UTF-16."""
+"""Files of text as they are read: unpacked if compressed, in UTF-8 where they are in UTF-16, with line feeds."""
 
 from __future__ import annotations
 
@@ -63,6 +63,12 @@ def opened(path: Path, most: int = MAX_TEXT_BYTES) -> Iterator[BinaryIO]:
                 _recode(path, file, copy)
                 file = copy
             file.seek(0)
+            first = file.read(_BLOCK)
+            if b"\r" in first and b"\n" not in first:
+                copy = stack.enter_context(tempfile.TemporaryFile())
+                _with_line_feeds(file, copy)
+                file = copy
+            file.seek(0)
             yield cast("BinaryIO", file)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
@@ -79,6 +85,13 @@ def _unpack(path: Path, packed: io.BufferedIOBase, copy: IO[bytes], most: int) -
     except (EOFError, ValueError, zlib.error, gzip.BadGzipFile) as error:
         raise InputError(f"{path} is damaged, or not packed as its name says: {error}.") from None
     copy.seek(0)
+
+
+def _with_line_feeds(file: IO[bytes], copy: IO[bytes]) -> None:
+    """Copy a file whose lines end in carriage returns alone, as those of old Macs do."""
+    file.seek(0)
+    while block := file.read(_BLOCK):
+        copy.write(block.replace(b"\r", b"\n"))
 
 
 def _recode(path: Path, file: IO[bytes], copy: IO[bytes]) -> None:

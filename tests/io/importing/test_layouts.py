@@ -188,7 +188,7 @@ def test_a_last_row_without_values_need_not_have_a_time(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("\n".join([",".join(["time", *AXES]), *lines, "end" + "," * 6]) + "\n")
     recordings = read_source(tmp_path).recordings
     np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
-    assert recordings.note.tolist() == ["padded:1"]
+    assert recordings.note.tolist() == ["lines:1"]
 
 
 @pytest.mark.parametrize("unit", ["ms", "h"])
