@@ -26,9 +26,11 @@ def delimiter_of(line: bytes) -> str:
     (';', ',', ' ')
     """
     for mark in ";\t":
-        if mark.encode() in line and all(map(is_number, split(line, mark))):
-            return mark  # its commas are those of numbers
-    counts = {mark: line.count(mark.encode()) for mark in ",;\t"}
+        if mark.encode() in line and b"," in line:
+            cells = next(csv.reader([line.decode("utf-8", "replace").strip("\r\n")], delimiter=mark), [])
+            if all(is_number(plain(cell.strip(), mark)) for cell in cells if "," in cell):
+                return mark  # its commas are those of numbers
+    counts = {mark: line.count(mark.encode()) for mark in ";\t,"}
     best = max(counts, key=lambda mark: counts[mark])
     return best if counts[best] else " "
 

@@ -210,7 +210,7 @@ def _check_axes(table: Table, free: list[str]) -> None:
 def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
     if wrench := names.preferred(names.wrenches(numeric)):
-        return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in wrench.items())
+        return tuple(Channel(column, axis, _unit_of(table, column, axis)) for axis, column in wrench.items())
     other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]
     rest = [name for name in rest if np.isfinite(table.columns[name]).any()]  # an empty column is none
@@ -253,8 +253,10 @@ def some(texts: Iterable[str]) -> str:
     return (", ".join(map(repr, listed[:12])) or "none") + more
 
 
-def _unit_of(table: Table, name: str) -> str:
-    return table.units.get(name, "") or base_and_unit(name)[1]
+def _unit_of(table: Table, name: str, axis: str = "") -> str:
+    """The unit of a column; "" = unknown, also where a whole wrench states one that only some axes can have."""
+    unit = table.units.get(name, "") or base_and_unit(name)[1]
+    return "" if unit in {"F": names.MOMENTS, "M": names.FORCES}.get(axis[:1], ()) else unit
 
 
 def _table(table: Table, mapping: Mapping) -> list[Understood]:

@@ -11,8 +11,14 @@ from rcbht_jax.io.importing import cells, labview
 from rcbht_jax.io.importing.names import wrenches
 
 LINES = 5  # of names and units at most
-_RATES = ("sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency")  # or longer words
-_RATE, _PERIOD = ("rate", "frequency", "fs"), ("dt", "sample time", "sampling time", "sampling period", "sample period")
+_RATES = (
+    "sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency", "abtastrate",
+    "abtastfrequenz", "messrate",
+)  # fmt: skip  # or longer words
+_RATE = ("rate", "frequency", "fs")
+_PERIOD = ("dt", "sample time", "sampling time", "sampling period", "sample period", "sample interval", "abtastzeit")
+_IN = {"": 1.0, "hz": 1.0, "khz": 1e3, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
+_UNIT = r"(k?hz|[muµ]?s)"
 
 
 @dataclass(frozen=True)
@@ -98,15 +104,17 @@ def _pair(line: bytes) -> tuple[str, str] | None:
         row = re.split(r"\s*[:=]\s*", line.decode("utf-8", "replace").strip(), maxsplit=1)
     if len(row) != 2:
         return None
-    word = re.sub(r"\s*[\[(]?\b(?:hz|s)\b[\])]?\s*$", "", row[0].strip(" :=").lower().replace("_", " "))
-    return word, row[1].strip()
+    key = row[0].strip(" :=").lower().replace("_", " ")
+    unit = re.search(r"\s*[\[(]?\b" + _UNIT + r"\b[\])]?\s*$", key)
+    text = row[1].strip()
+    return (key[: unit.start()], f"{text} {unit[1]}" if number(f"{text} {unit[1]}") else text) if unit else (key, text)
 
 
 def number(text: str) -> float:
-    """The number that a text states, perhaps in Hz or s; 0 = none.
+    """The number that a text states, in Hz or s where it has a unit; 0 = none.
 
-    >>> number("500 Hz"), number("0.002 s"), number("fast")
-    (500.0, 0.002, 0.0)
+    >>> number("500 Hz"), number("0.002 s"), number("2 ms"), number("0,5 kHz"), number("fast")
+    (500.0, 0.002, 0.002, 500.0, 0.0)
     """
-    match = re.match(r"\s*(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*(?:hz|s)?\s*$", text, re.IGNORECASE)
-    return float(match[1]) if match else 0.0
+    match = re.match(r"\s*(\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*" + _UNIT + r"?\s*$", text, re.IGNORECASE)
+    return float(match[1].replace(",", ".")) * _IN[(match[2] or "").lower()] if match else 0.0

@@ -15,7 +15,7 @@ from rcbht_jax._util.columns import unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import families
-from rcbht_jax.io.importing.names import wrenches
+from rcbht_jax.io.importing.names import snake, wrenches
 from rcbht_jax.io.importing.segments import segments
 
 RATE_NAMES = (
@@ -85,7 +85,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
         for which, those in several.items():
             yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which)
         return
-    intervals, arrays = segments(arrays)
+    intervals, arrays = segments(titled(arrays))
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
     rate, facts = scalars_of({key: array for key, array in arrays.items() if array.ndim == 0})
     arrays, windows = _newest(arrays)
@@ -135,6 +135,29 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     yield Table(
         name, columns, rate, facts=facts, intervals=tuple(intervals), notes=(*last, *notes), others=others, part=part
     )
+
+
+def titled(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays, with a column for each name where a list of names belongs to the only table of as many columns.
+
+    >>> found = titled({"data": np.zeros((9, 2)), "columns": np.array(["t", "Fz"])})
+    >>> {name: array.shape for name, array in found.items()}
+    {'t': (9,), 'Fz': (9,)}
+    """
+    for key, array in arrays.items():
+        texts = [str(text).strip() for text in plain(array.ravel()).tolist()] if array.dtype.kind in "US" else []
+        named = array.size in array.shape and 1 < len(set(texts)) == len(texts)
+        if not named or not (wrenches(texts) or any(map(unit_of_time, texts))):
+            continue
+        tables = [name for name, one in arrays.items() if one.ndim == 2 and one.dtype.kind in "fiu" and
+                  array.size in one.shape]  # fmt: skip
+        if len(tables) != 1 or set(texts) & set(arrays):
+            continue
+        table = arrays[tables[0]]
+        table = table if table.shape[1] == array.size else table.T
+        others = {name: one for name, one in arrays.items() if name not in (key, tables[0])}
+        return {**dict(zip(texts, table.T, strict=True)), **others}
+    return dict(arrays)
 
 
 def _newest(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
@@ -217,12 +240,27 @@ def scalars_of(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[
     for key, value in scalars.items():
         if not _usable(value):
             continue
-        short, fact = re.split("[./]", key)[-1].lower(), _fact(value[()])
+        fact = _fact(value[()])
+        short, unit = _without_unit(re.split("[./]", key)[-1])
         if isinstance(fact, float) and fact > 0 and np.isfinite(fact) and short in (*RATE_NAMES, *PERIOD_NAMES):
-            rate = fact if short in RATE_NAMES else 1 / fact
+            rate = fact * unit if short in RATE_NAMES else 1 / (fact * unit)
         else:
             facts[key] = fact
     return rate, facts
+
+
+def _without_unit(key: str) -> tuple[str, float]:
+    """The name of a rate or a time between samples without its unit, and this unit in Hz or s.
+
+    >>> _without_unit("samplingRate_Hz"), _without_unit("dt_ms"), _without_unit("fps")
+    (('sampling_rate', 1.0), ('dt', 0.001), ('fps', 1.0))
+    """
+    short = snake(key).replace(" ", "_").replace("k_hz", "khz")
+    match = re.match(r"(.+?)_\(?(k?hz|[mu]?s)\)?$", short)
+    unit = {"hz": 1.0, "khz": 1e3, "s": 1.0, "ms": 1e-3, "us": 1e-6}[match[2]] if match else 1.0
+    of_rate = bool(match and match[1] in RATE_NAMES and match[2].endswith("hz"))
+    of_time = bool(match and match[1] in PERIOD_NAMES and match[2].endswith("s"))
+    return (match[1], unit) if match and (of_rate or of_time) else (short, 1.0)
 
 
 def _number(fact: str | float) -> float:

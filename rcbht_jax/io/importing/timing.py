@@ -158,9 +158,7 @@ def _unit(table: Table, name: str) -> str:
         return "s"
     if _in_days(values):
         return "d"
-    known = values[np.isfinite(values)]
-    largest = np.abs(known).max(initial=0.0)
-    unit = next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
+    known, unit = values[np.isfinite(values)], unit_by_size(values)
     with np.errstate(over="ignore"):
         steps = np.diff(known)
     if not (steps > 0).any():
@@ -172,6 +170,16 @@ def _unit(table: Table, name: str) -> str:
         return unit
     likely = [finer for finer, scale in SECONDS.items() if SENSIBLE[0] <= step * scale < SENSIBLE[1]]
     return likely[0] if len(likely) == 1 else unit
+
+
+def unit_by_size(values: NDArray[Any]) -> str:
+    """The unit of numbers that count from 1970, by their size; s for smaller ones.
+
+    >>> unit_by_size(np.array([1.7e18])), unit_by_size(np.array([2.5]))
+    ('ns', 's')
+    """
+    largest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    return next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
 
 
 def _in_days(values: NDArray[Any]) -> bool:
