@@ -147,11 +147,21 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             }
             for key, one in _pandas(found).items() if not turned else found.items():
                 arrays |= _arrays(file, key, one, turned, len(found) == 1)
+            arrays |= {f"{key}/{name}": texts for key, one in found.items() for name, texts in _titles(one).items()}
             usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
             stated = {key: texts for key, one in found.items() if (texts := stated_units(getattr(one, "attrs", {})))}
             for table in tables_of(path, f"{name}#{part}" if part else name, usable, part):
                 arm = {"arm": part} if sides and part else {}
                 yield replace(table, units=units_of(table.columns, stated), facts={**arm, **table.facts})
+
+
+def _titles(item: Any) -> dict[str, NDArray[Any]]:
+    """The attributes of a table that name its columns."""
+    if len(item.shape or ()) not in (2, 3) or item.dtype.kind not in "fiu":
+        return {}
+    lists = {key: np.asarray(value) for key, value in getattr(item, "attrs", {}).items()}
+    lists = {key: one.astype(np.str_) for key, one in lists.items() if one.ndim == 1 and one.dtype.kind in "OSU"}
+    return {key: one for key, one in lists.items() if len(one) in item.shape and wrenches(one.tolist())}
 
 
 def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:

@@ -14,14 +14,14 @@ from rcbht_jax._util.columns import SECONDS, UNITS
 
 DAY, NOON = 86400.0, 12
 _ISO = re.compile(r"\d{4}-\d{2}(-\d{2}([T ].*)?)?$")
-_ZONE = re.compile(r"\s*(?:Z|([+-])(\d{2})(?::?(\d{2}))?)$")
+_ZONE = re.compile(r"\s*(?:Z|UTC|GMT|([+-])(\d{2})(?::?(\d{2}))?)$")
 _CLOCK = re.compile(
     r"(?:^|[ T])(\d{1,2}):([0-5]?\d):([0-5]?\d(?:[.,]\d+|:\d{3}|:\d{6})?)(?:\s*([AP])\.?M\.?)?$", re.IGNORECASE
 )
 # 20240501T120000.5, 2024-05-01_12-00-00.5, 2024/05/01/12:00:00.5, as names of files and some tools have them
 _DATED = re.compile(
     r"(\d{4})([-/.]?)([01]\d)\2([0-3]\d)[ T_/-]([0-2]\d)([-:]?)([0-5]\d)\6([0-5]\d)((?:[.,]\d+)?)"
-    r"(Z|[+-]\d{2}(?::?\d{2})?)?$"
+    r"\s?(Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?)?$"
 )
 _AMOUNT = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s*([a-zµμ]+)$", re.IGNORECASE)  # 0.5 sec, as MATLAB writes durations
 _MINUTES = re.compile(r"(\d+):([0-5]\d[.,]\d+)$")

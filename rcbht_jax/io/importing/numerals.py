@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 _BETWEEN = ",.' \u00a0\u2009\u202f’"  # marks between thousands
 _GROUPED = re.compile(rf"^([+-]?\d{{1,3}})([{_BETWEEN}])(\d{{3}}(?:\2\d{{3}})*)(?:([,.])(\d*))?$")
@@ -34,6 +34,11 @@ class Numerals:
         """Take the mark between cells: only between semicolons and tabs, a comma alone is a decimal one."""
         self._commas = delimiter in (";", "\t")
         self._marks: set[str] = set()  # decimal ones, without doubt
+
+    def assume_points(self) -> None:
+        """Other columns of the table have decimal points: between commas, no comma is a decimal one then."""
+        if not self._commas:
+            self._marks.add(".")
 
     def read(self, cells: Sequence[str]) -> list[str]:
         """The cells, numbers with a point for the decimals and without marks between thousands.
@@ -84,6 +89,16 @@ def _may_be_thousands(cell: str) -> bool:
     """
     found = _GROUPED.match(cell)
     return bool(found and not found[4] and found[2] in ",." and len(found[3]) == 3 and found[1].lstrip("+-")[0] != "0")
+
+
+def shows_points(rows: Iterable[Sequence[str]]) -> bool:
+    """Whether a number in these rows has a decimal point without doubt.
+
+    >>> shows_points([["1,000", "0.5"]]), shows_points([["1,000", "1.500"]])
+    (True, False)
+    """
+    numbers = (cell for row in rows for cell in row if "." in cell and _DECIMAL.match(cell))
+    return any(not _may_be_thousands(cell) for cell in numbers)
 
 
 def two_meanings(cell: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,17 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
         for which, those in several.items():
             yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which)
         return
-    intervals, arrays = segments(titled(arrays))
+    if dated := [key for key, array in arrays.items() if array.dtype.kind in "mM"]:
+        known = {key: _seconds(array) if key in dated else array for key, array in arrays.items()}
+        for table in tables_of(path, name, known, part):
+            yield replace(table, units={**table.units, **{key: "s" for key in dated if key in table.columns}})
+        return
+    arrays, titles = titled(arrays)
+    if titles:
+        for table in tables_of(path, name, arrays, part):
+            yield replace(table, columns={titles.get(key, key): column for key, column in table.columns.items()})
+        return
+    intervals, arrays = segments(arrays)
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
     rate, facts = scalars_of({key: array for key, array in arrays.items() if array.ndim == 0})
     arrays, windows = _newest(arrays)
@@ -137,27 +147,41 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     )
 
 
-def titled(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def titled(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     """The arrays, with a column for each name where a list of names belongs to the only table of as many columns.
 
-    >>> found = titled({"data": np.zeros((9, 2)), "columns": np.array(["t", "Fz"])})
+    Where it belongs to an array ``[recording, row, column]``, this stays, and names of columns are a second result.
+
+    >>> found, _ = titled({"data": np.zeros((9, 2)), "columns": np.array(["t", "Fz"])})
     >>> {name: array.shape for name, array in found.items()}
     {'t': (9,), 'Fz': (9,)}
+    >>> titled({"data": np.zeros((4, 9, 2)), "columns": np.array(["t", "Fz"])})[1]
+    {'data_0': 't', 'data_1': 'Fz'}
     """
+    numeric = {name: one for name, one in arrays.items() if one.dtype.kind in "fiu" and one.ndim in (2, 3)}
     for key, array in arrays.items():
         texts = [str(text).strip() for text in plain(array.ravel()).tolist()] if array.dtype.kind in "US" else []
-        named = array.size in array.shape and 1 < len(set(texts)) == len(texts)
+        named = array.size in array.shape and 1 < len(set(texts)) == len(texts) and not set(texts) & set(arrays)
         if not named or not (wrenches(texts) or any(map(unit_of_time, texts))):
             continue
-        tables = [name for name, one in arrays.items() if one.ndim == 2 and one.dtype.kind in "fiu" and
-                  array.size in one.shape]  # fmt: skip
-        if len(tables) != 1 or set(texts) & set(arrays):
+        tables = [
+            name for name, one in numeric.items() if len(texts) in (one.shape if one.ndim == 2 else one.shape[2:])
+        ]
+        if len(tables) != 1:
             continue
-        table = arrays[tables[0]]
-        table = table if table.shape[1] == array.size else table.T
-        others = {name: one for name, one in arrays.items() if name not in (key, tables[0])}
-        return {**dict(zip(texts, table.T, strict=True)), **others}
-    return dict(arrays)
+        table, others = arrays[tables[0]], {name: one for name, one in arrays.items() if name != key}
+        if table.ndim == 3:
+            return others, {f"{tables[0]}_{number}": text for number, text in enumerate(texts)}
+        table = table if table.shape[1] == len(texts) else table.T
+        del others[tables[0]]
+        return {**dict(zip(texts, table.T, strict=True)), **others}, {}
+    return dict(arrays), {}
+
+
+def _seconds(times: NDArray[Any]) -> NDArray[np.float64]:
+    """Dates as seconds since 1970, or durations as seconds; a missing one is NaN."""
+    fine = times.astype(f"{times.dtype.kind}8[ns]")
+    return np.where(np.isnat(fine), np.nan, fine.astype(np.int64) * 1e-9)
 
 
 def _newest(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:

@@ -20,7 +20,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.between import Between, Line
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
-from rcbht_jax.io.importing.numerals import Numerals, two_meanings
+from rcbht_jax.io.importing.numerals import Numerals, shows_points, two_meanings
 from rcbht_jax.io.importing.preamble import stated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates
@@ -28,6 +28,7 @@ from rcbht_jax.io.importing.titles import Titles, read_titles
 from rcbht_jax.io.importing.unpacked import opened
 
 CHUNK = 20_000  # rows that are Python objects at a time
+PROBES = 100  # rows that show how numbers are written
 _PLAIN = b"0123456789+-.eE,;\t \r\n"
 
 
@@ -164,6 +165,9 @@ def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
             blocks = len(columns) == 1 and len(row) == 6  # rows of a wrench below a word
             hint = "Read the blocks of a UCI file with: rcbht import uci." if blocks else "Is the line cut off?"
             raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(columns)}. {hint}")
+    if columns and not columns[0].count and shows_points(row for _, row in lines[:PROBES]):
+        for column in columns:
+            column.numerals.assume_points()
     numbers = [number for number, _ in lines]
     for column, some in zip(columns, zip(*(row for _, row in lines), strict=True), strict=False):
         column.add(some, numbers)
@@ -175,7 +179,7 @@ class _Column:
 
     def __init__(self, path: Path, name: str, delimiter: str) -> None:
         self._path, self._name, self._where = path, name, f"{path}, column {name}"
-        self._delimiter, self._numerals = delimiter, Numerals(delimiter)
+        self._delimiter, self.numerals = delimiter, Numerals(delimiter)
         self._parts: list[NDArray[np.generic]] = []
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
         self.count = 0
@@ -184,7 +188,7 @@ class _Column:
         self.count += len(written)
         plain = [cells.plain(cell, "") for cell in written]
         try:
-            row = self._numerals.read(plain) if self._kind != "U" else plain
+            row = self.numerals.read(plain) if self._kind != "U" else plain
         except ValueError as error:
             raise InputError(f"{self._where} holds {str(error)!r}.{two_meanings(str(error))}") from None
         if not self._kind:

@@ -20,7 +20,7 @@ PACKED: dict[str, Callable[[IO[bytes]], io.BufferedIOBase]] = {  # by the end of
     ".gz": lambda file: gzip.GzipFile(fileobj=file),
     ".bz2": bz2.BZ2File,
 }
-_BLOCK = 2**20
+_BLOCK, _HEAD = 2**20, 2**16
 
 
 def plain_name(name: str) -> str:
@@ -63,11 +63,9 @@ def opened(path: Path, most: int = MAX_TEXT_BYTES) -> Iterator[BinaryIO]:
                 _recode(path, file, copy)
                 file = copy
             file.seek(0)
-            first = file.read(_BLOCK)
-            if b"\r" in first and b"\n" not in first:
+            if _ends_in_returns(file.read(_HEAD)):
                 copy = stack.enter_context(tempfile.TemporaryFile())
-                _with_line_feeds(file, copy)
-                file = copy
+                file = copy if _with_line_feeds(file, copy) else file
             file.seek(0)
             yield cast("BinaryIO", file)
     except OSError as error:
@@ -87,11 +85,19 @@ def _unpack(path: Path, packed: io.BufferedIOBase, copy: IO[bytes], most: int) -
     copy.seek(0)
 
 
-def _with_line_feeds(file: IO[bytes], copy: IO[bytes]) -> None:
-    """Copy a file whose lines end in carriage returns alone, as those of old Macs do."""
+def _ends_in_returns(head: bytes) -> bool:
+    """Whether the beginning of a file has carriage returns, and none with a line feed."""
+    return b"\r" in head and b"\n" not in head
+
+
+def _with_line_feeds(file: IO[bytes], copy: IO[bytes]) -> bool:
+    """Copy a file whose lines end in carriage returns alone, as those of old Macs do; False = it has no such lines."""
     file.seek(0)
     while block := file.read(_BLOCK):
+        if b"\0" in block or (len(block) == _BLOCK and b"\r" not in block):
+            return False  # soon, before a large file is copied
         copy.write(block.replace(b"\r", b"\n"))
+    return True
 
 
 def _recode(path: Path, file: IO[bytes], copy: IO[bytes]) -> None:

@@ -50,6 +50,13 @@ def test_dates_as_programs_write_them(form: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(recordings.wrench[0], WRENCH, rtol=1e-5)
 
 
+def test_the_name_of_a_zone_is_no_part_of_the_time(tmp_path: Path) -> None:
+    write(
+        tmp_path / "run.csv", [f"{(START + datetime.timedelta(seconds=time))!s:0<23.23} UTC" for time in TIME + 0.001]
+    )
+    same(read_source(tmp_path))
+
+
 @pytest.mark.parametrize("form", ["{:.2f} sec", "{:.2f} s", "{:.2f}s"])
 def test_durations_with_their_unit_in_each_cell(form: str, tmp_path: Path) -> None:
     write(tmp_path / "run.csv", [form.format(time) for time in TIME])
@@ -163,6 +170,32 @@ def test_a_list_of_names_beside_a_table_names_its_columns(
     names = np.array(["time", *AXES], np.str_ if save is np.savez else object)
     save(tmp_path / "run.npz", data=table.T if turned else table, columns=names)
     same(read_source(tmp_path))
+
+
+def test_an_attribute_names_the_columns_of_a_table(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["data"] = np.column_stack([TIME, WRENCH])
+        file["data"].attrs["columns"] = ["time", *AXES]
+    same(read_source(tmp_path))
+
+
+def test_names_of_columns_beside_an_array_of_recordings(tmp_path: Path) -> None:
+    both = np.stack([np.column_stack([TIME, WRENCH]), np.column_stack([TIME, -WRENCH])])
+    np.savez(tmp_path / "run.npz", data=both, names=np.array(["time", *AXES]), label=np.array(["a", "b"]))
+    imported = read_source(tmp_path)
+    assert (imported.recordings.axes, imported.mapping.time) == (AXES, "time")
+    np.testing.assert_allclose(imported.recordings.wrench[1], -WRENCH, rtol=1e-5)
+    assert imported.recordings.columns["label"].tolist() == ["a", "b"]
+
+
+@pytest.mark.parametrize("kind", ["datetime64[ms]", "timedelta64[us]"])
+def test_times_of_numpy_are_times(kind: str, tmp_path: Path) -> None:
+    steps = np.round(TIME * 1000).astype("timedelta64[ms]")
+    stamps = np.datetime64(START) + steps if kind.startswith("date") else steps
+    np.savez(tmp_path / "run.npz", timestamp_ns=stamps.astype(kind), wrench=WRENCH)
+    imported = read_source(tmp_path)
+    same(imported)
+    assert imported.mapping.time_unit == "s"
 
 
 def test_python_objects_beside_arrays_are_left_out_and_told(tmp_path: Path) -> None:

@@ -145,6 +145,12 @@ def test_a_number_that_may_mean_two_is_refused(delimiter: str, tmp_path: Path) -
         read(tmp_path, f"t [ms]{delimiter}Fz\n{rows}")
 
 
+def test_between_commas_other_columns_show_that_a_comma_is_no_decimal_one(tmp_path: Path) -> None:
+    rows = "".join(f'"{990 + 10 * k:,}",{k % 7 / 10}\n' for k in range(20))
+    recordings = read(tmp_path, f"t [ms],load\n{rows}").recordings
+    assert (recordings.dt, recordings.length.tolist()) == (0.01, [20])
+
+
 @pytest.mark.parametrize("cell", ["1,234", "0,5", "-1,5e-3"])
 def test_decimal_commas_remain_decimal(cell: str, tmp_path: Path) -> None:
     rows = "".join(f"{k * 10};{cell if k % 2 else '2,345'};{k}\n" for k in range(20))
