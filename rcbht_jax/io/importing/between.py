@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rcbht_jax.io.importing.cells import is_word
 
-HELD = 64  # lines below the last row at most
+HELD, SUMS = 64, 16  # lines below the last row at most, and those of them with as many cells as a row
 LISTED, LETTERS = 16, 40  # of what was left out
 Line = tuple[int, list[str]]  # its number and its cells
 
@@ -48,8 +48,9 @@ class Between:
         return found
 
     def too_many(self) -> bool:
-        """Whether the last rows are too many to be no samples."""
-        return 2 * len(self._held) > self._samples
+        """Whether the last rows are too many to be no samples, most of all where they have a cell for each column."""
+        whole = sum(len(row) == self._width for _, row in self._held)
+        return 2 * len(self._held) > self._samples or whole > SUMS
 
     def end(self, of_words: bool) -> list[Line]:
         """The last rows, if the first column is one of words; else they are left out."""

@@ -13,7 +13,7 @@ from rcbht_jax._util.columns import SECONDS, base_and_unit
 from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, check_inside, read_bytes, read_json
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.clock import since_epoch
+from rcbht_jax.io.importing.clock import DAY, since_epoch
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import LABELS, column_name, wrenches
@@ -93,6 +93,7 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     fields = _fields(table.columns)
     columns = {kind: table.columns[name] for kind, (name, _) in fields.items()}
     count = len(columns["label"])
+    texts = columns["start"].dtype.kind == "U"
     for key in {"start", "end", "duration"} & set(columns):
         name, seconds = fields[key]
         if columns[key].dtype.kind == "U":
@@ -103,6 +104,7 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
         else:
             columns[key] = columns[key] * (seconds or SECONDS[unit_by_size(columns[key])])
     ends = columns.get("end", columns["start"] + columns.get("duration", np.nan))
+    ends = np.where(texts & (ends < columns["start"] - DAY / 2), ends + DAY, ends)  # times of day around midnight
     tracks = columns.get("track", np.full(count, track.track))
     names = columns.get("recording", np.full(count, ""))
     found = []

@@ -160,7 +160,7 @@ def _unit(table: Table, name: str) -> str:
         return "d"
     known, unit = values[np.isfinite(values)], unit_by_size(values)
     with np.errstate(over="ignore"):
-        steps = np.diff(known)
+        steps = _steps(known)
     if not (steps > 0).any():
         return unit
     step = float(np.median(steps[steps > 0]))
@@ -170,6 +170,12 @@ def _unit(table: Table, name: str) -> str:
         return unit
     likely = [finer for finer, scale in SECONDS.items() if SENSIBLE[0] <= step * scale < SENSIBLE[1]]
     return likely[0] if len(likely) == 1 else unit
+
+
+def _steps(times: NDArray[Any]) -> NDArray[Any]:
+    """Steps of times, forwards also where the newest comes first."""
+    steps = np.diff(times)
+    return -steps if (steps < 0).sum() > (steps > 0).sum() else steps
 
 
 def unit_by_size(values: NDArray[Any]) -> str:
@@ -187,7 +193,7 @@ def _in_days(values: NDArray[Any]) -> bool:
     if values.dtype.kind == "U":
         return False
     known = values[np.isfinite(values)]
-    steps = np.diff(known)
+    steps = _steps(known)
     first, last = known.min(initial=np.inf), known.max(initial=-np.inf)
     ours = any(low < first and last < high for low, high in _DAYS)
     return ours and bool((steps > 0).any()) and float(np.median(steps[steps > 0])) * SECONDS["d"] < SENSIBLE[1]

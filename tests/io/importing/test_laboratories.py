@@ -70,6 +70,14 @@ def test_what_is_exported_newest_first_is_turned(text: bool, tmp_path: Path) -> 
     same(read_source(tmp_path), "reversed")
 
 
+def test_the_unit_of_stamps_that_come_newest_first_follows_from_their_steps(tmp_path: Path) -> None:
+    rows = [f"{trial},{10 * k},{k % 7 + trial}" for trial in range(2) for k in reversed(range(N))]
+    (tmp_path / "run.csv").write_text("\n".join(["trial,time,load", *rows]))
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.dt, recordings.note.tolist()) == (0.01, ["reversed", "reversed"])
+    np.testing.assert_array_equal(recordings.wrench[1, :, 0], np.arange(N) % 7 + 1)
+
+
 LABELS = [("push", 0.1, 0.2), ("pull", 0.2, 0.35)]
 
 
@@ -100,6 +108,15 @@ def test_times_of_annotations_as_programs_write_them(head: str, form: str, tmp_p
     rows = "".join(form.format(*row, round(row[1] * 1000), round(row[2] * 1000)) for row in LABELS)
     stamps = [(START + datetime.timedelta(seconds=time)).isoformat(timespec="milliseconds") for time in TIME]
     labelled(tmp_path, head + rows, stamps)
+
+
+def test_an_annotation_around_midnight_ends_after_it_begins(tmp_path: Path) -> None:
+    times = [f"23:59:59.{round(1000 * (time + 0.8)):03}" if time < 0.2 else f"00:00:00.{round(1000 * (time - 0.2)):03}"
+             for time in TIME.tolist()]  # fmt: skip
+    write(tmp_path / "run.csv", times)
+    (tmp_path / "run_labels.csv").write_text("label,start,end\npush,23:59:59.900,00:00:00.100\n")
+    annotations = read_source(tmp_path).recordings.annotations
+    np.testing.assert_allclose([*annotations.start, *annotations.end], [0.1, 0.3])
 
 
 def test_annotations_in_nanoseconds_since_1970(tmp_path: Path) -> None:

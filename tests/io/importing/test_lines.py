@@ -81,6 +81,12 @@ def test_a_first_column_that_is_one_of_words_loses_no_row(tmp_path: Path) -> Non
     assert (imported.recordings.length.tolist(), imported.recordings.note.tolist()) == ([30], [""])
 
 
+def test_many_rows_that_end_a_table_are_not_left_out_for_a_word(tmp_path: Path) -> None:
+    rows = "".join(f"{k if k < 80 else f'A{k}'},{k / 100},{k % 7}\n" for k in range(100))
+    with pytest.raises(InputError, match="line 82, column mark: 'A80' is not a number"):
+        read(tmp_path, "mark,t,Fz\n" + rows)
+
+
 def test_names_that_a_program_wrote_again_begin_a_recording(tmp_path: Path) -> None:
     recordings = read(tmp_path, HEAD + ROWS + HEAD + ROWS.replace(",-", ",-1")).recordings
     assert recordings.length.tolist() == [N, N]
