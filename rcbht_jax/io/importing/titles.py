@@ -36,8 +36,9 @@ def read_titles(file: BinaryIO, path: Path, encoding: str) -> Titles:
     Names may stand in several lines, as spreadsheets and data frames have them: ``Force,,`` above ``x,y,z``. A line of
     units may follow. Columns without a name are called c0, c1, ... by their place.
 
-    >>> import io
-    >>> titles = read_titles(io.BytesIO(b"t,Force,\\n,x,y\\n[s],[N],[N]\\n0,1,2\\n0.1,1,2\\n"), Path("a.csv"), "utf-8")
+    >>> _ = Path("a.csv").write_text("t,Force,\\n,x,y\\n[s],[N],[N]\\n0,1,2\\n0.1,1,2\\n")
+    >>> with open("a.csv", "rb") as file:
+    ...     titles = read_titles(file, Path("a.csv"), "utf-8")
     >>> titles.names
     ['t [s]', 'Force x [N]', 'Force y [N]']
 

@@ -292,3 +292,11 @@ def test_annotations_of_label_studio(short: bool, tmp_path: Path) -> None:
     assert imported.recordings.trial[annotations.recording].tolist() == ["run2", "run2"]
     assert list(zip(annotations.names(), annotations.start, annotations.end, strict=True)) == LABELS
     assert imported.report.warnings == []
+
+
+def test_a_recording_in_other_units_than_one_other_is_told(tmp_path: Path) -> None:
+    pairs = list(zip(AXES, UNITS, strict=True))
+    write(tmp_path / "run1.csv", heads=tuple(f"{axis} [{unit}]" for axis, unit in pairs))
+    write(tmp_path / "run2.csv", heads=tuple(f"{axis} [m{unit}]" for axis, unit in reversed(pairs)))
+    [(name, reason)] = read_source(tmp_path).report.skipped
+    assert (name, "; 1 other has Fx (N), Fy (N)" in reason) == ("run2.csv", True)
