@@ -17,8 +17,10 @@ UNITS = {
     "n": "N", "nm": "Nm", "mn": "mN", "mnm": "mNm", "kn": "kN", "nmm": "Nmm", "ncm": "Ncm", "knm": "kNm", "kgf": "kgf",
     "lbf": "lbf", "lbfin": "lbf in", "lbfft": "lbf ft", "newton": "N", "newtons": "N", "newtonmeter": "Nm",
     "newtonmeters": "Nm",
-    "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "nsec": "ns",
-    "min": "min", "minutes": "min", "h": "h", "hours": "h",
+    "s": "s", "sec": "s", "second": "s", "seconds": "s", "秒": "s", "ms": "ms", "msec": "ms", "millisecond": "ms",
+    "milliseconds": "ms", "毫秒": "ms", "ミリ秒": "ms", "us": "us", "usec": "us", "µs": "us", "μs": "us",
+    "microseconds": "us",
+    "ns": "ns", "nsec": "ns", "nanoseconds": "ns", "min": "min", "minutes": "min", "h": "h", "hr": "h", "hours": "h",
     "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
 }  # fmt: skip
 TIMES = (
@@ -28,9 +30,10 @@ TIMES = (
 )  # fmt: skip
 
 _TAILS = ("N", "Nm", "mN", "mNm", "Nmm", "Ncm", "kN", "kNm", "kgf", "lbf")  # that end a name after "_"
-_PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅-](?=[a-z])")  # N-m, N·mm, lbf in
+_PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅・･∙•×-](?=[a-z])")  # N-m, N·mm, lbf in
 _AFTER = re.compile(r"^(.*?[^\s,/])(?:\s*[,/]\s*|\s+in\s+)([a-zA-Zµ]+(?:[ .*·⋅-][a-zA-Z]+)?)$")  # Fx/N, Fx, N; Fx in N
-_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
+_SINCE = re.compile(r"\s+since\s.*$")  # ms since 2026-05-01 00:00:00
+_BRACKETS = re.compile(r"^(.*?)\s*[\[({<（［【]\s*([^\])}>）］】]*?)\s*[\])}>）］】]$")
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -38,11 +41,13 @@ def split_unit(name: str) -> tuple[str, str]:
 
     >>> split_unit("Force_X [N]"), split_unit("Tx (N-mm)"), split_unit("t_ms"), split_unit("Fx")
     (('Force_X', 'N'), ('Tx', 'Nmm'), ('t', 'ms'), ('Fx', ''))
+    >>> split_unit("Fx {N}"), split_unit("时间（毫秒）")
+    (('Fx', 'N'), ('时间', 'ms'))
     >>> split_unit("Fx/N"), split_unit("Moment x in Ncm"), split_unit("time, s"), split_unit("imu/a")
     (('Fx', 'N'), ('Moment x', 'Ncm'), ('time', 's'), ('imu/a', ''))
     """
     match = _BRACKETS.match(name.strip())
-    if match and match[1] and (unit := UNITS.get(_PRODUCT.sub("", match[2].lower().strip()))):
+    if match and match[1] and (unit := UNITS.get(_PRODUCT.sub("", _SINCE.sub("", match[2].lower().strip())))):
         return match[1], unit
     after = _AFTER.match(name.strip())
     unit = UNITS.get(_PRODUCT.sub("", after[2].lower())) if after else None

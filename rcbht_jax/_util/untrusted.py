@@ -230,11 +230,15 @@ def read_object(path: Path) -> dict[str, Any]:
     return value
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, objects: list[str] | None = None) -> dict[str, NDArray[Any]]:
     """The arrays of an NPZ file; nothing is unpacked before it is known how much that is.
 
+    Args:
+        path: the file.
+        objects: gets the names of arrays of Python objects, which are left out; None = they are an error.
+
     Raises:
-        InputError: not a regular file, too many arrays, or arrays too large for it.
+        InputError: not a regular file, too many arrays, arrays too large for it, or nothing but Python objects.
         Exception: a damaged archive can fail in any way inside zipfile and NumPy.
     """
     size = check_file(path)
@@ -245,11 +249,16 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         declared = 0
         for member in members:
             with archive.open(member) as file:
-                declared += declared_bytes(file)
+                try:
+                    declared += declared_bytes(file)
+                except InputError:
+                    if objects is None or len(objects) == len(members) - 1:
+                        raise
+                    objects.append(member.filename.removesuffix(".npy"))
             # What is unpacked is the member's size; an array is read up to the size of its header.
             check_declared(path, max(declared, sum(entry.file_size for entry in members)), size)
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-        return {key: arrays[key] for key in arrays.files}
+        return {key: arrays[key] for key in arrays.files if key not in (objects or ())}
 
 
 def declared_bytes(file: Any) -> int:

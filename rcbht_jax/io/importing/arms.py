@@ -42,6 +42,15 @@ def arms_of(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(arms)) if len(arms) <= MOST_ARMS else ()
 
 
+def names_side(name: str) -> bool:
+    """Whether a name holds the word left or right, as that of an arm's group does.
+
+    >>> names_side("arm_left"), names_side("Right"), names_side("upright")
+    (True, True, False)
+    """
+    return any(_mark(side).search(name) for side in _SIDES[0])
+
+
 def tables_of_arms(table: Table, mapping: Mapping) -> Iterator[Table]:
     """The table of each arm: its own columns, with "{arm}" for its name, and those that name no arm.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
@@ -14,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import split_unit
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import (
     MAX_BYTES,
@@ -25,12 +23,12 @@ from rcbht_jax._util.untrusted import (
     read_arrays,
 )
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.arms import names_side
+from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.names import GROUPS, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
-
-SIDE = re.compile(r"(?:^|[\W_])(?:left|right)(?:$|[\W_])", re.IGNORECASE)
 
 
 @contextmanager
@@ -58,23 +56,24 @@ def reading(path: Path, what: str) -> Iterator[None]:
 def read_npz(path: Path, name: str) -> Iterator[Table]:
     """Tables of an NPZ file, or of one array in an NPY file; see :func:`~rcbht_jax.io.importing.table.tables_of`.
 
-    Fields of structured arrays are arrays of their own.
+    Fields of structured arrays are arrays of their own. Arrays of Python objects are left out.
 
     >>> np.savez("a.npz", t=np.arange(9) * 0.01, wrench=np.zeros((9, 6)))
     >>> [list(table.columns)[:2] for table in read_npz(Path("a.npz"), "a.npz")]
     [['t', 'wrench_0']]
 
     Raises:
-        InputError: not a regular file, damaged, holds Python objects, or declares arrays too large for it.
+        InputError: not a regular file, damaged, holds nothing but Python objects, or declares arrays too large for it.
     """
     size = check_file(path)
+    objects = list[str]()
     with reading(path, "NPZ"):
         if path.suffix.lower() == ".npy":
             with path.open("rb") as file:
                 check_declared(path, declared_bytes(file), size)
             arrays = {"values": np.load(path, allow_pickle=False)}
         else:
-            arrays = read_arrays(path)
+            arrays = read_arrays(path, objects)
     alone = len(arrays) == 1
     fields = {key: array for key, array in arrays.items() if array.dtype.names}
     named = {
@@ -82,7 +81,13 @@ def read_npz(path: Path, name: str) -> Iterator[Table]:
         for key, array in fields.items()
         for field in array.dtype.names or ()
     }
-    yield from tables_of(path, name, {key: array for key, array in arrays.items() if key not in fields} | named)
+    usable = {key: array for key, array in arrays.items() if key not in fields} | named
+    try:
+        for table in tables_of(path, name, usable):
+            yield replace(table, others=(*table.others, *objects))
+    except InputError as error:
+        hint = f" Python objects ({', '.join(objects[:3])}) are never loaded." if objects else ""
+        raise InputError(f"{error}{hint}") from None
 
 
 def read_hdf5(path: Path, name: str) -> Iterator[Table]:
@@ -133,7 +138,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         )
         group = _like(file, h5py)
         parts = [("", file)] if group is None else _groups(group, h5py)
-        sides = all(SIDE.search(part) for part, _ in parts)
+        sides = all(names_side(part) for part, _ in parts)
         for part, node in parts:
             prefix = node.name.rstrip("/") + "/"
             found = {one.name.removeprefix(prefix): one for one in datasets if one.name.startswith(prefix)}
@@ -142,46 +147,21 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             }
             for key, one in _pandas(found).items() if not turned else found.items():
                 arrays |= _arrays(file, key, one, turned, len(found) == 1)
+            arrays |= {f"{key}/{name}": texts for key, one in found.items() for name, texts in _titles(one).items()}
             usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
-            stated = {key: texts for key, one in found.items() if (texts := _stated_units(one))}
+            stated = {key: texts for key, one in found.items() if (texts := stated_units(getattr(one, "attrs", {})))}
             for table in tables_of(path, f"{name}#{part}" if part else name, usable, part):
                 arm = {"arm": part} if sides and part else {}
-                yield replace(table, units=_units_of(table.columns, stated), facts={**arm, **table.facts})
+                yield replace(table, units=units_of(table.columns, stated), facts={**arm, **table.facts})
 
 
-def _stated_units(item: Any) -> list[str]:
-    """The units in a data set's attribute ``units`` or ``unit``, one or one per element; unknown ones are "".
-
-    >>> from types import SimpleNamespace
-    >>> _stated_units(SimpleNamespace(attrs={"units": "N,N,N,Nm,Nm,N mm"})), _stated_units(SimpleNamespace(attrs={}))
-    (['N', 'N', 'N', 'Nm', 'Nm', 'Nmm'], [])
-    """
-    for key in ("units", "unit"):
-        given = np.asarray(item.attrs.get(key, "")).ravel().tolist()
-        texts = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in given]
-        units = [split_unit(f"x [{text.strip()}]")[1] for text in (texts[0].split(",") if len(texts) == 1 else texts)]
-        if any(units):
-            return units
-    return []
-
-
-def _units_of(columns: Iterable[str], stated: dict[str, list[str]]) -> dict[str, str]:
-    """The unit of each column of data sets with stated units.
-
-    >>> _units_of(["t", "F_0", "F_1"], {"t": ["ms"], "F": ["N", "Nm"]})
-    {'t': 'ms', 'F_0': 'N', 'F_1': 'Nm'}
-    """
-    units = {}
-    for column in columns:
-        head, _, number = column.rpartition("_")
-        own = stated.get(head, []) if number.isdecimal() else []
-        if column in stated:
-            own = stated[column][:1]
-        elif len(own) > 1:
-            own = own[int(number) : int(number) + 1]
-        if own and own[0]:
-            units[column] = own[0]
-    return units
+def _titles(item: Any) -> dict[str, NDArray[Any]]:
+    """The attributes of a table that name its columns."""
+    if len(item.shape or ()) not in (2, 3) or item.dtype.kind not in "fiu":
+        return {}
+    lists = {key: np.asarray(value) for key, value in getattr(item, "attrs", {}).items()}
+    lists = {key: one.astype(np.str_) for key, one in lists.items() if one.ndim == 1 and one.dtype.kind in "OSU"}
+    return {key: one for key, one in lists.items() if len(one) in item.shape and wrenches(one.tolist())}
 
 
 def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
@@ -271,7 +251,8 @@ def _array(item: Any, turned: bool) -> NDArray[Any] | None:
     if turned and _kind(item) == "char":
         return np.array("".join(map(chr, np.asarray(item[()]).ravel().tolist())))
     if item.dtype.kind in "fiub":
-        return np.asarray(item[()]).T if turned else np.asarray(item[()])
+        content = scaled(np.asarray(item[()]), item.attrs)
+        return content.T if turned else content
     if item.dtype.kind in "OS" and item.size and isinstance(np.asarray(item[()]).flat[0], bytes | str):
         return np.asarray(item.asstr()[()]).astype(np.str_)
     return None

@@ -14,6 +14,7 @@ from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
+from rcbht_jax.io.importing.encodings import WORDS
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.names import GROUPS, column_name
 from rcbht_jax.io.importing.record import Record
@@ -74,10 +75,11 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     if parts := sum(note.startswith("restarts:") for record in kept for note in record.notes):
         text = f"{plural(parts, 'recording is', 'recordings are')} from tables in which the time starts anew."
         report.remarks.append(text)
-    if coded := sum("cp1252" in record.notes for record in kept):
-        were = plural(coded, "recording is", "recordings are")
-        text = f"{were} from a file that is not UTF-8, read as Windows-1252; if names are garbled, save it as UTF-8."
-        report.remarks.append(text)
+    for encoding, word in WORDS.items():
+        if coded := sum(encoding in record.notes for record in kept):
+            were = plural(coded, "recording is", "recordings are")
+            text = f"{were} from a file that is not UTF-8, read as {word}; if names are garbled, save it as UTF-8."
+            report.remarks.append(text)
     _remarks(report, period, rates, filtered)
     report.imported = [record.name for record in kept]
     _words(kept)

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import split_unit
 from rcbht_jax._util.untrusted import MAX_RATIO, MAX_TEXT_BYTES
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.numerals import ungrouped
 
 NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
+_BLANKS = re.compile(r"\s+(?![\[(][^\W\d][^\s\])]*[\])])")  # but before a unit: Time (s)
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 
 
@@ -24,9 +26,11 @@ def delimiter_of(line: bytes) -> str:
     (';', ',', ' ')
     """
     for mark in ";\t":
-        if mark.encode() in line and all(map(is_number, split(line, mark))):
-            return mark  # its commas are those of numbers
-    counts = {mark: line.count(mark.encode()) for mark in ",;\t"}
+        if mark.encode() in line and b"," in line:
+            cells = next(csv.reader([line.decode("utf-8", "replace").strip("\r\n")], delimiter=mark), [])
+            if all(is_number(plain(cell.strip(), mark)) for cell in cells if "," in cell):
+                return mark  # its commas are those of numbers
+    counts = {mark: line.count(mark.encode()) for mark in ";\t,"}
     best = max(counts, key=lambda mark: counts[mark])
     return best if counts[best] else " "
 
@@ -39,7 +43,7 @@ def split(line: bytes, delimiter: str, encoding: str = "utf-8-sig") -> list[str]
     """
     text = line.decode(encoding, "replace").strip("\r\n")
     if delimiter == " ":
-        return text.split()
+        return _BLANKS.split(text.strip()) if text.strip() else []
     try:
         return [plain(cell.strip(), delimiter) for cell in next(csv.reader([text], delimiter=delimiter), [])]
     except csv.Error:
@@ -68,7 +72,25 @@ def plain(cell: str, delimiter: str) -> str:
     if cell[:1] in ("(", "[") or cell[-1:] in (")", "]"):
         inner = cell.strip("()[] ")
         return inner if inner and is_number(inner) else cell
-    return _COMMA.sub(r"\1.\2", cell) if delimiter in (";", "\t") and "," in cell else cell
+    return _COMMA.sub(r"\1.\2", ungrouped(cell)) if delimiter in (";", "\t") and "," in cell else cell
+
+
+def count_numbers(cells: Sequence[str]) -> int:
+    """How many cells hold a number, missing values and empty cells aside.
+
+    >>> count_numbers(["1.5", "", "nan", "push"])
+    1
+    """
+    return sum(is_number(cell) and cell.lower() not in NAN for cell in cells)
+
+
+def is_word(cell: str) -> bool:
+    """Whether a cell is neither a number, nor begins like one or a date, nor empty.
+
+    >>> is_word("mean"), is_word("2026-05-01"), is_word("-1.5"), is_word("nan"), is_word("")
+    (True, False, False, False, False)
+    """
+    return not re.match(r"[+-]?[.,]?\d", cell) and not is_number(cell)
 
 
 def is_title(cells: list[str], below: list[str]) -> bool:

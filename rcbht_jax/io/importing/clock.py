@@ -1,19 +1,29 @@
-"""Times written as text: ISO 8601, a time of day with or without a date before it, or minutes and seconds."""
+"""Times written as text: ISO 8601, a time of day with or without a date before it, minutes and seconds, or 0.5 sec."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import NDArray
+
+from rcbht_jax._util.columns import SECONDS, UNITS
 
 DAY, NOON = 86400.0, 12
 _ISO = re.compile(r"\d{4}-\d{2}(-\d{2}([T ].*)?)?$")
-_ZONE = re.compile(r"\s*(?:Z|([+-])(\d{2})(?::?(\d{2}))?)$")
+_ZONE = re.compile(r"\s*(?:Z|UTC|GMT|([+-])(\d{2})(?::?(\d{2}))?)$")
 _CLOCK = re.compile(
     r"(?:^|[ T])(\d{1,2}):([0-5]?\d):([0-5]?\d(?:[.,]\d+|:\d{3}|:\d{6})?)(?:\s*([AP])\.?M\.?)?$", re.IGNORECASE
 )
+# 20240501T120000.5, 2024-05-01_12-00-00.5, 2024/05/01/12:00:00.5, as names of files and some tools have them
+_DATED = re.compile(
+    r"(\d{4})([-/.]?)([01]\d)\2([0-3]\d)[ T_/-]([0-2]\d)([-:]?)([0-5]\d)\6([0-5]\d)((?:[.,]\d+)?)"
+    r"\s?(Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?)?$"
+)
+_AMOUNT = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s*([a-zµμ]+)$", re.IGNORECASE)  # 0.5 sec, as MATLAB writes durations
 _MINUTES = re.compile(r"(\d+):([0-5]\d[.,]\d+)$")
 
 
@@ -36,10 +46,11 @@ def seconds_of(texts: Sequence[str]) -> Float[np.ndarray, " row"]:
     filled = stripped[known].tolist()
     if not filled:
         return out
-    if all(map(_ISO.match, filled)):
-        pairs = [_local(text) if ":" in text else (text, 0) for text in filled]
-        dates = np.array([local for local, _ in pairs], "datetime64[ns]")
-        offsets = np.array([offset for _, offset in pairs])
+    if (amounts := _amounts(filled)) is not None:
+        out[known] = amounts - amounts[0]
+        return out
+    if (dated := _dated(filled)) is not None:
+        dates, offsets = dated
         out[known] = (dates - dates[0]).astype(np.float64) * 1e-9 - (offsets - offsets[0])
         return out
     of_day = np.array(list(map(_of_day, filled)))
@@ -47,6 +58,80 @@ def seconds_of(texts: Sequence[str]) -> Float[np.ndarray, " row"]:
     days = (steps < -DAY / 2).cumsum() - (steps > DAY / 2).cumsum()
     out[known] = of_day - of_day[0] + DAY * days
     return out
+
+
+def since_epoch(texts: Sequence[str]) -> Float[np.ndarray, " row"]:
+    """Seconds of times by themselves: since 1970 where they have dates as ISO 8601, else since midnight; NaN: empty.
+
+    >>> since_epoch(["1970-01-02T00:00:00.5", ""]).tolist(), since_epoch(["00:01:00.5", "2 min"]).tolist()
+    ([86400.5, nan], [60.5, 120.0])
+
+    Raises:
+        ValueError: a text that is no such time.
+    """
+    return np.array([_alone(text.strip()) if text.strip() else np.nan for text in texts], np.float64)
+
+
+def first_second(texts: Sequence[str]) -> float:
+    """The time from which :func:`seconds_of` counts, as :func:`since_epoch` has it; 0 = there is none.
+
+    >>> first_second(["", "00:01:00.5"]), first_second([])
+    (60.5, 0.0)
+    """
+    first = next((text for text in texts if text.strip()), "")
+    return float(since_epoch([first])[0]) if first else 0.0
+
+
+def no_time(texts: Sequence[str]) -> str:
+    """The first text that is no time, else the first.
+
+    >>> no_time(["10:00:00", "noon"])
+    'noon'
+    """
+    for text in texts:
+        try:
+            seconds_of([text])
+        except ValueError:
+            return text
+    return texts[0]
+
+
+def _alone(text: str) -> float:
+    if (dated := _dated([text])) is not None:
+        return float(dated[0][0].astype(np.int64)) * 1e-9 - float(dated[1][0])
+    amounts = _amounts([text])
+    return float(amounts[0]) if amounts is not None else _of_day(text)
+
+
+def _amounts(texts: Sequence[str]) -> NDArray[np.float64] | None:
+    """Seconds of numbers with units of time; None = they are others."""
+    if not _AMOUNT.match(texts[0]):
+        return None
+    found = [match.groups() for match in map(_AMOUNT.match, texts) if match]
+    units = [SECONDS.get(UNITS.get(unit.lower(), "")) for _, unit in found]
+    if len(found) < len(texts) or None in units:
+        return None
+    return np.array(
+        [float(number.replace(",", ".")) * (unit or 0) for (number, _), unit in zip(found, units, strict=True)]
+    )
+
+
+def _dated(texts: Sequence[str]) -> tuple[NDArray[Any], NDArray[Any]] | None:
+    """Local times with dates as ISO 8601 has them, or nearly so, and their offsets from UTC, s; None = they are others.
+
+    Raises:
+        ValueError: a date that does not exist.
+    """
+    if not all(map(_ISO.match, texts)) or re.search(r"\d-\d\d-\d\d(?:[.,]\d+)?$", texts[0][8:]):
+        found = [match.groups("") for match in map(_DATED.match, texts) if match]
+        if len(found) < len(texts):
+            return None
+        texts = [f"{year}-{month}-{day}T{hour}:{minute}:{second}{rest}{zone}"
+                 for year, _, month, day, hour, _, minute, second, rest, zone in found]  # fmt: skip
+    pairs = [_local(text) if ":" in text else (text, 0) for text in texts]
+    return np.array([local for local, _ in pairs], "datetime64[ns]"), np.array(
+        [offset for _, offset in pairs], np.int64
+    )
 
 
 def _local(text: str) -> tuple[str, int]:

@@ -22,6 +22,7 @@ from rcbht_jax._util.untrusted import (
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.names import of_levels
 from rcbht_jax.io.importing.table import Table
 
 EPISODE = "episode_index"
@@ -89,7 +90,10 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
             columns[field.name] = _array(pa, column, _kind(pa, field.type))
     if not columns or not len(next(iter(columns.values()))):
         raise InputError(f"{path} has no rows of numbers or text.")
-    seconds = {field.name: "s" for field in table.schema if _kind(pa, field.type) == "time"}
+    plain = {name: of_levels(name) for name in columns}
+    if len(set(plain.values())) == len(plain):
+        columns = {plain[name]: column for name, column in columns.items()}
+    seconds = {plain.get(field.name, field.name): "s" for field in table.schema if _kind(pa, field.type) == "time"}
     return columns, 1 / float(rows) if rows and float(rows) > 0 else None, seconds
 
 
@@ -130,7 +134,7 @@ def _kind(pa: Any, kind: Any) -> str:
     """ "number", "text", "time", "list" or "fields"; "" = nothing that can be imported."""
     if pa.types.is_dictionary(kind):
         kind = kind.value_type
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind):
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
         return "number"
     if pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_boolean(kind):
         return "text"
@@ -150,6 +154,7 @@ def _array(pa: Any, column: Any, kind: str) -> NDArray[Any]:
     if kind == "time":
         scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
         return np.asarray(column.cast(pa.int64()).to_numpy(zero_copy_only=False), np.float64) * scale
+    column = column.cast(pa.float64()) if pa.types.is_decimal(column.type) else column
     return np.asarray(column.to_numpy(zero_copy_only=False)).astype(np.float64)
 
 

@@ -1,13 +1,14 @@
-"""Numbers that are constant in each recording of a source and differ between them: they describe the recordings."""
+"""Numbers that are constant in each recording of a source: they describe the recordings, and are no signal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from rcbht_jax._util.columns import base_and_unit
-from rcbht_jax.io.importing.names import COUNTERS, column_name
+from rcbht_jax.io.importing.names import COUNTERS, column_name, is_axis
 from rcbht_jax.io.importing.record import Record, text
 from rcbht_jax.io.importing.table import Table
 
@@ -50,3 +51,36 @@ def describe(records: Sequence[Record], constants: Mapping[str, Mapping[str, flo
         for name in names:
             record.columns.setdefault(column_name(name), text(own[name]))
     return names
+
+
+def without_properties(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
+    """Make axes that are one number in every recording their columns, as text; returns the records and those axes.
+
+    Those with a unit, or named like an axis of a wrench, remain: a sensor may be at rest. So do all if nothing else is
+    left.
+
+    >>> values = np.stack([np.arange(3.0), np.full(3, 0.5)], 1)
+    >>> records = [Record("a", np.arange(3.0), values, ("load", "mass"), ("", ""))]
+    >>> [record], names = without_properties(records)
+    >>> record.axes, record.columns, names
+    (('load',), {'mass': '0.5'}, ['mass'])
+
+    Args:
+        records: of the same axes.
+    """
+    axes, units = records[0].axes, records[0].units
+    still = [all(np.ptp(record.values[:, k]) == 0 for record in records) for k in range(len(axes))]
+    names = [axis for axis, unit, one in zip(axes, units, still, strict=True) if one and not unit and not is_axis(axis)]
+    if not names or len(names) == len(axes):
+        return list(records), []
+    kept = [place for place, axis in enumerate(axes) if axis not in names]
+    found = []
+    for record in records:
+        facts = {column_name(name): text(record.values[0, axes.index(name)]) for name in names}
+        left = tuple(axes[place] for place in kept), tuple(units[place] for place in kept)
+        notes = [note for note in record.notes if note.partition(":")[2] not in names]
+        found.append(
+            replace(record, values=record.values[:, kept], axes=left[0], units=left[1], notes=notes,
+                    columns={**facts, **record.columns})
+        )  # fmt: skip
+    return found, names

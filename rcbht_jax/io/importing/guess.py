@@ -15,6 +15,7 @@ from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
+from rcbht_jax.io.importing.numerals import two_meanings
 from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, is_clock, is_stamp, with_time
@@ -200,13 +201,16 @@ def _check_axes(table: Table, free: list[str]) -> None:
         whole = len(words) > MAX_LABELS and re.split(r"[\W_]+", names.snake(column))[-1] in names.WHOLE
         if len(words) and (column in axes or whole):
             first = next(text for text in table.columns[column] if text)
-            raise InputError(f"{table.name}: column {column!r} holds {str(first)[:30]!r}, which is not a number.")
+            raise InputError(
+                f"{table.name}: column {column!r} holds {str(first)[:30]!r}, which is not a number."
+                + two_meanings(str(first))
+            )
 
 
 def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
     if wrench := names.preferred(names.wrenches(numeric)):
-        return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in wrench.items())
+        return tuple(Channel(column, axis, _unit_of(table, column, axis)) for axis, column in wrench.items())
     other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]
     rest = [name for name in rest if np.isfinite(table.columns[name]).any()]  # an empty column is none
@@ -249,8 +253,10 @@ def some(texts: Iterable[str]) -> str:
     return (", ".join(map(repr, listed[:12])) or "none") + more
 
 
-def _unit_of(table: Table, name: str) -> str:
-    return table.units.get(name, "") or base_and_unit(name)[1]
+def _unit_of(table: Table, name: str, axis: str = "") -> str:
+    """The unit of a column; "" = unknown, also where a whole wrench states one that only some axes can have."""
+    unit = table.units.get(name, "") or base_and_unit(name)[1]
+    return "" if unit in {"F": names.MOMENTS, "M": names.FORCES}.get(axis[:1], ()) else unit
 
 
 def _table(table: Table, mapping: Mapping) -> list[Understood]:

@@ -3,8 +3,9 @@
 Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at its own rate), ``resampled:RATE`` (from
 that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
 ``stuck:AXIS``, ``counts`` (were divided), ``other-arrays:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
-``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples), ``windows:COUNT``
-(of so many samples), ``restarts:COUNT`` (of the time), ``cp1252``, ``changes:COLUMN`` (one that should be constant),
+``unordered:COUNT``, ``reversed``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples),
+``windows:COUNT`` (of so many samples), ``lines:COUNT`` (that are no samples), ``restarts:COUNT`` (of the time),
+``cp1252``, ``cp932``, ``gb18030``, ``changes:COLUMN`` (one that should be constant),
 ``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
@@ -24,7 +25,7 @@ from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.arms import PLACE, tables_of_arms
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.blocks import read_blocks
-from rcbht_jax.io.importing.constants import constants_of, describe
+from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
@@ -100,6 +101,8 @@ def read_source(
         were = plural(len(beside.files), "JSON document describes recordings", "JSON documents describe recordings")
         report.remarks.append(f"{were}: {some(beside.files)}.")
     read, used, tables, constants = _read(source, items, base, beside, report, progress)
+    if not base.channels and not base.bias:
+        read = _properties(read, used)
     found = [record for record, _ in read]
     names = marks.Names(((record.file, record.part) for record in found), [record.arm for record in found])
     _beside(source, read, [track for track in base.annotations if not track.column], names, report)
@@ -201,8 +204,9 @@ def _read(
                 check_inside(item.path, source)
             wide = (widened(table, base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                if item.kind == "csv" and marks.is_intervals(table.columns):
-                    marked.append(table)
+                named = marks.headed(table) if named_after(table.name) else table
+                if item.kind == "csv" and marks.is_intervals(named.columns):
+                    marked.append(named)
                     continue
                 try:
                     for record, meaning in _understood(beside.described(table), base, rows, report):
@@ -220,14 +224,42 @@ def _read(
     return found, used, marked, constants
 
 
+def _properties(
+    read: list[tuple[Record, Item]], used: dict[str, tuple[Mapping, list[Understood]]]
+) -> list[tuple[Record, Item]]:
+    """The recordings without guessed axes that are one number in each: these describe them, also in ``used``."""
+    alike: dict[tuple[str, ...], list[int]] = {}
+    for place, (record, _) in enumerate(read):
+        alike.setdefault(record.axes, []).append(place)
+    read = list(read)
+    for places in alike.values():
+        found, names = without_properties([read[place][0] for place in places])
+        for place, record in zip(places, found, strict=True):
+            read[place] = record, read[place][1]
+            if names:
+                used[record.name] = _described_by(*used[record.name], names)
+    return read
+
+
+def _described_by(mapping: Mapping, rows: list[Understood], names: list[str]) -> tuple[Mapping, list[Understood]]:
+    """The meaning of columns where some channels became columns of the store."""
+    owns = {one.column: one.name or one.column for one in mapping.channels if (one.name or one.column) in names}
+    columns = {column_name(name): Value(column) for column, name in owns.items()}
+    channels = tuple(one for one in mapping.channels if one.column not in owns)
+    meant = {column: Understood(column, f"column {column_name(name)}") for column, name in owns.items()}
+    rows = [meant.get(row.column, row) for row in rows]
+    return replace(mapping, channels=channels, columns={**columns, **mapping.columns}), rows
+
+
 def _understood(
     table: Table, base: Mapping, rows: dict[str, Row], report: ImportReport
 ) -> Iterator[tuple[Record, tuple[Mapping, list[Understood]]]]:
     """The recordings of a table, and the meaning of its columns."""
     mapping, understood = guess(table, base)
     more = "" if base.channels else more_wrenches(table, mapping)
-    left = f"Arrays of another shape were left out: {some(table.others)}." if table.others else ""
-    report.remarks += [text for text in (more, left) if text and text not in report.remarks]
+    left = f"Arrays of another shape or kind were left out: {some(table.others)}." if table.others else ""
+    lines = f"Lines that are no samples were left out: {some(table.lines)}." if table.lines else ""
+    report.remarks += [text for text in (more, left, lines) if text and text not in report.remarks]
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)
@@ -277,8 +309,7 @@ def _beside(
 def _attach(found: list[Record], tables: list[Table], names: marks.Names, report: ImportReport) -> None:
     """Give recordings the intervals of tables that name them, or that are named after them."""
     for table in tables:
-        stem = PurePosixPath(table.name).with_suffix("").as_posix()
-        own = next((stem.removesuffix(ending) for ending in _ENDINGS if stem.endswith(ending)), "")
+        own = named_after(table.name)
         try:
             rows = marks.intervals_of(table, Track("label", file=table.name))
         except InputError as error:
@@ -295,6 +326,16 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
             report.warnings.append(
                 (table.name, "is a table of annotations, and no recording is named in it or like it.")
             )
+
+
+def named_after(name: str) -> str:
+    """The recording that a file of annotations is called after, without suffix; "" = none.
+
+    >>> named_after("day1/run1_labels.csv"), named_after("run1.csv")
+    ('day1/run1', '')
+    """
+    stem = PurePosixPath(name).with_suffix("").as_posix()
+    return next((stem.removesuffix(ending) for ending in _ENDINGS if stem.endswith(ending)), "")
 
 
 def _from_start(record: Record, interval: Interval) -> Interval:

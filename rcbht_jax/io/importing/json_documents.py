@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import unit_of_time
+from rcbht_jax._util.columns import split_unit, unit_of_time
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, parse_json
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.arrays import SIDE, reading
+from rcbht_jax.io.importing.arms import names_side
+from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.json_lines import Rows
 from rcbht_jax.io.importing.mapping import Track
@@ -72,7 +73,7 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
     if several := _several(value):
         if len(several) > MAX_GROUPS:
             raise InputError(f"{path} holds more than {MAX_GROUPS} recordings; split it.")
-        sides = all(map(SIDE.search, several))
+        sides = all(map(names_side, several))
         around = value if isinstance(value, dict) else {}
         around = {key: one for key, one in around.items() if key not in several and not _several(one)}
         rate, facts = scalars_of({key: one for key, one in _named(around) if one.ndim == 0})
@@ -91,7 +92,21 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
         yield _of_rows(path, name, rows, arrays, intervals, part)
         return
     for table in tables_of(path, name, arrays, part):
-        yield replace(table, intervals=(*table.intervals, *intervals))
+        yield _with_units(replace(table, intervals=(*table.intervals, *intervals)))
+
+
+def _with_units(table: Table) -> Table:
+    """The table with the units that an object ``units`` states for the names of columns, which are no facts."""
+    stated = {key: key.split(".") for key in table.facts if "." in key}
+    of_units = {key: words[-1] for key, words in stated.items() if words[-2].lower() in ("unit", "units")}
+    units = {
+        column: unit
+        for key, name in of_units.items()
+        for column in table.columns
+        if column.rpartition(".")[2] == name and (unit := split_unit(f"x [{table.facts[key]}]")[1])
+    }
+    facts = {key: fact for key, fact in table.facts.items() if key not in of_units}
+    return replace(table, facts=facts, units={**table.units, **units})
 
 
 def _of_rows(
@@ -105,7 +120,9 @@ def _of_rows(
             raise InputError(f"{path}, object {number}: {error}.") from None
     rate, facts = scalars_of({key: array for key, array in arrays.items() if array.ndim == 0})
     others = tuple(sorted({*rows.others, *(key for key, array in arrays.items() if array.ndim)}))
-    return Table(name, rows.columns(path), rate, facts=facts, intervals=intervals, others=others, part=part)
+    return _with_units(
+        Table(name, rows.columns(path), rate, facts=facts, intervals=intervals, others=others, part=part)
+    )
 
 
 def annotations_in(name: str, value: Any) -> Table | None:

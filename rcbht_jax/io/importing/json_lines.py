@@ -77,7 +77,7 @@ class Rows:
     begun: int = 0  # sub-tasks
 
     def add_object(self, value: Mapping[str, Any]) -> None:
-        """Add the columns of an object.
+        """Add the columns of an object, and the number of the sub-task if one has begun.
 
         Raises:
             ValueError: text in a column of numbers, or the reverse, or too many columns.
@@ -86,7 +86,7 @@ class Rows:
         for key, one in value.items():
             _flatten(key, one, row, self.others)
         if row:
-            self.add(row)
+            self.add(row | ({PHASE: str(self.begun)} if self.begun and PHASE not in row else {}))
 
     def add(self, row: Mapping[str, float | str]) -> None:
         """Add values by their columns; the other columns miss one."""
@@ -133,12 +133,7 @@ def _add(parts: list[Rows], value: dict[str, Any]) -> None:
         parts.append(Rows())
     now = parts[-1]
     now.begun += value.get("begin") is True
-    row: dict[str, float | str] = {}
-    for key, one in value.items():
-        if key not in flags:
-            _flatten(key, one, row, now.others)
-    if row:
-        now.add(row | ({PHASE: str(now.begun)} if now.begun and PHASE not in row else {}))
+    now.add_object({key: one for key, one in value.items() if key not in flags})
 
 
 def _flatten(name: str, value: Any, row: dict[str, float | str], others: set[str]) -> None:

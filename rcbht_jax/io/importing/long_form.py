@@ -13,7 +13,7 @@ from rcbht_jax.io.importing.names import wrenches
 from rcbht_jax.io.importing.table import Table
 
 UNITS = ("unit", "units")
-VALUES = ("value", "values", "val", "reading", "measurement")
+VALUES = ("value", "_value", "values", "val", "reading", "measurement")
 PROBES = 64  # cells of a column that are looked at first
 
 
@@ -56,6 +56,8 @@ def _widened(table: Table, name: str) -> Table | None:
     shared = {key: parts[0] for key, parts in others.items() if all(_equal(parts[0], part) for part in parts)}
     own = {key: parts for key, parts in others.items() if key not in shared}
     units = {key: parts for key, parts in own.items() if key.lower() in UNITS}
+    # A number for each channel, such as that of a series, says nothing about the samples.
+    own = {key: parts for key, parts in own.items() if key in units or any((part != part[0]).any() for part in parts)}
     numbers = [parts for key, parts in own.items() if key not in units and parts[0].dtype.kind != "U"]
     if len(numbers) != 1 or len(own) > 1 + len(units):
         return None

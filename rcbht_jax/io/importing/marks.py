@@ -13,12 +13,14 @@ from rcbht_jax._util.columns import SECONDS, base_and_unit
 from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, check_inside, read_bytes, read_json
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.clock import DAY, since_epoch
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import LABELS, column_name, wrenches
 from rcbht_jax.io.importing.record import OUTCOMES, Row, is_outcome, text, without_arm
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.io.importing.timing import unit_by_size
 from rcbht_jax.io.importing.unpacked import opened
 from rcbht_jax.types import STANDARD_COLUMNS
 
@@ -30,6 +32,7 @@ _ENDS = (
     "end", "end_time", "stop", "stop_time", "offset", "t_end", "time_end", "endtime", "tmax", "to", "finish",
     "finish_time",
 )  # fmt: skip
+_ELAN = re.compile(r"\s+-\s+(ss\.msec|hh:mm:ss\.ms|msec)$")  # units of times, as that program names them
 _DURATIONS = ("duration", "dur", "length")
 
 
@@ -47,14 +50,34 @@ def is_intervals(columns: Iterable[str]) -> bool:
 
 def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
     """Label, start, end, duration, track and recording of annotations -> its column, and s per unit of a time."""
-    pairs = ((name, *base_and_unit(name)) for name in columns)
-    parsed = {base.replace(" ", "_"): (name, SECONDS.get(unit, 1.0)) for name, base, unit in pairs}
+    pairs = ((name, *base_and_unit(_ELAN.sub(_in_brackets, name))) for name in columns)
+    parsed = {base.replace(" ", "_"): (name, SECONDS.get(unit, 0.0)) for name, base, unit in pairs}
     kinds = {
-        "label": _LABELS, "start": _STARTS, "end": _ENDS, "duration": _DURATIONS, "track": ("track",),
+        "label": _LABELS, "start": _STARTS, "end": _ENDS, "duration": _DURATIONS, "track": ("track", "tier"),
         "recording": _NAMES,
     }  # fmt: skip
     found = {kind: next((parsed[word] for word in words if word in parsed), None) for kind, words in kinds.items()}
     return {kind: place for kind, place in found.items() if place is not None}
+
+
+def _in_brackets(match: re.Match[str]) -> str:
+    """The unit of a time as ELAN names it, in brackets."""
+    return " [ms]" if match[1] == "msec" else " [s]"
+
+
+def headed(table: Table) -> Table:
+    """The table with names for its columns if it is a list of a start, an end and a label, as Audacity writes it.
+
+    >>> columns = {"c0": np.array([0.0]), "c1": np.array([1.5]), "c2": np.array(["push"])}
+    >>> list(headed(Table("run1_labels.csv", columns)).columns)
+    ['start', 'end', 'label']
+    """
+    columns = list(table.columns.values())
+    if list(table.columns) != ["c0", "c1", "c2"] or [column.dtype.kind for column in columns] != ["f", "f", "U"]:
+        return table
+    if not (columns[0] <= columns[1]).all() or len(np.unique(columns[2])) == 1 < len(columns[2]):
+        return table
+    return replace(table, columns=dict(zip(("start", "end", "label"), columns, strict=True)))
 
 
 def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
@@ -65,17 +88,23 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     [('', ('phase', 'push', 1.0, nan))]
 
     Raises:
-        InputError: a time is text.
+        InputError: a text that is no time.
     """
     fields = _fields(table.columns)
     columns = {kind: table.columns[name] for kind, (name, _) in fields.items()}
     count = len(columns["label"])
+    texts = columns["start"].dtype.kind == "U"
     for key in {"start", "end", "duration"} & set(columns):
         name, seconds = fields[key]
         if columns[key].dtype.kind == "U":
-            raise InputError(f"{table.name}: column {name} is text; expected seconds.")
-        columns[key] = columns[key] * seconds
+            try:
+                columns[key] = since_epoch(columns[key].tolist())
+            except ValueError:
+                raise InputError(f"{table.name}: column {name} is text; expected seconds or times.") from None
+        else:
+            columns[key] = columns[key] * (seconds or SECONDS[unit_by_size(columns[key])])
     ends = columns.get("end", columns["start"] + columns.get("duration", np.nan))
+    ends = np.where(texts & (ends < columns["start"] - DAY / 2), ends + DAY, ends)  # times of day around midnight
     tracks = columns.get("track", np.full(count, track.track))
     names = columns.get("recording", np.full(count, ""))
     found = []

@@ -36,6 +36,9 @@ _QUALIFIERS = (
     "history|calibrated|tared|est|estimated|left|right|l|r"
 )
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
+_LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
+_QUOTES = re.compile(r"""["'`]""")  # of parts of a path: /'FT'/'Fx'
 _TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX
 _AXIS = re.compile(
     r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
@@ -66,7 +69,7 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
     for name in names:
         base, unit = split_unit(name)
-        base = _TWICE.sub(r"\1", snake(base))
+        base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(base)))
         if part := _axis_of(base, unit):
             place, kind, letter, certain = part
             axes = found.setdefault(place, {})
@@ -111,6 +114,15 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
     return (f"{before}{number}", after), kind, letter, word in ("torque", "moment", "tau", "m")
 
 
+def is_axis(name: str) -> bool:
+    """Whether a name is that of one axis of a wrench.
+
+    >>> is_axis("Fz"), is_axis("tcp_force_x"), is_axis("mass")
+    (True, True, False)
+    """
+    return _axis_of(snake(split_unit(name)[0]), "") is not None
+
+
 def preference(name: str) -> int:
     """How much a wrench is worth, by the name of a column: what is compensated most, then raw, what is demanded least.
 
@@ -137,6 +149,21 @@ def snake(name: str) -> str:
     ('zeit_in_sec', 'tcp_force.x')
     """
     return _CAMEL.sub("_", name).lower()
+
+
+def of_levels(name: str) -> str:
+    """The name of a column of several levels, which a data frame writes as a tuple; any other name as it is.
+
+    >>> of_levels("('force', 'x')"), of_levels("('Fx', 'N')"), of_levels("('time', '')"), of_levels("Fx (N)")
+    ('force.x', 'Fx [N]', 'time', 'Fx (N)')
+    """
+    if not _LEVELS.match(name):
+        return name
+    *outer, last = _LEVEL.findall(name)
+    head = ".".join(filter(None, outer))
+    if head and split_unit(f"x [{last}]")[1]:
+        return f"{head} [{last}]"
+    return ".".join(filter(None, (head, last)))
 
 
 def group_base(name: str) -> str:

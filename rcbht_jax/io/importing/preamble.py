@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rcbht_jax._util.columns import UNITS
-from rcbht_jax.io.importing import cells
+from rcbht_jax.io.importing import cells, labview
 from rcbht_jax.io.importing.names import wrenches
 
-_RATES = ("sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency")  # or longer words
-_RATE, _PERIOD = ("rate", "frequency", "fs"), ("dt", "sample time", "sampling time", "sampling period", "sample period")
+LINES = 5  # of names and units at most
+_RATES = (
+    "sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency", "abtastrate",
+    "abtastfrequenz", "messrate",
+)  # fmt: skip  # or longer words
+_RATE = ("rate", "frequency", "fs")
+_PERIOD = ("dt", "sample time", "sampling time", "sampling period", "sample period", "sample interval", "abtastzeit")
+_IN = {"": 1.0, "hz": 1.0, "khz": 1e3, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
+_UNIT = r"(k?hz|[muµ]?s)"
 
 
 @dataclass(frozen=True)
@@ -33,23 +40,35 @@ def line_of_names(lines: list[bytes]) -> int:
     2
     """
     filled = [number for number, line in enumerate(lines) if line.strip()]
-    ends = [place for place, number in enumerate(filled) if lines[number].startswith(b"***End_of_Header***")]
-    if ends and ends[-1] + 1 < len(filled):  # of LabVIEW
-        return filled[ends[-1] + 1]
+    if after := labview.end_of_header(lines):
+        return after
     if len(filled) < 3:
         return 0
+    begins = [next(iter(cells.split(lines[number], cells.delimiter_of(lines[number]))), "") for number in filled]
+    samples = [place for place, cell in enumerate(begins) if not cells.is_word(cell)]
+    if 2 * len(samples) > len(filled):  # words below the last sample are no rows
+        filled = filled[: samples[-1] + 1]
     delimiter = cells.delimiter_of(lines[filled[-1]])
     rows = [cells.split(lines[number], delimiter) for number in filled]
     width = len(rows[-1])
     first = max((at + 1 for at, row in enumerate(rows) if len(row) != width), default=0)
     if not 0 < first < len(rows) - 1 or any(len(row) > width for row in rows[:first]):
         return 0
-    while first < len(rows) - 2 and any(map(cells.is_number, rows[first])):
+    while first < len(rows) - 2 and cells.count_numbers(rows[first]):
         first += 1  # a line about every column, such as its date or its number of samples
-    below = rows[min(first + 1 + bool(cells.units(rows[first + 1])), len(rows) - 1)]
-    named = not any(map(cells.is_number, rows[first])) and 2 * sum(map(cells.is_number, below)) >= width
+    below = row_of_numbers(rows[first + 1 :]) or []
+    named = not cells.count_numbers(rows[first]) and 2 * cells.count_numbers(below) >= width
     comments = any(lines[number].startswith((b"#", b"%")) for number in filled[:first])
     return filled[first] if named and not comments else 0
+
+
+def row_of_numbers(rows: Sequence[list[str]]) -> list[str] | None:
+    """The first of the next rows that has a number; None = none has one.
+
+    >>> row_of_numbers([["x", "y"], ["[N]", ""], ["1", "2"]])
+    ['1', '2']
+    """
+    return next((row for row in rows[:LINES] if cells.count_numbers(row)), None)
 
 
 def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
@@ -73,11 +92,7 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
             counts |= dict.fromkeys(those, per)
             unit = UNITS.get(re.sub(r"[ -]", "", said.get(f"{quantity} units", "").lower()), "")
             units |= dict.fromkeys(those, unit) if unit else {}
-    for line in lines:
-        if line.startswith(b"Y_Unit_Label"):  # of LabVIEW; the first column is that of the time
-            row = cells.split(line, cells.delimiter_of(line))
-            pairs = zip(names[1:], map(str.lower, row[1:]), strict=False)  # a comment has no unit
-            units |= {name: UNITS[cell] for name, cell in pairs if cell in UNITS}
+    units |= labview.units_in(lines, names)
     return Stated(next((rate for rate in rates if rate > 0), None), counts, units)
 
 
@@ -89,15 +104,17 @@ def _pair(line: bytes) -> tuple[str, str] | None:
         row = re.split(r"\s*[:=]\s*", line.decode("utf-8", "replace").strip(), maxsplit=1)
     if len(row) != 2:
         return None
-    word = re.sub(r"\s*[\[(]?\b(?:hz|s)\b[\])]?\s*$", "", row[0].strip(" :=").lower().replace("_", " "))
-    return word, row[1].strip()
+    key = row[0].strip(" :=").lower().replace("_", " ")
+    unit = re.search(r"\s*[\[(]?\b" + _UNIT + r"\b[\])]?\s*$", key)
+    text = row[1].strip()
+    return (key[: unit.start()], f"{text} {unit[1]}" if number(f"{text} {unit[1]}") else text) if unit else (key, text)
 
 
 def number(text: str) -> float:
-    """The number that a text states, perhaps in Hz or s; 0 = none.
+    """The number that a text states, in Hz or s where it has a unit; 0 = none.
 
-    >>> number("500 Hz"), number("0.002 s"), number("fast")
-    (500.0, 0.002, 0.0)
+    >>> number("500 Hz"), number("0.002 s"), number("2 ms"), number("0,5 kHz"), number("fast")
+    (500.0, 0.002, 0.002, 500.0, 0.0)
     """
-    match = re.match(r"\s*(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*(?:hz|s)?\s*$", text, re.IGNORECASE)
-    return float(match[1]) if match else 0.0
+    match = re.match(r"\s*(\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*" + _UNIT + r"?\s*$", text, re.IGNORECASE)
+    return float(match[1].replace(",", ".")) * _IN[(match[2] or "").lower()] if match else 0.0

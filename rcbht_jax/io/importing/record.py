@@ -17,7 +17,7 @@ from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
-from rcbht_jax.io.importing.clock import seconds_of
+from rcbht_jax.io.importing.clock import first_second, no_time, seconds_of
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.table import Interval, Table
@@ -229,6 +229,10 @@ def _record(
         stamps = known_stamps  # to read texts again takes long
     else:
         stamps = _stamps(table, mapping, rows)
+    counted = rows
+    if len(stamps) > 1 and (np.diff(stamps) < 0).all():  # newest first, as exports of databases are
+        rows, raw, stamps = rows[::-1], raw[::-1], stamps[::-1]
+        padded.append("reversed")
     new = conform.fresh(raw)
     padded += [f"held:{len(raw) - len(new)}"] if len(new) < len(raw) else []
     values = raw * [channel.scale for channel in mapping.channels] + [channel.offset for channel in mapping.channels]
@@ -259,9 +263,9 @@ def _record(
     zeros = len(raw) - int(np.flatnonzero(raw.any(1)).max(initial=-1)) - 1
     notes += [*padded, f"zeros:{zeros}"] if conform.HELD <= zeros < len(raw) else padded
     values = _moved(mapping, time, values)
-    return Record(
-        name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], float(first)
-    )
+    texts = table.columns[mapping.time][counted] if mapping.time else raw
+    origin = float(first) + (first_second(texts.tolist()) if texts.dtype.kind == "U" else 0.0)
+    return Record(name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], origin)
 
 
 def _with_values(
@@ -288,7 +292,9 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
         try:
             return seconds_of(column.tolist())
         except ValueError:
-            raise InputError(f"column {mapping.time!r} holds {str(column[0])!r}, which is not a time.") from None
+            raise InputError(
+                f"column {mapping.time!r} holds {no_time(column.tolist())!r}, which is not a time."
+            ) from None
     scaled: NDArray[np.float64] = column * SECONDS[mapping.time_unit]
     return scaled + table.columns[mapping.nanoseconds][rows] * 1e-9 if mapping.nanoseconds else scaled
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.io.importing.record import Record
 
 
@@ -109,7 +110,8 @@ def most_common(records: Sequence[Record], report: ImportReport) -> list[Record]
     for record in records:
         if (record.axes, record.units) != common:
             own, others = _axes(record.axes, record.units), _axes(*common)
-            reason = f"has the axes {own}; {count} others have {others}. Import it on its own."
+            most = plural(count, "other has", "others have")
+            reason = f"has the axes {own}; {most} {others}. Import it on its own."
             report.skipped.append((record.name, reason))
     return [record for record in records if (record.axes, record.units) == common]
 

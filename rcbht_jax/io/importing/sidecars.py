@@ -13,6 +13,7 @@ import numpy as np
 from rcbht_jax._util.untrusted import check_inside, read_json
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.json_documents import annotations_in, intervals_in
+from rcbht_jax.io.importing.label_studio import regions_in
 from rcbht_jax.io.importing.table import Interval, Table, scalars_of
 
 MAX_FACTS, MAX_WORD = 64, 200  # of one object; characters of one text
@@ -94,7 +95,7 @@ def _stated(source: Path, name: str) -> Stated | Table | None:
         check_inside(source / name, source)
         content = read_json(source / name)
         if not isinstance(content, dict):
-            return annotations_in(name, content)
+            return annotations_in(name, regions_in(content) or content)
         stated = _facts(content), intervals_in(content)
     except (OSError, ValueError, OverflowError):  # it is listed as a file that was not read
         return None

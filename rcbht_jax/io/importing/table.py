@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from rcbht_jax._util.columns import unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import families
-from rcbht_jax.io.importing.names import wrenches
+from rcbht_jax.io.importing.names import snake, wrenches
 from rcbht_jax.io.importing.segments import segments
 
 RATE_NAMES = (
@@ -47,6 +47,7 @@ class Table:
     intervals: tuple[Interval, ...] = ()  # on the clock of the columns, where their times can be nothing else
     notes: tuple[str, ...] = ()
     others: tuple[str, ...] = ()  # arrays of other shapes, which are left out
+    lines: tuple[str, ...] = ()  # how lines begin that are no samples, and are left out
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
 
     @property
@@ -83,6 +84,16 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     if several := families(arrays):
         for which, those in several.items():
             yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which)
+        return
+    if dated := [key for key, array in arrays.items() if array.dtype.kind in "mM"]:
+        known = {key: _seconds(array) if key in dated else array for key, array in arrays.items()}
+        for table in tables_of(path, name, known, part):
+            yield replace(table, units={**table.units, **{key: "s" for key in dated if key in table.columns}})
+        return
+    arrays, titles = titled(arrays)
+    if titles:
+        for table in tables_of(path, name, arrays, part):
+            yield replace(table, columns={titles.get(key, key): column for key, column in table.columns.items()})
         return
     intervals, arrays = segments(arrays)
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
@@ -134,6 +145,43 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     yield Table(
         name, columns, rate, facts=facts, intervals=tuple(intervals), notes=(*last, *notes), others=others, part=part
     )
+
+
+def titled(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """The arrays, with a column for each name where a list of names belongs to the only table of as many columns.
+
+    Where it belongs to an array ``[recording, row, column]``, this stays, and names of columns are a second result.
+
+    >>> found, _ = titled({"data": np.zeros((9, 2)), "columns": np.array(["t", "Fz"])})
+    >>> {name: array.shape for name, array in found.items()}
+    {'t': (9,), 'Fz': (9,)}
+    >>> titled({"data": np.zeros((4, 9, 2)), "columns": np.array(["t", "Fz"])})[1]
+    {'data_0': 't', 'data_1': 'Fz'}
+    """
+    numeric = {name: one for name, one in arrays.items() if one.dtype.kind in "fiu" and one.ndim in (2, 3)}
+    for key, array in arrays.items():
+        texts = [str(text).strip() for text in plain(array.ravel()).tolist()] if array.dtype.kind in "US" else []
+        named = array.size in array.shape and 1 < len(set(texts)) == len(texts) and not set(texts) & set(arrays)
+        if not named or not (wrenches(texts) or any(map(unit_of_time, texts))):
+            continue
+        tables = [
+            name for name, one in numeric.items() if len(texts) in (one.shape if one.ndim == 2 else one.shape[2:])
+        ]
+        if len(tables) != 1:
+            continue
+        table, others = arrays[tables[0]], {name: one for name, one in arrays.items() if name != key}
+        if table.ndim == 3:
+            return others, {f"{tables[0]}_{number}": text for number, text in enumerate(texts)}
+        table = table if table.shape[1] == len(texts) else table.T
+        del others[tables[0]]
+        return {**dict(zip(texts, table.T, strict=True)), **others}, {}
+    return dict(arrays), {}
+
+
+def _seconds(times: NDArray[Any]) -> NDArray[np.float64]:
+    """Dates as seconds since 1970, or durations as seconds; a missing one is NaN."""
+    fine = times.astype(f"{times.dtype.kind}8[ns]")
+    return np.where(np.isnat(fine), np.nan, fine.astype(np.int64) * 1e-9)
 
 
 def _newest(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
@@ -216,12 +264,27 @@ def scalars_of(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[
     for key, value in scalars.items():
         if not _usable(value):
             continue
-        short, fact = re.split("[./]", key)[-1].lower(), _fact(value[()])
+        fact = _fact(value[()])
+        short, unit = _without_unit(re.split("[./]", key)[-1])
         if isinstance(fact, float) and fact > 0 and np.isfinite(fact) and short in (*RATE_NAMES, *PERIOD_NAMES):
-            rate = fact if short in RATE_NAMES else 1 / fact
+            rate = fact * unit if short in RATE_NAMES else 1 / (fact * unit)
         else:
             facts[key] = fact
     return rate, facts
+
+
+def _without_unit(key: str) -> tuple[str, float]:
+    """The name of a rate or a time between samples without its unit, and this unit in Hz or s.
+
+    >>> _without_unit("samplingRate_Hz"), _without_unit("dt_ms"), _without_unit("fps")
+    (('sampling_rate', 1.0), ('dt', 0.001), ('fps', 1.0))
+    """
+    short = snake(key).replace(" ", "_").replace("k_hz", "khz")
+    match = re.match(r"(.+?)_\(?(k?hz|[mu]?s)\)?$", short)
+    unit = {"hz": 1.0, "khz": 1e3, "s": 1.0, "ms": 1e-3, "us": 1e-6}[match[2]] if match else 1.0
+    of_rate = bool(match and match[1] in RATE_NAMES and match[2].endswith("hz"))
+    of_time = bool(match and match[1] in PERIOD_NAMES and match[2].endswith("s"))
+    return (match[1], unit) if match and (of_rate or of_time) else (short, 1.0)
 
 
 def _number(fact: str | float) -> float:

@@ -5,7 +5,6 @@ Data loggers write lines about the device before the names of the columns; those
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
 import re
@@ -19,12 +18,17 @@ from numpy.typing import NDArray
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
-from rcbht_jax.io.importing.preamble import line_of_names, stated
+from rcbht_jax.io.importing.between import Between, Line
+from rcbht_jax.io.importing.encodings import WORDS, encoding_of
+from rcbht_jax.io.importing.numerals import Numerals, shows_points, two_meanings
+from rcbht_jax.io.importing.preamble import stated
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.timing import are_dates
+from rcbht_jax.io.importing.titles import Titles, read_titles
 from rcbht_jax.io.importing.unpacked import opened
 
-PREAMBLE, PREAMBLE_LINE = 64, 2**14  # lines at most before the names of the columns, and bytes of one
 CHUNK = 20_000  # rows that are Python objects at a time
+PROBES = 100  # rows that show how numbers are written
 _PLAIN = b"0123456789+-.eE,;\t \r\n"
 
 
@@ -32,8 +36,9 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     """The table of a text file.
 
     Names are those of the first line, and a line of units may follow. Columns without one are called c0, c1, ... by
-    their place. Empty cells are missing values. A file that is neither UTF-8 nor UTF-16 is read as Windows-1252, which
-    spreadsheets write in Western Europe.
+    their place. Empty cells are missing values. Lines that are no rows are left out: names that are repeated, comments,
+    and words below the last row, such as "mean". A file that is neither UTF-8 nor UTF-16 is read as Shift-JIS or
+    GB 18030 if its bytes go in pairs as theirs do, else as Windows-1252.
 
     >>> Path("a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
@@ -46,31 +51,24 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
             numbers; the sentence names the line.
     """
     with opened(path) as file:
-        encoding = _encoding(file)
-        before = _preamble(file)
-        head, comment, comments = _head(file, path)
-        delimiter = cells.delimiter_of(head)
-        titles, below = cells.split(head, delimiter, encoding), _below(file, delimiter, encoding)
-        if before and titles[-1] == "Comment" and len(titles) == len(below) + 1:
-            titles = titles[:-1]  # LabVIEW names it whether or not rows have one
-        titled = comment or cells.is_title(titles, below)
-        body = file.tell() if titled else file.tell() - len(head)
-        units, first = _units_below(file, delimiter, encoding) if titled else ([], body)
-        if titles and len(units) == len(titles):
-            body = first
-            titles = [f"{title} [{unit}]" if unit else title for title, unit in zip(titles, units, strict=True)]
-        names = _names(titles, path) if titled else [f"c{number}" for number in range(len(titles))]
-        read = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names, encoding)
-    notes = ((f"preamble:{len(before)}",) if before else ()) + (("cp1252",) if encoding == "cp1252" else ())
-    columns = {key: part for name, one in zip(names, read, strict=True) for key, part in _elements(name, one).items()}
+        encoding = encoding_of(file)
+        titles = read_titles(file, path, encoding)
+        between = Between(titles.lines, len(titles.names))
+        fast = _fast(file, titles.body, titles.delimiter, len(titles.names))
+        read = fast or _slow(path, file, titles, between, encoding)
+    notes: tuple[str, ...] = (f"preamble:{len(titles.before)}",) if titles.before else ()
+    notes += (f"lines:{between.count}",) if between.count else ()
+    notes += (encoding,) if encoding in WORDS else ()
+    pairs = zip(titles.names, read, strict=True)
+    columns = {key: part for name, one in pairs for key, part in _elements(name, one).items()}
     if len(columns) > MAX_COLUMNS:
         raise InputError(f"{path} has {len(columns)} columns; expected at most {MAX_COLUMNS}.")
-    about = stated([*before, *comments], columns)
+    about = stated([*titles.before, *titles.comments], columns)
     for column, counts in about.counts.items():
         if columns[column].dtype.kind == "f":
             columns[column] = columns[column].astype(np.float64) / counts
     notes += ("counts",) if about.counts else ()
-    yield Table(name, columns, about.rate, about.units, notes=notes)
+    yield Table(name, columns, about.rate, about.units, notes=notes, lines=tuple(between.left))
 
 
 def _elements(name: str, column: NDArray[np.generic]) -> dict[str, NDArray[np.generic]]:
@@ -86,84 +84,6 @@ def _elements(name: str, column: NDArray[np.generic]) -> dict[str, NDArray[np.ge
     except ValueError:
         return {name: column}
     return {f"{name}_{number}": table[:, number] for number in range(table.shape[1])}
-
-
-def _encoding(file: BinaryIO) -> str:
-    """Encoding of the whole file, whose position is kept."""
-    decoder, encoding = codecs.getincrementaldecoder("utf-8-sig")(), "utf-8-sig"
-    try:
-        while block := file.read(MAX_TABLE_LINE):
-            decoder.decode(block)
-        decoder.decode(b"", final=True)
-    except UnicodeDecodeError:
-        encoding = "cp1252"
-    file.seek(0)
-    return encoding
-
-
-def _preamble(file: BinaryIO) -> list[bytes]:
-    """Move to the line of names, if lines with fewer cells stand before it; returns those lines."""
-    lines: list[bytes] = []
-    while len(lines) < PREAMBLE + 2 and (line := file.readline(PREAMBLE_LINE)):
-        lines.append(line)
-        if not line.endswith(b"\n"):
-            break  # the last one, or longer than those of loggers are
-    passed = line_of_names(lines)
-    file.seek(sum(map(len, lines[:passed])))
-    return lines[:passed]
-
-
-def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
-    """The first line with content, whether it is a comment (of several the last), and the first comments."""
-    comment = b""
-    comments: list[bytes] = []
-    while line := file.readline(MAX_TABLE_LINE):
-        if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
-            raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
-        if line.startswith((b"#", b"%")) and not line.startswith(b"%time"):
-            comment = line.lstrip(b"#% ")
-            comments = [*comments, line][:PREAMBLE]
-        elif line.strip():
-            # A comment is the line of names if it has as many of them as the first row has cells.
-            row = cells.split(line, cells.delimiter_of(line))
-            titles = cells.split(comment, cells.delimiter_of(comment)) if comment else []
-            if len(titles) == len(row) and all(map(cells.is_number, row)):
-                file.seek(file.tell() - len(line))
-                return comment, True, comments
-            return line, False, comments
-    raise InputError(f"{path} is empty; expected a table.")
-
-
-def _below(file: BinaryIO, delimiter: str, encoding: str) -> list[str]:
-    """The cells of the next line, whose position is kept."""
-    place = file.tell()
-    row = cells.split(file.readline(MAX_TABLE_LINE), delimiter, encoding)
-    file.seek(place)
-    return row
-
-
-def _units_below(file: BinaryIO, delimiter: str, encoding: str) -> tuple[list[str], int]:
-    """The units in the next line, if those columns hold numbers in the line after it, and where that line begins."""
-    units, place = cells.units(cells.split(file.readline(MAX_TABLE_LINE), delimiter, encoding)), file.tell()
-    first = cells.split(file.readline(MAX_TABLE_LINE), delimiter, encoding)
-    of_numbers = len(first) == len(units) and all(
-        cells.is_number(cell) or not cell for cell, unit in zip(first, units, strict=True) if unit
-    )
-    return (units if of_numbers and any(map(cells.is_number, first)) else []), place
-
-
-def _names(titles: list[str], path: Path) -> list[str]:
-    if len(titles) > MAX_COLUMNS:
-        raise InputError(f"{path} has {len(titles)} columns; expected at most {MAX_COLUMNS}.")
-    if any(not cell.isprintable() for cell in titles):
-        raise InputError(f"{path} is not a table: its first line is not text. Unpack it if it is compressed.")
-    seen: dict[str, int] = {}
-    names = []
-    for number, title in enumerate(titles):
-        cell = title or f"c{number}"
-        count = seen[cell] = seen.get(cell, 0) + 1
-        names.append(cell if count == 1 else f"{cell}.{count}")
-    return names
 
 
 def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray[np.float64]] | None:
@@ -193,29 +113,22 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
     return [np.ascontiguousarray(column) for column in table.T]
 
 
-def _slow(
-    path: Path, file: BinaryIO, body: int, delimiter: str, names: list[str], encoding: str
-) -> list[NDArray[np.generic]]:
+def _slow(path: Path, file: BinaryIO, titles: Titles, between: Between, encoding: str) -> list[NDArray[np.generic]]:
     """Row by row: text columns, empty cells, and a message that names the first bad line."""
     file.seek(0)
-    before = sum(1 for _ in iter(lambda: file.readline(MAX_TABLE_LINE) if file.tell() < body else b"", b""))
-    file.seek(body)
-    columns = [_Column(path, name) for name in names]
-    rows: list[list[str]] = []
-    numbers: list[int] = []
-    for number, row in _rows(path, file, delimiter, before, encoding):
+    before = sum(1 for _ in iter(lambda: file.readline(MAX_TABLE_LINE) if file.tell() < titles.body else b"", b""))
+    file.seek(titles.body)
+    columns = [_Column(path, name, titles.delimiter) for name in titles.names]
+    rows: list[Line] = []
+    for number, row in _rows(path, file, titles.delimiter, before, encoding):
         # A delimiter at the end of every line makes an empty cell more.
-        if len(row) == len(names) + 1 and not row[-1]:
-            row = row[:-1]
-        if len(row) != len(names):
-            blocks = len(names) == 1 and len(row) == 6  # rows of a wrench below a word
-            hint = "Read the blocks of a UCI file with: rcbht import uci." if blocks else "Is the line cut off?"
-            raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(names)}. {hint}")
-        rows.append(row)
-        numbers.append(number)
-        if len(rows) == CHUNK:
-            _flush(columns, rows, numbers)
-    _flush(columns, rows, numbers)
+        cut = row[:-1] if len(row) == len(columns) + 1 and not row[-1] else row
+        rows += between.samples(number, cut)
+        if len(rows) >= CHUNK:
+            _flush(path, columns, rows)
+    _flush(path, columns, rows + (between.end(of_words=True) if between.too_many() else []))
+    if columns:
+        _flush(path, columns, between.end(columns[0].is_of_words()))
     if not columns or not columns[0].count:
         raise InputError(f"{path} has no rows; expected a table.")
     return [column.array() for column in columns]
@@ -237,43 +150,63 @@ def _rows(path: Path, file: BinaryIO, delimiter: str, before: int, encoding: str
         except StopIteration:
             return
         except (csv.Error, UnicodeDecodeError) as error:
-            wrong = isinstance(error, UnicodeDecodeError)
-            reason = "it is neither UTF-8 nor Windows-1252; save it as UTF-8" if wrong else str(error)
+            coded = f"it is neither UTF-8 nor {WORDS.get(encoding, 'UTF-16')}; save it as UTF-8"
+            reason = coded if isinstance(error, UnicodeDecodeError) else str(error)
             raise InputError(f"{path}, line {number + 1} cannot be read: {reason}.") from None
         number += 1
         if any(cell.strip() for cell in row):
-            yield number, [cells.plain(cell.strip(), delimiter) for cell in row]
+            yield number, [cell.strip() for cell in row]
 
 
-def _flush(columns: list[_Column], rows: list[list[str]], numbers: list[int]) -> None:
-    for column, some in zip(columns, zip(*rows, strict=True), strict=False):
+def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
+    """Add rows to the columns."""
+    for number, row in lines:
+        if len(row) != len(columns):
+            blocks = len(columns) == 1 and len(row) == 6  # rows of a wrench below a word
+            hint = "Read the blocks of a UCI file with: rcbht import uci." if blocks else "Is the line cut off?"
+            raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(columns)}. {hint}")
+    if columns and not columns[0].count and shows_points(row for _, row in lines[:PROBES]):
+        for column in columns:
+            column.numerals.assume_points()
+    numbers = [number for number, _ in lines]
+    for column, some in zip(columns, zip(*(row for _, row in lines), strict=True), strict=False):
         column.add(some, numbers)
-    rows.clear()
-    numbers.clear()
+    lines.clear()
 
 
 class _Column:
     """A column that grows; it is text if its first cell with content is."""
 
-    def __init__(self, path: Path, name: str) -> None:
+    def __init__(self, path: Path, name: str, delimiter: str) -> None:
         self._path, self._name, self._where = path, name, f"{path}, column {name}"
+        self._delimiter, self.numerals = delimiter, Numerals(delimiter)
         self._parts: list[NDArray[np.generic]] = []
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
         self.count = 0
 
-    def add(self, row: tuple[str, ...], lines: list[int]) -> None:
-        self.count += len(row)
+    def add(self, written: tuple[str, ...], lines: list[int]) -> None:
+        self.count += len(written)
+        plain = [cells.plain(cell, "") for cell in written]
+        try:
+            row = self.numerals.read(plain) if self._kind != "U" else plain
+        except ValueError as error:
+            raise InputError(f"{self._where} holds {str(error)!r}.{two_meanings(str(error))}") from None
         if not self._kind:
             filled = [cell for cell in row if cell.lower() not in cells.NAN]
             # One stray word in a column of numbers is a mistake, not a label.
-            texts = sum(not cells.is_number(cell) for cell in filled)
-            self._kind = "" if not filled else "U" if 2 * texts > len(filled) else "f"
+            texts = [cell for cell in filled if not cells.is_number(cell)]
+            of_text = 2 * len(texts) > len(filled) and not all(map(two_meanings, texts))
+            self._kind = "" if not filled else "U" if of_text else "f"
         if self._kind == "U":
-            self._parts.append(cells.texts(row, self._where))
+            self._parts.append(cells.texts([cells.plain(cell, self._delimiter) for cell in written], self._where))
         else:
             self._parts.append(self._numbers(row, lines))
 
-    def _numbers(self, row: tuple[str, ...], lines: list[int]) -> NDArray[np.float64]:
+    def is_of_words(self) -> bool:
+        """Whether it holds text that is no time."""
+        return self._kind == "U" and not are_dates(self._parts[-1])
+
+    def _numbers(self, row: list[str], lines: list[int]) -> NDArray[np.float64]:
         try:
             if not any("_" in cell for cell in row):
                 return np.array(row, np.float64)
@@ -283,7 +216,7 @@ class _Column:
         for place, cell in enumerate(row):
             if not cells.is_number(cell):
                 where = f"{self._path}, line {lines[place]}, column {self._name}"
-                raise InputError(f"{where}: {cell[:30]!r} is not a number.")
+                raise InputError(f"{where}: {cell[:30]!r} is not a number.{two_meanings(cell)}")
             values[place] = np.nan if cell.lower() in cells.NAN else float(cell)
         return values
 

@@ -158,11 +158,9 @@ def _unit(table: Table, name: str) -> str:
         return "s"
     if _in_days(values):
         return "d"
-    known = values[np.isfinite(values)]
-    largest = np.abs(known).max(initial=0.0)
-    unit = next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
+    known, unit = values[np.isfinite(values)], unit_by_size(values)
     with np.errstate(over="ignore"):
-        steps = np.diff(known)
+        steps = _steps(known)
     if not (steps > 0).any():
         return unit
     step = float(np.median(steps[steps > 0]))
@@ -174,12 +172,28 @@ def _unit(table: Table, name: str) -> str:
     return likely[0] if len(likely) == 1 else unit
 
 
+def _steps(times: NDArray[Any]) -> NDArray[Any]:
+    """Steps of times, forwards also where the newest comes first."""
+    steps = np.diff(times)
+    return -steps if (steps < 0).sum() > (steps > 0).sum() else steps
+
+
+def unit_by_size(values: NDArray[Any]) -> str:
+    """The unit of numbers that count from 1970, by their size; s for smaller ones.
+
+    >>> unit_by_size(np.array([1.7e18])), unit_by_size(np.array([2.5]))
+    ('ns', 's')
+    """
+    largest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    return next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
+
+
 def _in_days(values: NDArray[Any]) -> bool:
     """Whether numbers count days, as spreadsheets and MATLAB do, in steps of samples."""
     if values.dtype.kind == "U":
         return False
     known = values[np.isfinite(values)]
-    steps = np.diff(known)
+    steps = _steps(known)
     first, last = known.min(initial=np.inf), known.max(initial=-np.inf)
     ours = any(low < first and last < high for low, high in _DAYS)
     return ours and bool((steps > 0).any()) and float(np.median(steps[steps > 0])) * SECONDS["d"] < SENSIBLE[1]

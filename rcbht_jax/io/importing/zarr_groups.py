@@ -16,6 +16,7 @@ from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, check_declared, parse_json, read_bytes
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
+from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
 from rcbht_jax.io.importing.isolated import bytes_of, isolated
 from rcbht_jax.io.importing.record import MAX_GROUPS
 from rcbht_jax.io.importing.table import Table, tables_of
@@ -69,12 +70,16 @@ def zarr_tables(path: Path, name: str) -> Iterator[Table]:
             zarr.storage.ZipStore(path, mode="r") if path.is_file() else zarr.storage.LocalStore(path, read_only=True)
         )
         arrays = {key: np.asarray(zarr.open_array(store, path=key, mode="r")[...]) for key in chosen}
+    about = {key: metadata[key].get("attributes", {}) for key in chosen}
+    arrays = {key: scaled(array, about[key]) if array.dtype.kind in "fiu" else array for key, array in arrays.items()}
+    stated = {key.removeprefix("data/"): texts for key in chosen if (texts := stated_units(about[key]))}
     facts = {key: np.asarray(value) for key, value in metadata.get("", {}).get("attributes", {}).items()}
     arrays = {key: array for key, array in {**facts, **arrays}.items() if array.dtype.kind in "fiubU"}
     several = _episodes(path, arrays)
     for part, own in several.items() if several else [("", arrays)]:
         for table in tables_of(path, f"{name}#{part}" if part else name, own, part):
-            yield replace(table, others=(*table.others, *others))
+            units = units_of(table.columns, stated)
+            yield replace(table, others=(*table.others, *others), units={**table.units, **units})
 
 
 def _metadata(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:

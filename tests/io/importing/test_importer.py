@@ -201,7 +201,7 @@ def test_labels_at_times_of_text_are_one_warning(tmp_path: Path) -> None:
     write(tmp_path / "a.csv", noise(0))
     (tmp_path / "a_labels.csv").write_text("label,start\npush,soon\n")
     assert read_source(tmp_path).report.warnings == [
-        ("a_labels.csv", "a_labels.csv: column start is text; expected seconds.")
+        ("a_labels.csv", "a_labels.csv: column start is text; expected seconds or times.")
     ]
 
 

@@ -188,7 +188,7 @@ def test_a_last_row_without_values_need_not_have_a_time(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("\n".join([",".join(["time", *AXES]), *lines, "end" + "," * 6]) + "\n")
     recordings = read_source(tmp_path).recordings
     np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
-    assert recordings.note.tolist() == ["padded:1"]
+    assert recordings.note.tolist() == ["lines:1"]
 
 
 @pytest.mark.parametrize("unit", ["ms", "h"])
@@ -351,7 +351,7 @@ def test_arrays_beside_recordings_are_not_left_out_in_silence(tmp_path: Path) ->
     """They may show that the first dimension is time."""
     np.savez(tmp_path / "run.npz", history=WRENCH.reshape(50, 8, 6), qpos=np.zeros((50, 7)), reward=np.zeros(50), fs=50)
     imported = read_source(tmp_path)
-    assert imported.report.remarks[0] == "Arrays of another shape were left out: 'qpos'."
+    assert imported.report.remarks[0] == "Arrays of another shape or kind were left out: 'qpos'."
     assert set(imported.recordings.note.tolist()) == {"other-arrays:1"}
 
 

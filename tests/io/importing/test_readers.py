@@ -376,9 +376,9 @@ def test_texts_of_other_encodings_are_read_refused_or_questioned(tmp_path: Path)
     (tmp_path / "cut.csv").write_bytes(table.encode("utf-16")[:-1])
     with pytest.raises(InputError, match=r"cut\.csv begins as UTF-16 does and is damaged; save it as UTF-8\.$"):
         read_source(tmp_path / "cut.csv")
-    (tmp_path / "japanese.csv").write_text(table, "cp932")
+    (tmp_path / "undefined.csv").write_bytes(b"t,Fz,phase\n0,1.0,\x81 a\n0.1,2.0,b\n")
     with pytest.raises(InputError, match=r"neither UTF-8 nor Windows-1252; save it as UTF-8\.$"):
-        read_source(tmp_path / "japanese.csv")
+        read_source(tmp_path / "undefined.csv")
     (tmp_path / "german.csv").write_text("t,Fz,Größe\n0,1.0,a\n0.1,2.0,a\n0.2,3.0,b\n", "cp1252")
     [remark, _] = read_source(tmp_path / "german.csv").report.remarks
     assert remark.endswith("read as Windows-1252; if names are garbled, save it as UTF-8.")

@@ -1,0 +1,67 @@
+"""Lines of a table that are no samples: names that a program wrote again, comments, sums below the last row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rcbht_jax.io.importing.cells import is_word
+
+HELD, SUMS = 64, 16  # lines below the last row at most, and those of them with as many cells as a row
+LISTED, LETTERS = 16, 40  # of what was left out
+Line = tuple[int, list[str]]  # its number and its cells
+
+
+class Between:
+    """Tells the rows of a table from the lines between and below them.
+
+    Where rows begin with numbers or dates, words at the beginning of the last lines are no samples.
+
+    >>> lines = Between([["t", "Fz"]], 2)
+    >>> lines.samples(2, ["0.0", "1.5"]), lines.samples(3, ["t", "Fz"]), lines.samples(4, ["mean", "1.5"])
+    ([(2, ['0.0', '1.5'])], [], [])
+    >>> lines.end(of_words=False), lines.left
+    ([], ['t', 'mean'])
+    """
+
+    def __init__(self, heads: Sequence[list[str]], width: int) -> None:
+        """Take the lines of names, and the number of columns."""
+        self._heads, self._width = heads, width
+        self._words: bool | None = None  # whether rows begin with words; None = not known yet
+        self._held: list[Line] = []
+        self._samples = 0
+        self.left: list[str] = []  # how the first lines begin that were left out
+        self.count = 0
+
+    def samples(self, number: int, row: list[str]) -> list[Line]:
+        """The rows that are known to be samples now that one more was read."""
+        if row in self._heads or (row[0].startswith(("#", "%")) and len(row) != self._width):
+            self._leave(row)
+            return []
+        if self._words is None and row[0]:
+            self._words = is_word(row[0])
+        if self._words is False and len(self._held) < HELD and is_word(row[0]):
+            self._held.append((number, row))
+            return []
+        found = [*self._held, (number, row)]
+        self._held = []
+        self._samples += len(found)
+        return found
+
+    def too_many(self) -> bool:
+        """Whether the last rows are too many to be no samples, most of all where they have a cell for each column."""
+        whole = sum(len(row) == self._width for _, row in self._held)
+        return 2 * len(self._held) > self._samples or whole > SUMS
+
+    def end(self, of_words: bool) -> list[Line]:
+        """The last rows, if the first column is one of words; else they are left out."""
+        held, self._held = self._held, []
+        if of_words:
+            return held
+        for _, row in held:
+            self._leave(row)
+        return []
+
+    def _leave(self, row: list[str]) -> None:
+        self.count += 1
+        if len(self.left) < LISTED:
+            self.left.append(row[0][:LETTERS])

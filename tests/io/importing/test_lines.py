@@ -1,0 +1,190 @@
+"""Tables as text: line ends, lines of names, lines that are no samples, numbers and encodings as people write them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.importer import Imported, read_source
+
+N = 40
+TIME = np.arange(N) * 0.01
+WRENCH = np.random.default_rng(0).normal(size=(N, 6)).round(3) * 100
+HEAD = "t,Fx,Fy,Fz,Mx,My,Mz\n"
+ROWS = "".join(
+    ",".join(f"{value:.6g}" for value in (time, *row)) + "\n" for time, row in zip(TIME, WRENCH, strict=True)
+)
+
+
+def read(tmp_path: Path, text: str, encoding: str = "utf-8", name: str = "run.csv") -> Imported:
+    (tmp_path / name).write_bytes(text.encode(encoding))
+    return read_source(tmp_path / name)
+
+
+def same(imported: Imported, note: str = "") -> None:
+    recordings = imported.recordings
+    assert recordings.axes == ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+    assert recordings.note.tolist() == [note]
+    assert recordings.dt == 0.01
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH, rtol=1e-6)
+
+
+@pytest.mark.parametrize("end", ["\r", "\r\n", "\r\r\n"])
+@pytest.mark.parametrize("text", [HEAD + ROWS, "robot,A\n\n" + HEAD + ROWS])
+def test_lines_may_end_as_on_any_computer(end: str, text: str, tmp_path: Path) -> None:
+    imported = read(tmp_path, text.replace("\n", end))
+    same(imported, "preamble:2" if text[0] == "r" and end != "\r\r\n" else imported.recordings.note[0])
+
+
+@pytest.mark.parametrize(
+    ("below", "left"),
+    [
+        ("mean,1,2,3,4,5,6\nmax,1,2,3,4,5,6\n", ["mean", "max"]),
+        ("\n,,,,,,\nMittelwert,1,2,3,4,5,6,\n", ["Mittelwert"]),
+        ("\nEnd of file\n", ["End of file"]),
+        ("# 40 samples, no error\n", ["# 40 samples"]),
+        ("peak force,300\n", ["peak force"]),
+    ],
+)
+@pytest.mark.parametrize("before", ["", "robot,A\n\n"])
+def test_words_below_the_last_row_are_left_out_and_told(
+    before: str, below: str, left: list[str], tmp_path: Path
+) -> None:
+    imported = read(tmp_path, before + HEAD + ROWS + below)
+    same(imported, ";".join(["preamble:2"] * bool(before) + [f"lines:{len(left)}"]))
+    assert f"Lines that are no samples were left out: {', '.join(map(repr, left))}." in imported.report.remarks
+
+
+def test_words_below_dates_are_left_out_and_one_among_them_is_named(tmp_path: Path) -> None:
+    rows = [f"2026-05-01T12:00:00.{10 * k:03},{k % 7}\n" for k in range(30)]
+    imported = read(tmp_path, "".join(["time,Fz\n", *rows, "mean,3\n"]))
+    assert (imported.recordings.length.tolist(), imported.recordings.note.tolist()) == ([30], ["lines:1"])
+    with pytest.raises(InputError, match="column 'time' holds 'noon', which is not a time"):
+        read(tmp_path, "".join(["time,Fz\n", *rows[:9], "noon,3\n", *rows[9:]]))
+
+
+@pytest.mark.parametrize(
+    ("below", "sentence"),
+    [("0.4,1,2\n", "line 42: 3 cells; expected 7"), ("mean,1,2,3,4,5,6\n" + ROWS[:2000], "'mean' is not a number")],
+)
+def test_a_line_cut_off_and_a_word_among_rows_remain_mistakes(below: str, sentence: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=sentence):
+        read(tmp_path, HEAD + ROWS + below)
+
+
+def test_a_first_column_that_is_one_of_words_loses_no_row(tmp_path: Path) -> None:
+    rows = "".join(f"{k if k < 3 else f'A{k}'},{k / 100},{k % 7}\n" for k in range(30))
+    imported = read(tmp_path, "mark,t,Fz\n" + rows)
+    assert (imported.recordings.length.tolist(), imported.recordings.note.tolist()) == ([30], [""])
+
+
+def test_many_rows_that_end_a_table_are_not_left_out_for_a_word(tmp_path: Path) -> None:
+    rows = "".join(f"{k if k < 80 else f'A{k}'},{k / 100},{k % 7}\n" for k in range(100))
+    with pytest.raises(InputError, match="line 82, column mark: 'A80' is not a number"):
+        read(tmp_path, "mark,t,Fz\n" + rows)
+
+
+def test_names_that_a_program_wrote_again_begin_a_recording(tmp_path: Path) -> None:
+    recordings = read(tmp_path, HEAD + ROWS + HEAD + ROWS.replace(",-", ",-1")).recordings
+    assert recordings.length.tolist() == [N, N]
+    assert recordings.note.tolist() == ["lines:1;restarts:1"] * 2
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        ",force,force,force,torque,torque,torque\n,x,y,z,x,y,z\ntime,,,,,,\n",
+        "quantity,force,force,force,torque,torque,torque\naxis,x,y,z,x,y,z\ntime,,,,,,\n",
+        "Time,Force,,,Torque,,\ns,Fx,Fy,Fz,Mx,My,Mz\n",
+        "Time,Force,,,Torque,,\n,x,y,z,x,y,z\n[s],[N],[N],[N],[Nm],[Nm],[Nm]\n",
+        "Channel,CH1,CH2,CH3,CH4,CH5,CH6\nTime,Fx,Fy,Fz,Tx,Ty,Tz\n",
+    ],
+)
+@pytest.mark.parametrize("before", ["", "robot,A\n\n"])
+def test_names_in_several_lines(before: str, head: str, tmp_path: Path) -> None:
+    imported = read(tmp_path, before + head + ROWS)
+    same(imported, "preamble:2" if before else "")
+    assert imported.mapping.units == (("N",) * 3 + ("Nm",) * 3 if "[N]" in head else ("",) * 6)
+
+
+def test_an_index_without_a_name_below_lines_of_a_logger(tmp_path: Path) -> None:
+    rows = "".join(f"{number},{row}\n" for number, row in enumerate(ROWS.split()))
+    same(read(tmp_path, "robot,A\n\n," + HEAD + rows), "preamble:2")
+
+
+def test_units_after_blanks_belong_to_their_names(tmp_path: Path) -> None:
+    head = "  t (s)   Fx (N)  Fy (N)  Fz (N)  Mx (N-m)  My (N-m)  Mz (N-m)\n"
+    imported = read(tmp_path, head + ROWS.replace(",", "   "))
+    same(imported)
+    assert imported.mapping.units == ("N",) * 3 + ("Nm",) * 3
+
+
+POINTS = str.maketrans(",.", ".,")
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "write"),
+    [
+        (",", lambda value: f'"{value:,.2f}"'),
+        ("\t", lambda value: f"{value:,.2f}"),
+        (";", lambda value: f"{value:,.2f}".translate(POINTS)),
+        (";", lambda value: f"{value:,.2f}".replace(",", "\u202f").replace(".", ",")),
+        (";", lambda value: f"{value:,.2f}".replace(",", "'")),
+        (",", lambda value: f'"{value:,.2f}"'.replace(",", " ").replace(".", ",")),
+        (";", lambda value: (f"{value:,.0f}" if value == round(value) else f"{value:,.2f}").translate(POINTS)),
+    ],
+)
+def test_marks_between_thousands_are_no_decimal_ones(delimiter: str, write: object, tmp_path: Path) -> None:
+    values = np.append(WRENCH[:, 0] * 50, [1000.0, 1.0, -123456.5, 1234567.25])
+    rows = (f"{k * 10}{delimiter}{write(value)}\n" for k, value in enumerate(values.tolist()))  # type: ignore[operator]
+    imported = read(tmp_path, "".join([f"t [ms]{delimiter}Fz\n", *rows]))
+    np.testing.assert_allclose(imported.recordings.wrench[0, :, 0], values, rtol=1e-6)
+
+
+@pytest.mark.parametrize("delimiter", [";", ","])
+def test_a_number_that_may_mean_two_is_refused(delimiter: str, tmp_path: Path) -> None:
+    rows = "".join(f'{k * 10}{delimiter}"{990 + 4 * k:,}"\n' for k in range(20))
+    with pytest.raises(InputError, match=r"It may mean 10\d\d or 1\.0\d\d; write numbers without marks between"):
+        read(tmp_path, f"t [ms]{delimiter}Fz\n{rows}")
+
+
+def test_between_commas_other_columns_show_that_a_comma_is_no_decimal_one(tmp_path: Path) -> None:
+    rows = "".join(f'"{990 + 10 * k:,}",{k % 7 / 10}\n' for k in range(20))
+    recordings = read(tmp_path, f"t [ms],load\n{rows}").recordings
+    assert (recordings.dt, recordings.length.tolist()) == (0.01, [20])
+
+
+@pytest.mark.parametrize("cell", ["1,234", "0,5", "-1,5e-3"])
+def test_decimal_commas_remain_decimal(cell: str, tmp_path: Path) -> None:
+    rows = "".join(f"{k * 10};{cell if k % 2 else '2,345'};{k}\n" for k in range(20))
+    values = read(tmp_path, f"t [ms];Fz;k\n{rows}").recordings.wrench[0, :2, 0]
+    np.testing.assert_allclose(values, [2.345, float(cell.replace(",", "."))], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("encoding", "note"), [("gb18030", "gb18030"), ("utf-8", "")])
+def test_tables_of_spreadsheets_in_japan_and_china(encoding: str, note: str, tmp_path: Path) -> None:
+    names = [f"{word}{axis}[{unit}]" for word, unit in (("力", "N"), ("力矩", "Nm")) for axis in "XYZ"]
+    rows = "".join(f"{row},{'接近' if k < 20 else '接触'}\n" for k, row in enumerate(ROWS.split()))
+    imported = read(tmp_path, ",".join(["时间[s]", *names, "状态"]) + "\n" + rows, encoding)
+    same(imported, note)
+    assert imported.mapping.units == ("N",) * 3 + ("Nm",) * 3
+    assert imported.recordings.annotations.labels == {"状态": ("接近", "接触")}
+
+
+def test_a_table_of_a_spreadsheet_in_japan(tmp_path: Path) -> None:
+    rows = "".join(f"{k * 10},{k % 7},{'接近' if k < 20 else 'ワーク'}\n" for k in range(40))
+    imported = read(tmp_path, "時間[ms],荷重[N],状態\n" + rows, "cp932")
+    assert imported.recordings.annotations.labels == {"状態": ("接近", "ワーク")}
+    assert (imported.recordings.axes, imported.mapping.units) == (("荷重",), ("N",))
+    assert "1 recording is from a file that is not UTF-8, read as Shift-JIS" in imported.report.remarks[0]
+
+
+@pytest.mark.parametrize("word", ["Größe", "dégénérés", "“Fügen” – …", "°µ±"])
+def test_words_of_western_europe_remain_so(word: str, tmp_path: Path) -> None:
+    rows = "".join(f"{k * 10},{k % 7},{word if k < 10 else 'b'}\n" for k in range(20))
+    imported = read(tmp_path, f"t [ms],Fz,phase {word}\n{rows}", "cp1252")
+    assert [*imported.recordings.annotations.labels.values()] == [(word, "b")]
+    assert imported.recordings.note.tolist() == ["cp1252"]
