@@ -75,6 +75,7 @@ EXPERIMENTS = (
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
     Experiment("external_rest", "words.external_rest", 1, needs=("external",)),
     Experiment("fit_latency", "words.latency", 1, needs=("data",)),
+    Experiment("fit_foretold", "words.foretold", 3, needs=("data",)),
     Experiment(
         "fit_classification", "classification.fitted_words", 5, needs=("data",), shorter=("--only", "REAL"),
         shorter_minutes=2,
