@@ -247,7 +247,7 @@ def read_rows(path: Path | str, axes: Sequence[str]) -> tuple[int, dict[str, NDA
     Raises:
         InputError: not such a file, it has nothing for one of the axes, something that is no number, or no names.
     """
-    axes = texts(axes)
+    axes = texts(axes) if axes else ()  # none: only the version is asked for
     try:
         content = load_json(as_path(path))
         version = content["format_version"]
