@@ -75,7 +75,9 @@ EXPERIMENTS = (
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
     Experiment("external_rest", "words.external_rest", 1, needs=("external",)),
     Experiment("fit_latency", "words.latency", 1, needs=("data",)),
-    Experiment("fit_foretold", "words.foretold", 3, needs=("data",)),
+    Experiment(
+        "fit_foretold", "words.foretold", 3, needs=("data",), shorter=("--sets", "two-arm"), shorter_minutes=0.8
+    ),
     Experiment(
         "fit_classification", "classification.fitted_words", 5, needs=("data",), shorter=("--only", "REAL"),
         shorter_minutes=2,
@@ -104,7 +106,7 @@ EXPERIMENTS = (
         "detected_starts", "online.detected_starts", 18, needs=("data",), shorter=("--only", "paper"), shorter_minutes=2
     ),
     Experiment("online_agreement", "online.agreement", 1, needs=("data", "golden")),
-    Experiment("kitting", "external.kitting", 10, needs=("external",)),
+    Experiment("kitting", "external.kitting", 5, needs=("external",)),
     Experiment("external_choice", "external.choice", 5, needs=("data",)),
     Experiment("kitting_more", "external.kitting_more", 2, needs=("external",)),
     Experiment(
