@@ -85,8 +85,7 @@ def interval(p: Floats, true: NDArray[np.bool_], trial: NDArray[Any]) -> list[fl
 
     A draw adds noise, which an error counts as error: what the draws exceed it by in the mean is subtracted.
     """
-    index = np.minimum((p * BINS).astype(np.int64), BINS - 1)
-    gap = sums((p - true)[:, None] * (index[:, None] == np.arange(BINS)), trial)  # [trial, bin]
+    gap = sums((p - true)[:, None] * (bin_of(p)[:, None] == np.arange(BINS)), trial)  # [trial, bin]
     steps, counts = sums(np.ones(len(p)), trial), drawn(len(gap), 0)
     found = np.abs(counts @ gap).sum(1) / (counts @ steps)
     low, high = np.array(metrics.percentile_interval(found, len(gap))) - found.mean() + error(p, true)
@@ -95,9 +94,13 @@ def interval(p: Floats, true: NDArray[np.bool_], trial: NDArray[Any]) -> list[fl
 
 def error(p: Floats, true: NDArray[np.bool_]) -> float:
     """Calibration error of a belief ``[step]`` in what is true or not."""
-    index = np.minimum((p * BINS).astype(np.int64), BINS - 1)
-    gap = np.bincount(index, p, BINS) - np.bincount(index, true.astype(float), BINS)
+    gap = np.bincount(bin_of(p), p - true, BINS)
     return float(np.abs(gap).sum() / len(p))
+
+
+def bin_of(p: Floats) -> Ints:
+    """The bin of each belief ``[step]``."""
+    return np.minimum((p * BINS).astype(np.int64), BINS - 1)
 
 
 def row(name: str, seed: int) -> dict[str, Any]:

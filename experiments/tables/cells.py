@@ -43,13 +43,13 @@ def markdown(head: Sequence[str], *rows: Sequence[str]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def ends(low: float, high: float) -> str:
+def ends(low: float, high: float, digits: int = 3) -> str:
     """A 95 % interval behind its mean; nothing where they coincide: the same by construction.
 
-    >>> ends(0.5, 0.75), ends(1.0, 1.0)
-    (' (0.500 to 0.750)', '')
+    >>> ends(0.5, 0.75), ends(0.5, 0.75, 2), ends(1.0, 1.0)
+    (' (0.500 to 0.750)', ' (0.50 to 0.75)', '')
     """
-    return f" ({low:.3f} to {high:.3f})" if low < high else ""
+    return f" ({low:.{digits}f} to {high:.{digits}f})" if low < high else ""
 
 
 def score(values: dict[str, float] | None, interval: bool = True) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import NONE, Lines, table
+from experiments.tables.cells import NONE, Lines, ends, table
 
 WORDS_SAME = "same primitive / composition / behaviour, % of time"
 DEVICES = ("engines_gpu", "engines")
@@ -154,8 +154,8 @@ def gate_intervals(result: Result) -> Lines:
     yield ("", *GATE[:5])
     for session, rows in result["rows"].items():
         for name in ("the preset", "recordings: one half against the other"):
-            checks, ends = rows[name]["checks"], rows[name]["intervals"]
-            cells = (f"{checks[each]['value']:.2f} ({ends[each][0]:.2f} to {ends[each][1]:.2f})" for each in GATE[:5])
+            checks, intervals = rows[name]["checks"], rows[name]["intervals"]
+            cells = (f"{checks[each]['value']:.2f}{ends(*intervals[each], digits=2)}" for each in GATE[:5])
             yield (f"{session}: {name}", *cells)
 
 

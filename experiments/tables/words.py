@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from experiments.tables.cells import NONE, Lines, ends, score, streamed_score, table
@@ -140,12 +139,7 @@ def rate(result: dict[str, Any]) -> Lines:
 
 def _needed(row: dict[str, Any]) -> str:
     value, interval = (row[key].get(TARGET) for key in ("words per second at residual", "interval of words per second"))
-    return NONE if value is None else f"{value:.2f}" + (_between(interval) if interval else "")
-
-
-def _between(interval: Sequence[float]) -> str:
-    low, high = interval
-    return f" ({low:.2f} to {high:.2f})"
+    return NONE if value is None else f"{value:.2f}" + (ends(*interval, digits=2) if interval else "")
 
 
 @table("words-defaults", "rate_distortion")
@@ -216,7 +210,7 @@ def _agreed(found: dict[str, Any], key: str) -> str:
     if found[key] is None:
         return NONE
     interval = found.get(f"{key} interval")
-    return f"{found[key]:.2f}" + (_between(interval) if interval else "")
+    return f"{found[key]:.2f}" + (ends(*interval, digits=2) if interval else "")
 
 
 @table("snap-events", "snaps")

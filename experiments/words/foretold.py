@@ -25,13 +25,21 @@ from sklearn.model_selection import GroupKFold, cross_val_predict
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded, rounded
 from experiments._lib.intervals import of_sums, sums
 from experiments._lib.results_io import write_result
-from experiments.words.latency import SIMULATED, WINDOW, Trial, limits_of_set, newest, shown_twice, streamed, ways
+from experiments.words.latency import (
+    SIMULATED,
+    WINDOW,
+    Trial,
+    limits_of_set,
+    newest,
+    published_last,
+    shown_twice,
+    streamed,
+)
 from experiments.words.sets import spread
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, Recordings
 
-LAST = "the word published last"
 RECENT = 40  # samples of the axis
 TREES, LEAF, FOLDS, SEED = 400, 3, 7, 0
 SETS = {"REAL": REAL, "SIM1": SIM1, "two-arm": SIM2}
@@ -48,7 +56,7 @@ def described(trial: Trial, limits: FitLimits) -> Floats:
     axes = np.broadcast_to(np.arange(labels.shape[1]), labels.shape)[..., None]
     words = [word(track, back, tolerance, small) for track in held for back in (0, 1)]
     counts = np.stack([(track.label > 0).sum(-1) for track in held], -1)
-    last = np.stack([ways(trial, layer)[LAST].label for layer in LAYERS], -1)
+    last = np.stack([published_last(getattr(trial.published, layer)) for layer in LAYERS], -1)
     return np.concatenate([*words, counts, last, recent(trial.wrench, tolerance), others, axes], -1)
 
 

@@ -165,14 +165,19 @@ def counted(published: LabelTrack, shown: Shown, final: NDArray[np.int64], still
 
 def ways(trial: Trial, layer: str) -> dict[str, Shown]:
     """Labels to show of a layer: provisional ones, those published if the stream ended, and two baselines."""
-    held, published = newest(getattr(trial.held, layer)), getattr(trial.published, layer)
-    latest = np.maximum.accumulate(np.where(published.label > 0, np.arange(len(published.label))[:, None], 0), axis=0)
+    held = newest(getattr(trial.held, layer))
     return {
         "shown": held,
         "if it ended now": newest(getattr(trial.ended, layer)),
         "always constant": Shown(np.full_like(held.label, STILL[layer]), held.begin),
-        "the word published last": Shown(np.take_along_axis(published.label, latest, 0), held.begin),
+        "the word published last": Shown(published_last(getattr(trial.published, layer)), held.begin),
     }
+
+
+def published_last(published: LabelTrack) -> NDArray[np.integer]:
+    """Label ``[window, axis]`` of the word that was published last; 0 = none was."""
+    latest = np.maximum.accumulate(np.where(published.label > 0, np.arange(len(published.label))[:, None], 0), axis=0)
+    return np.take_along_axis(published.label, latest, 0)
 
 
 def labels_shown(trials: list[Trial]) -> dict[str, dict[str, dict[str, Any]]]:

@@ -98,8 +98,24 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
     Raises:
         InputError: negative seed or index, or impossible distributions.
     """
-    assembly, robot = pairing.assembly, pairing.robot
+    return _sample(pairing, seed, index, spec, _pattern(spec, pairing.assembly))
+
+
+def _pattern(spec: Variation, assembly: Assembly) -> tuple[Any, Any]:
+    """Parameters of task and parts whose names and shapes those of every trial must have.
+
+    Raises:
+        InputError: as :func:`check` and :func:`drawn`.
+    """
     check(spec, assembly)
+    return drawn(assembly, spec, stream(0, 0))
+
+
+def _sample(
+    pairing: Pairing, seed: int, index: int, spec: Variation, pattern: tuple[Any, Any]
+) -> tuple[AssemblyTrial, Fault]:
+    """One trial of checked distributions; arguments as of :func:`sample`."""
+    assembly, robot = pairing.assembly, pairing.robot
     rng = stream(seed, index)
     hand = np.concatenate([uniform(rng, spec.shift, 2), [0.0], uniform(rng, spec.lean, 2), [uniform(rng, spec.turn)]])
     stiffness = np.array(assembly.mount_stiffness) * uniform(rng, spec.mount)
@@ -111,7 +127,7 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
     nominal, which = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))
     kind = "none" if nominal or not kinds else kinds[which]  # all other random numbers are those of a nominal trial
     task, own = drawn(assembly, spec, rng)
-    for like, found in zip(drawn(assembly, spec, stream(0, 0)), (task, own), strict=True):
+    for like, found in zip(pattern, (task, own), strict=True):
         check_like(f"draw of {assembly.name}", like, found)
     trial = AssemblyTrial(
         task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),
@@ -138,8 +154,9 @@ def sample_batch(
     """
     if not len(indices):
         raise InputError(f"There is no trial of {pairing.assembly.name} to draw; expected one index or more.")
-    drawn = [sample(pairing, seed, index, spec) for index in indices]
-    return stack([params for params, _ in drawn]), [fault for _, fault in drawn]
+    pattern = _pattern(spec, pairing.assembly)
+    trials = [_sample(pairing, seed, index, spec, pattern) for index in indices]
+    return stack([params for params, _ in trials]), [fault for _, fault in trials]
 
 
 def _sensor(spec: Variation, rng: np.random.Generator) -> SensorParams:
