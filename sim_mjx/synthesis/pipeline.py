@@ -100,7 +100,7 @@ def synthesise(
     store.check_target(target, overwrite or finished)
     shards.begin(folder, manifest)
     if not finished:
-        shards.renew(folder)
+        shards.renew(folder, notice)
     draft = Draft(folder, job, scenario, manifest)
     everything = set(range(draft.shards))
     tally = Tally(job, everything if finished else shards.finished(folder), progress)

@@ -12,12 +12,14 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rcbht_jax._util.atomic import atomic_new, delete
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, parts, store_reader
@@ -67,8 +69,13 @@ def begin(folder: Path, manifest: Mapping[str, Any]) -> None:
     (folder / claims.FOLDER).mkdir(exist_ok=True)
 
 
-def renew(folder: Path) -> None:
-    """If no worker is active, delete the records of failed attempts, partial files and damaged shards."""
+def renew(folder: Path, notice: Callable[[str], None] | None = None) -> None:
+    """If no worker is active, delete the records of failed attempts, partial files and damaged shards.
+
+    Args:
+        folder: the work folder.
+        notice: called with a sentence before shards are verified, which takes minutes if there are many.
+    """
     with claims.wait_for(folder, "begin"):
         if any(tries[-1].state == "held" for task, tries in claims.board(folder).items() if task != "begin"):
             return
@@ -80,8 +87,11 @@ def renew(folder: Path) -> None:
             delete(folder / descriptions.FILE)
         try:
             stored = Stored.of(store_of(folder), open_store(store_of(folder)))
-            for shard in finished(folder):
-                if not _is_intact(stored, shard):
+            found = sorted(finished(folder))
+            if found and notice is not None:
+                notice(f"Verifying {plural(len(found), 'finished shard')}.")
+            for shard, intact in zip(found, parts.each(partial(_is_intact, stored), found), strict=True):
+                if not intact:
                     parts.discard(stored.path, shard)
         except InputError:  # no store yet, or a damaged one
             delete(store_of(folder))

@@ -226,6 +226,13 @@ def test_a_damaged_shard_is_made_again_and_a_store_without_metadata_begun_anew(
     assert tree(target) == whole
 
 
+def test_a_resumed_run_says_that_it_verifies(tmp_path: Path) -> None:
+    target, said = tmp_path / "t.zarr", list[str]()
+    interrupted(target, SMALL, after=2)
+    synthesise(target, SMALL, simulate=fake_engine, notice=said.append)
+    assert said == ["Verifying 2 finished shards."]
+
+
 def test_damaged_labels_are_made_again(tmp_path: Path) -> None:
     job, target = replace(SMALL, window=5), tmp_path / "t.zarr"
     interrupted(target, job, after=2)
