@@ -99,52 +99,70 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
     rate, facts = scalars_of({key: array for key, array in arrays.items() if array.ndim == 0})
     arrays, windows = _newest(arrays)
+    cubes = _cubes(arrays)
+    if cubes and not _is_signal(arrays, len(next(iter(cubes.values())))):
+        for columns, own, number, rest in _recordings(path, arrays, cubes):
+            place = f"{part}#{number}" if part else str(number)
+            both, notes = {**facts, **own}, _left_out(rest)
+            yield Table(f"{name}#{number}", columns, rate, facts=both, notes=notes, others=rest, part=place)
+        return
+    chosen, others = _of_one_length(arrays)
+    if not chosen and not part:
+        raise InputError(f"{path} holds no array of at least two rows [time] or [time, axis].")
+    if not chosen:
+        yield Table(name, {}, part=part)
+        return
+    last = [f"windows:{windows[key]}" for key in chosen if key in windows][:1]
+    yield Table(
+        name, _columns(path, chosen), rate, facts=facts, intervals=tuple(intervals), notes=(*last, *_left_out(others)),
+        others=others, part=part,
+    )  # fmt: skip
+
+
+def _cubes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays of three dimensions as ``[recording, row, element]``."""
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
     if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
         cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
-    cubes = {key: np.moveaxis(cube, 2, 0) if _ends_in_recordings(cube, arrays) else cube for key, cube in cubes.items()}
-    if cubes and not _is_signal(arrays, len(next(iter(cubes.values())))):
-        count, rows = next(iter(cubes.values())).shape[:2]
-        shapes = ((), (count,), (rows,), (count, rows))
-        others = tuple(
-            key
-            for key, array in arrays.items()
-            if _usable(array) and key not in cubes and not (array.shape in shapes or array.shape[:2] == (count, rows))
-        )
-        notes = (f"other-arrays:{len(others)}",) if others else ()
-        for number in range(count):
-            cut = {key: array[number] for key, array in cubes.items() if array.shape[:2] == (count, rows)}
-            cut |= {key: array for key, array in arrays.items() if array.shape == (rows,) and rows != count}
-            cut |= {
-                key: array[number]
-                for key, array in arrays.items()
-                if array.ndim == 2 and array.shape == (count, rows) and _usable(array)
-            }
-            own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
-            place = f"{part}#{number}" if part else str(number)
-            ends = [int(own[key]) for key in own if key.lower() in LENGTH_NAMES and 1 < _number(own[key]) <= rows]
-            cut = {key: array[: ends[0]] if ends else array for key, array in cut.items()}
-            columns, both = _columns(path, cut), {**facts, **own}
-            yield Table(f"{name}#{number}", columns, rate, facts=both, notes=notes, others=others, part=place)
-        return
+    return {key: np.moveaxis(cube, 2, 0) if _ends_in_recordings(cube, arrays) else cube for key, cube in cubes.items()}
+
+
+def _recordings(
+    path: Path, arrays: Mapping[str, NDArray[Any]], cubes: Mapping[str, NDArray[Any]]
+) -> Iterator[tuple[dict[str, NDArray[Any]], dict[str, str | float], int, tuple[str, ...]]]:
+    """Columns, facts and number of each recording of arrays ``[recording, row, element]``, and what is left out."""
+    count, rows = next(iter(cubes.values())).shape[:2]
+    usable = {key: array for key, array in arrays.items() if key not in cubes and _usable(array)}
+    shapes = ((), (count,), (rows,), (count, rows))
+    rest = [key for key, array in usable.items() if array.shape not in shapes and array.shape[:2] != (count, rows)]
+    shared = {key: array for key, array in arrays.items() if array.shape == (rows,) and rows != count}
+    each = {key: array for key, array in cubes.items() if array.shape[:2] == (count, rows)}
+    series = {key: array for key, array in usable.items() if array.shape == (count, rows)}
+    for number in range(count):
+        own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
+        ends = [int(own[key]) for key in own if key.lower() in LENGTH_NAMES and 1 < _number(own[key]) <= rows]
+        cut = {key: array[number] for key, array in each.items()} | shared
+        cut |= {key: array[number] for key, array in series.items()}
+        columns = _columns(path, {key: array[: ends[0]] if ends else array for key, array in cut.items()})
+        yield columns, own, number, tuple(rest)
+
+
+def _of_one_length(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
+    """The arrays that are columns of one table, upright, and the names of the others; none without two rows."""
     vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
     flat = {key: _upright(array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
     lengths = [len(array) for array in flat.values() if len(array) > 1]
-    if not lengths and part:
-        yield Table(name, {}, part=part)
-        return
     if not lengths:
-        raise InputError(f"{path} holds no array of at least two rows [time] or [time, axis].")
+        return {}, tuple(flat)
     sampled = [length for length in set(lengths) if wrenches(_titles(flat, length))] or set(lengths)
     rows = max(sampled, key=lambda length: (lengths.count(length), length))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
-    others = tuple(key for key in flat if key not in chosen)
-    notes = (f"other-arrays:{len(others)}",) if others else ()
-    last = [f"windows:{windows[key]}" for key in chosen if key in windows][:1]
-    columns = _columns(path, chosen)
-    yield Table(
-        name, columns, rate, facts=facts, intervals=tuple(intervals), notes=(*last, *notes), others=others, part=part
-    )
+    return chosen, tuple(key for key in flat if key not in chosen)
+
+
+def _left_out(arrays: tuple[str, ...]) -> tuple[str, ...]:
+    """The note on arrays that are left out."""
+    return (f"other-arrays:{len(arrays)}",) if arrays else ()
 
 
 def titled(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
