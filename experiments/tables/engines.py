@@ -120,12 +120,13 @@ def _waits(row: Result) -> str:
 def snap_holds(result: Result) -> Lines:
     """Gate, outcomes and last snaps of hooked-B with contacts that creep less, means over seeds."""
     measures = ("coverage", "W1/sd", "DTW/sd", "snaps")
-    yield ("", *measures, "lowest and highest share of snaps", "outcomes as recorded", "last snap, s, quartiles")
+    yield ("", *measures, "outcomes as recorded", "last snap, s, quartiles")
     for name, row in result["gate"].items():
         means = [f"{row[each]['mean']:.3f}" for each in measures]
-        ends = f"{row['snaps']['lowest']:.2f}, {row['snaps']['highest']:.2f}"
-        yield (name, *means, ends, f"{row['outcomes as recorded']['mean']:.2f}", _quartiles(row))
-    yield ("recorded", *[NONE] * 6, _quartiles(result["recorded"]))
+        means[-1] += ends(*row["snaps"]["interval"], digits=2)
+        outcomes = row["outcomes as recorded"]
+        yield (name, *means, f"{outcomes['mean']:.1f}{ends(*outcomes['interval'], digits=1)}", _quartiles(row))
+    yield ("recorded", *[NONE] * 5, _quartiles(result["recorded"]))
 
 
 def _quartiles(row: Result) -> str:
