@@ -42,7 +42,7 @@ $(AEON)/.installed: pyproject.toml
 	$(AEON)/bin/python -m pip install $(PIP) --editable '.[aeon]' pytest
 	@touch $@
 
-lint: $(INSTALLED) ## check style, types and which room imports which
+lint: $(INSTALLED) ## check style, types and which module imports which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -24,9 +24,9 @@ PYPROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 OURS = "rcbht-jax"
 _HEAD = """# Licences
 
-The table lists what `pip install 'rcbht-jax[all]'` installs, with the licence that each package states, as installed
-when this page was written (`python -m tools.sbom --table docs/licences.md`); `make sbom` writes the same as a CycloneDX
-file. Direct dependencies are **bold**. rcbht-jax itself has the BSD-3-Clause licence.
+The table lists the packages that `pip install 'rcbht-jax[all]'` installed when this page was written, with the licence
+that each package states (`python -m tools.sbom --table docs/licences.md`); `make sbom` writes the same list as a
+CycloneDX file. Direct dependencies are **bold**. rcbht-jax itself has the BSD-3-Clause licence.
 
 | package | version | licence |
 |---|---|---|

@@ -69,7 +69,7 @@ class _Learning(Command):
     """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
     weighing: Weighing = ()
     ranks: Flag = True
-    """Scale features by mean and standard deviation, instead of ranks, which transfer best between data sets."""
+    """Scale features by mean and standard deviation, instead of by ranks in the training set."""
     balance: Flag = False
     """Give equal weights to offset, edges and levels; to elapsed; and to all other families."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")

@@ -26,7 +26,7 @@ class ImportHiro(Command):
 
     Broken trials are reported and left out; exact copies are imported once.
 
-    Example: rcbht import hiro ../shared/data/hiro hiro.zarr
+    Example: rcbht import hiro path/to/hiro hiro.zarr
     """
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]

@@ -69,13 +69,13 @@ class TrainOnline(RuleCommand):
         ),
     ] = 0.0
     first_seconds: float = 0.0
-    """Learn from only the first so many seconds of each recording, so that its length reveals nothing; 0 = from all."""
+    """Train on only the first seconds of each recording, this many, so that its length is no feature; 0 = on all."""
     source: Sources = ()
     session: Sessions = ()
     outcome: Outcomes = ()
     families: Annotated[
         tuple[Family, ...],
-        option("Feature families; default those that work best for sub-tasks or for whole trials.", ""),
+        option("Feature families; default those chosen for sub-tasks or for whole trials.", ""),
     ] = ()
     ranks: Flag = False
     """Replace every feature of a whole trial by its rank in the training set."""
@@ -255,7 +255,7 @@ class Serve(Source):
         Literal["paper", "fit"],
         option(
             "Rule of the words shown, even if the beliefs of the model use other words: fit, whose words follow the "
-            "signal and appear in time; or paper."
+            "signal and wait for at most a fraction of a second; or paper."
         ),
     ] = field(default="fit", kw_only=True)
 

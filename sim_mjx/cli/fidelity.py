@@ -53,7 +53,7 @@ class Fidelity(Command):
     approaches, similarity of the wrenches of each session. Those that need recordings are skipped without them. After
     an interruption the same command resumes: finished measurements are in OUT/parts.
 
-    Example: rcbht fidelity -o fidelity-out --recorded hiro.zarr --data ../shared/data/hiro
+    Example: rcbht fidelity -o fidelity-out --recorded hiro.zarr --data path/to/hiro
     """
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT"), Folder(grows=True)] = Path("fidelity-out")

@@ -57,7 +57,7 @@ class Simulate(Command):
         option(
             "Recorded session whose controller is simulated. hooked-A, -B, -C: one set of parts whose hooks catch and "
             "hold; A, B, C: blocks with friction, which simulate some three times as fast; openhrp: the authors' "
-            "simulation; rigid-openhrp: the same with harder contacts, and what its sensor and solver add; two: two "
+            "simulation; rigid-openhrp: the same with harder contacts, sensor offset and solver jitter; two: two "
             "arms, the left one compliant; two-fixed: the left one fixed.", "hooked-B",
         ),
     ] = None  # fmt: skip
@@ -120,7 +120,7 @@ class Simulate(Command):
     worker: Flag = False
     """Run as one worker of this job: start or join it, and exit when nothing is left to simulate."""
     status: Flag = False
-    """Only show the progress of the job, its workers and what failed."""
+    """Only show the progress of the job, its workers and its failed shards."""
 
     FORMER: ClassVar[dict[str, str]] = {"--longest": "--max-seconds", "-o": "", "--out": ""}
     LARGEST_SEED: ClassVar[int] = 2**64 - 1  # a key of Philox

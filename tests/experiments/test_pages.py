@@ -36,7 +36,7 @@ WITH_INTERVALS = (
 BY_HAND = (
     "README.md", "docs/evaluation.md", "docs/measurements/classification.md", "docs/sim_to_real.md", "docs/engines.md",
     "docs/howto/features.md", "docs/concepts.md", "docs/measurements/words.md", "docs/tutorial.md",
-    "docs/calibration.md", "docs/online.md",
+    "docs/calibration.md", "docs/online.md", "docs/measurements/streams.md", "docs/measurements/faults.md",
 )  # fmt: skip
 # One cell of each table, and where its number is: table, first cells of the row, column, format and place.
 CELLS = [
