@@ -12,7 +12,7 @@ import os
 import sys
 import typing
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -181,11 +181,14 @@ class Command(ABC):
         return 0
 
     def check_inputs(self) -> None:
-        """Refuse missing inputs, outputs that cannot be made or are an input, and wrong seeds: before the work.
+        """Refuse missing inputs, outputs that cannot be made or are an input, lists without a value, wrong seeds.
 
         Raises:
-            InputError: names the command that makes it, the output, or the seed.
+            InputError: names the command that makes it, the output, the option, or the seed.
         """
+        for each in fields(self):
+            if getattr(self, each.name) == () and isinstance(each.default, tuple) and each.default:
+                raise InputError(f"--{each.name.replace('_', '-')} has no value; expected one or more.")
         seed = vars(self).get("seed")
         if isinstance(seed, int) and not 0 <= seed <= self.LARGEST_SEED:
             raise InputError(f"--seed is {seed}; expected 0 to {self.LARGEST_SEED}.")
@@ -241,10 +244,11 @@ def check_place(path: Path, folder: Folder | None) -> None:
         InputError: names the place.
     """
     here = Path(os.path.realpath(path))  # behind a link the file that it points to
-    if folder is not None and folder.grows:
-        store = next((place for place in (here, *here.parents) if (place / "zarr.json").is_file()), None)
-        if store is not None:
-            raise InputError(f"{path} is in the store {store}, which holds nothing else; choose another folder.")
+    grows = folder is not None and folder.grows
+    store = next((place for place in (here, *here.parents)[not grows :] if (place / "zarr.json").is_file()), None)
+    if store is not None and not url_of(path):
+        raise InputError(f"{path} is in the store {store}, which holds nothing else; choose another folder.")
+    if grows:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path} is a file; expected a folder.")
     elif not (url_of(path) or is_stream(path) or here.parent.is_dir()):

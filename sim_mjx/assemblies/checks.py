@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rcbht_jax.errors import InputError
-from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase
+from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase, Variation
 from sim_mjx.assembly.rollout import as_float32
 from sim_mjx.assembly.sensor import LONGEST_DELAY
 from sim_mjx.controllers import Sense
@@ -51,11 +51,14 @@ def check_assembly(assembly: Assembly) -> None:
 
 def _check_kinds(assembly: Assembly) -> None:
     name, phases, faults, tabs = assembly.name, assembly.phases, assembly.faults, assembly.tabs
+    marks, variation = assembly.marks, assembly.variation
     for field, expected, value, holds in (
         ("name", "a word", name, isinstance(name, str)),
         ("phases", "a tuple of Phase", phases, _all_are(phases, Phase)),
         ("faults", "a dict of functions by name", faults, isinstance(faults, Mapping) and _all_are([*faults], str)),
+        ("marks", "a tuple of pairs of names", marks, _all_are(marks, tuple) and all(map(_is_pair, marks))),
         ("tabs", "a tuple of names", tabs, _all_are(tabs, str)),
+        ("variation", "a class derived from Variation", variation, _is_variation(variation)),
     ):
         if not holds:
             raise InputError(f"{field} of the assembly {name} is {value!r}; expected {expected}.")
@@ -63,6 +66,14 @@ def _check_kinds(assembly: Assembly) -> None:
 
 def _all_are(values: Any, kind: type) -> bool:
     return isinstance(values, tuple | list) and all(isinstance(value, kind) for value in values)
+
+
+def _is_pair(values: Any) -> bool:
+    return len(values) == 2 and _all_are(values, str)
+
+
+def _is_variation(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, Variation)
 
 
 def _check_numbers(assembly: Assembly) -> None:

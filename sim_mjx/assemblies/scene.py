@@ -115,6 +115,8 @@ def _fields(model: mujoco.MjModel, assembly: Assembly, place: Float64[np.ndarray
     writer.friction(mount.friction)
     with own_code(f"write of {assembly.name}"):
         assembly.write(writer, parts.own)
+    if endless := [name for name, values in writer.fields.items() if not np.isfinite(values).all()]:
+        raise InputError(f"write of {assembly.name} gives a {endless[0]} that is not finite; expected finite numbers.")
     return writer.fields
 
 

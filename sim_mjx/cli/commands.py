@@ -6,6 +6,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("sim_mjx.cli.doctor:Doctor", "check this machine, or a store and what made it"),
     "view": ("sim_mjx.cli.view:View", "show one trial: interactively, as pictures or as a film"),
     "fidelity": ("sim_mjx.cli.fidelity:Fidelity", "compare the simulation with a finer solver, engines and recordings"),
-    "fidelity fit": ("sim_mjx.cli.fidelity:FidelityFit", "fit physical parameters to a recorded session"),
+    "fidelity fit": ("sim_mjx.cli.fidelity_fit:FidelityFit", "fit physical parameters to a recorded session"),
     "demo": ("sim_mjx.cli.demo:Demo", "run the whole chain on simulated or recorded trials"),
 }

@@ -13,7 +13,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Tracks, Trial, option, progress_bar, unset
+from rcbht_jax.cli.command import (
+    Arm,
+    Command,
+    SourcePrefix,
+    Store,
+    Tracks,
+    Trial,
+    check_place,
+    option,
+    progress_bar,
+    unset,
+)
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, rule_of, stored_by
 from rcbht_jax.errors import InputError
 
@@ -64,6 +75,8 @@ class View(Command):
         out = self.out if self.out is not None or has_display() else Path(f"{self.trial}.png")
         if self.out is None and out is not None and out.name != f"{self.trial}.png":
             raise InputError(f"The trial {self.trial!r} has no name for a file; choose one with -o.")
+        if self.out is None and out is not None:
+            check_place(out, None)
         self._check(out)
         recordings = recordings_with_faults(self.store)
         row = find_recording(recordings, self.trial, self.arm, self.source)

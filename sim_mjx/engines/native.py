@@ -232,11 +232,13 @@ class _Lanes:
         self.loop, command, log = self.control(self.params, self.loop, joints, self._raw())
         self.phase = np.asarray(log.phase)
         going = self.busy & (self.phase < self.job.scene.program.ended)
+        command = np.asarray(command)
+        self.readings[going & ~sane(command).all(-1)] = np.nan  # MuJoCo would take zero for a command that is NaN
         # a diverged trial stays as it is
         live = np.flatnonzero(going & sane(self.readings))
         past = np.zeros((LANES, len(self.places)), np.bool_)
         if len(live) > 0:
-            past[live] = self._step(pool, live, np.asarray(command)[live].astype(np.float64))
+            past[live] = self._step(pool, live, command[live].astype(np.float64))
         self.log.add(np.asarray(log.wrench), np.asarray(log.joints), self.phase, past)
         if self.job.progress is not None:
             with self.job.lock:

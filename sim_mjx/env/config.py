@@ -52,10 +52,11 @@ class EnvConfig:
         with_tuples(self)
         _check_choice("action", self.action, ACTIONS)
         _check_choice("controller", self.controller, CONTROLLERS)
-        for part in self.observe:
+        observe = self.observe
+        if not isinstance(observe, tuple) or not observe or len(set(observe)) < len(observe):
+            raise InputError(f"observe is {observe!r}; expected a tuple of one part or more, each once.")
+        for part in observe:
             _check_choice("observation", part, OBSERVATIONS)
-        if not self.observe or len(set(self.observe)) < len(self.observe):
-            raise InputError(f"observe is {self.observe}; expected one part or more, each once.")
         if self.action == "set-points" and self.controller == "none":
             raise InputError(
                 'action="set-points" needs controller="recorded"; use that, or action="joint" or action="cartesian".'

@@ -59,7 +59,9 @@ def load(
         InputError: an unknown scenario or engine, one that does not run on the device, ``params`` that are not a batch
             of trials, or a model, thresholds or a configuration that does not fit the scenario.
     """
-    config = config or EnvConfig()
+    config = EnvConfig() if config is None else config
+    if not isinstance(config, EnvConfig):
+        raise InputError(f"config is {config!r}; expected an EnvConfig.")
     engines.check(engine)
     if engine not in engines.IMPLEMENTATIONS:
         raise InputError(
@@ -67,7 +69,7 @@ def load(
         )
     if not all(isinstance(count, int | np.integer) and count >= 1 for count in (trials, parallel)):
         raise InputError(f"trials is {trials} and parallel {parallel}; expected 1 or more of each.")
-    if name not in (*ALIASES, *PRESETS) and "@" not in name:
+    if not isinstance(name, str) or (name not in (*ALIASES, *PRESETS) and "@" not in name):
         raise InputError(
             f"There is no environment {name!r}; expected one of {', '.join([*ALIASES, *PRESETS])}, or ASSEMBLY@ROBOT."
         )

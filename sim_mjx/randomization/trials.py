@@ -256,8 +256,8 @@ def stream(seed: int, index: int, branch: int = 0) -> np.random.Generator:
 
 def _streams(seed: int, indices: Sequence[int], branch: int = 0) -> Iterator[np.random.Generator]:
     """:func:`stream` of each trial: one generator whose state is set, since making one takes longer than its draws."""
-    if not 0 <= seed < 2**64:
-        raise InputError(f"The seed is {seed}; expected 0 to 2^64 - 1.")
+    if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**64:
+        raise InputError(f"The seed is {seed!r}; expected a whole number, 0 to 2^64 - 1.")
     bits = np.random.Philox(key=seed)
     rng, state = np.random.Generator(bits), bits.state  # its buffer is empty
     for index in indices:

@@ -97,7 +97,7 @@ def from_mjcf(
         try:
             own = mujoco.MjSpec.from_file(str(source))
         except ValueError as error:
-            raise InputError(f"{source} cannot be read as MJCF: {str(error).splitlines()[0]}") from error
+            raise InputError(f"{source} cannot be read as MJCF: {' '.join(str(error).split())}.") from error
         if own.site(site) is None:
             raise InputError(f"{source} has no site {site!r}, which must mark the wrist's frame.")
         if own.compiler.settotalmass > 0:  # which MuJoCo ignores in what is attached
@@ -133,6 +133,9 @@ def _joints(robot: Robot) -> tuple[str, ...]:
     names: list[str] = []
     body = site.parent
     while body is not None and body.name != "world":
+        for joint in body.joints:
+            if joint.type != mujoco.mjtJoint.mjJNT_HINGE:
+                raise InputError(f"The joint {joint.name!r} is no hinge; an arm has hinges only.")
         names = [joint.name for joint in body.joints] + names
         body = body.parent
     if not all(names):

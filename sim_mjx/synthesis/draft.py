@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool
 
 from rcbht_jax._util.atomic import draft_of
-from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, parts, store_writer
 from rcbht_jax.io import zarr as zarr_io
@@ -98,8 +97,8 @@ class Draft:
         diverged = np.flatnonzero(lengths[:: len(self.scenario.arms)] == 0).tolist()
         if len(diverged) == self.job.trials:
             raise InputError(
-                f"The physics diverged in all {plural(self.job.trials, 'trial')}; nothing to store. Check the "
-                "distributions."
+                "The physics diverged in every trial; nothing to store. Check the distributions and, of an assembly of "
+                "your own, what its controller commands."
             )
         if self.job.window is not None:
             label_parts.finish(self._labels)

@@ -155,7 +155,11 @@ def recorded(recordings: Recordings, session: str, rows: Rows = None) -> Target:
 def recorded_rows(recordings: Recordings, session: str) -> Int[np.ndarray, " row"]:
     """Recordings of a session that reached every state; arguments and errors of :func:`recorded`."""
     constants = preset(session)
-    usable = (recordings.session == constants.recorded_as) & np.isfinite(recordings.starts(HARMONISED)).all(1)
+    usable = recordings.session == constants.recorded_as
+    if not {RECORDED, HARMONISED} <= set(recordings.annotations.tracks):  # of another robot or task
+        usable[:] = False
+    if usable.any():
+        usable &= np.isfinite(recordings.starts(HARMONISED)).all(1)
     usable &= np.char.find(recordings.note, "other-setup") < 0
     if not constants.real:  # of the OpenHRP simulation only the successes are logged like the other sessions
         usable &= recordings.outcome == "success"

@@ -103,6 +103,8 @@ def drawing(task: Any = None, own: Any = None) -> dict[str, Any]:
         ({"faults": None}, "faults of the assembly clip is None; expected a dict of functions by name"),
         ({"faults": {3: CLIP.faults["chip"]}}, "faults of the assembly clip is .*; expected a dict of functions by"),
         ({"tabs": "LATCH"}, "tabs of the assembly clip is 'LATCH'; expected a tuple of names"),
+        ({"marks": ("LATCH", "LIP")}, r"marks of the assembly clip is .*; expected a tuple of pairs of names"),
+        ({"variation": dict}, "variation of the assembly clip is <class 'dict'>; expected a class derived from"),
         ({"name": None}, "name of the assembly None is None; expected a word"),
         ({"timeout": float("nan")}, "timeout of clip is nan s"),
         ({"timeout": "20"}, "timeout of clip is 20 s; expected a positive"),
@@ -240,6 +242,12 @@ def test_what_a_scene_cannot_have_is_named() -> None:
     params, _ = scenario.draw(0, 0, scenario.spec())
     with pytest.raises(InputError, match="The scene has no geom 'ABSENT'"):
         scenario.scene().fields(params.parts)
+
+    def endless(writer: FieldWriter, own: Any) -> None:
+        writer.place("BALL", np.full(3, np.nan))
+
+    with pytest.raises(InputError, match="write of clip gives a geom_pos that is not finite"):
+        pair(poked(endless), PANDA).scene().fields(params.parts)
 
     def motor(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
         spec.add_actuator(name="MOTOR", target="MOUNT_X", trntype=mujoco.mjtTrn.mjTRN_JOINT)

@@ -106,11 +106,15 @@ def test_anybodys_arm(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="There is no file"):
         from_mjcf(tmp_path / "other.xml", site="hand", home=(), place=(0.5, 0.0, 0.1))
     path.write_text("<mujoco><worldbody>")
-    with pytest.raises(InputError, match="cannot be read as MJCF"):
+    with pytest.raises(InputError, match=r"cannot be read as MJCF: .* Line number=1"):
         from_mjcf(path, site="hand", home=(), place=(0.5, 0.0, 0.1))
     path.write_text(ARM.replace("<worldbody>", '<compiler settotalmass="50"/><worldbody>'))
     with pytest.raises(InputError, match="sets the arm's mass by settotalmass"):
         from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
+    for kind in ("slide", "ball", "free"):  # before the arm is moved
+        path.write_text(ARM.replace('name="a"', f'name="a" type="{kind}"'))
+        with pytest.raises(InputError, match="The joint 'arm/a' is no hinge"):
+            from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
     path.write_text(ARM.replace('<body pos="0.1 0.2 0.3"', '<site name="base"/><body pos="0.1 0.2 0.3"'))
     with pytest.raises(InputError, match="No joint of the robot mine moves its site 'arm/base'"):
         from_mjcf(path, site="base", home=(), place=(0.5, 0.0, 0.1))

@@ -83,9 +83,9 @@ def test_a_folder_without_trials_leaves_nothing(tmp_path: Path, capsys: pytest.C
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("command", ["demo", "fidelity"])
+@pytest.mark.parametrize("command", ["demo -o", "fidelity -o", "simulate"])
 def test_a_store_is_no_folder_for_results(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "zarr.json").write_text("{}")
-    assert main.main([command, "-o", str(tmp_path / "deep" / "out")]) == 2
+    assert main.main([*command.split(), str(tmp_path / "deep" / "out")]) == 2
     assert "is in the store" in capsys.readouterr().err
     assert len(list(tmp_path.iterdir())) == 1

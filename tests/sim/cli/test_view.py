@@ -37,3 +37,14 @@ def test_a_display_that_is_not_there_is_one_sentence(
     monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert "The display cannot be opened" in refused(capsys, str(tmp_path), "t")
+
+
+def test_a_default_name_that_no_file_can_have_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    assert "File name too long" in refused(capsys, str(tmp_path), "x" * 300)
+    (tmp_path / "zarr.json").write_text("{}")
+    assert "is in the store" in refused(capsys, str(tmp_path), "t")

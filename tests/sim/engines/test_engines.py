@@ -28,6 +28,7 @@ from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
 from sim_mjx.validation.engine_parity import FORCE_LIMIT, MOMENT_LIMIT, parity, reference
 from sim_mjx.validation.solver_convergence import certify
+from tests.support.plunger import plunger, plunger_trials
 
 SCENE = one_arm()
 SLOPE = """
@@ -164,6 +165,15 @@ def test_divergence_is_marked_and_not_stored(
     engines.simulate(SCENE, params, "native")  # a program's own handler stays
     mujoco.set_mju_user_warning(None)
     assert heard
+
+
+@pytest.mark.parametrize("speed", [np.nan, np.inf, 1e30])
+def test_a_command_that_is_no_number_is_a_divergence(speed: float) -> None:
+    params = plunger_trials(np.full(2, 0.1))
+    params = replace(params, speed=np.array([params.speed[0], speed]))
+    out = native_engine.simulate(plunger(), params)
+    assert out.diverged.tolist() == [False, True]  # MuJoCo would go on towards zero
+    assert (out.wrench[1] == 0).all()
 
 
 def test_unknown_engines_are_refused() -> None:

@@ -311,6 +311,7 @@ def test_a_configuration_is_checked_whatever_its_types() -> None:
     assert hash(given(observe=["joints", "wrench"])) == hash(EnvConfig(observe=("joints", "wrench")))
     for values, sentence in (
         ({"periods": 2.5}, "periods is 2.5; expected 1 control period"),
+        ({"observe": "joints"}, "observe is 'joints'; expected a tuple of one part or more"),
         ({"force": "20"}, "The environment's force is 20; expected a positive, finite number"),
     ):
         with pytest.raises(InputError, match=sentence):

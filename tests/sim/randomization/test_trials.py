@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from copy import copy
 from dataclasses import replace
+from typing import Any
 
 import hypothesis.strategies as st
 import jax
@@ -15,6 +17,7 @@ from hypothesis import given
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.presets import ONE_ARM
+from sim_mjx.randomization import trials
 from sim_mjx.randomization.trials import FAULTS, LIMITS, DomainRandomization, Fault, sample
 from sim_mjx.registry import get_scenario
 
@@ -54,6 +57,13 @@ def test_streams_of_neighbours_differ() -> None:
         tuple(sample(ONE_ARM["A"], seed, index, NOMINAL)[0].seed.tolist()) for seed in range(20) for index in range(20)
     }
     assert len(keys) == 400
+
+
+@pytest.mark.parametrize("seed", [-1, 2**64, 1.5, "1", None])
+def test_what_is_no_seed_is_refused(seed: Any) -> None:
+    unchecked = inspect.unwrap(trials._streams)  # the annotations of the tests' run refuse it first
+    with pytest.raises(InputError, match=r"The seed is .*; expected a whole number, 0 to"):
+        next(unchecked(seed, (0,)))
 
 
 def test_draws_are_those_of_this_version() -> None:

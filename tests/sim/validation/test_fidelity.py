@@ -13,12 +13,14 @@ import pytest
 
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.store import write_recordings
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.task import CONTROL_PERIOD
-from sim_mjx.cli.fidelity import BOUNDS, Fidelity, Session, table
+from sim_mjx.cli.fidelity import Fidelity, Session, table
+from sim_mjx.cli.fidelity_fit import BOUNDS
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
 from sim_mjx.randomization import overrides
@@ -246,6 +248,8 @@ def test_misses_are_said() -> None:
         (["--data", "."], "holds no trial"),
         (["-o", "file"], "file is a file; expected a folder"),
         (["--recorded", "nowhere.zarr"], "nowhere.zarr"),
+        (["--recorded", "own.zarr"], "no trial of session hooked-A"),
+        (["--session"], "--session has no value; expected one or more"),
     ],
 )
 def test_mistakes_are_one_sentence(
@@ -253,6 +257,7 @@ def test_mistakes_are_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
+    write_recordings(tmp_path / "own.zarr", Recordings.example(), {})
     assert main.main(["fidelity", "-o", "out", *words]) == 2
     assert sentence in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "out").exists()
@@ -279,6 +284,10 @@ def test_the_fit_lowers_the_loss_and_writes_parameters(
         (["--parameters", "parts.position[0]"], "has no default range"),
         (["--bound", "parts.roll=0:1"], "not fitted"),
         (["--bound", "parts.friction"], "has no =; expected NAME=VALUE"),
+        (["--bound", "parts.friction=0.1"], "has no :; expected NAME=LOW:HIGH"),
+        (["--fixed", "parts.friction=0.1"], "parts.friction is given twice in --parameters and --fixed"),
+        (["--trials", "0"], "--trials is 0; expected 1 to 100000"),
+        (["--trials", "-2"], "--trials is -2"),
         (["--fixed", "parts.friction=much"], "not a number"),
     ):
         assert main.main([*words, *wrong]) == 2
