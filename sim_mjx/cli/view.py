@@ -6,7 +6,9 @@ import os
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -78,11 +80,12 @@ class View(Command):
         if self.out is None and out is not None:
             check_place(out, None)
         self._check(out)
+        motion = self._motion()
         recordings = recordings_with_faults(self.store)
         row = find_recording(recordings, self.trial, self.arm, self.source)
         film = out is not None and out.suffix.lower() in animation.SUFFIXES
         drawn = None if out is None or film else self._labelled(recordings, row)  # refused before the simulation
-        replay = self._replay(recordings, row)
+        replay = motion(recordings, row)
         result = {"trial": str(recordings.trial[row]), "outcome": outcome_of(recordings, row), "how": replay.how}
         picture = None if out is None else str(out)
         times = events(replay, recordings, row)
@@ -123,6 +126,20 @@ class View(Command):
         limits = limits_for(config, thresholds, None, sampled.wrench, sampled.length)
         return alone, encode_batch(config, limits, alone.wrench, alone.length), 0, self.rule
 
+    def _motion(self) -> Callable[[Recordings, int], Replay]:
+        """What moves arm and parts in a trial of the store."""
+        from rcbht_jax.io.store import read_attrs
+        from sim_mjx.validation.replay import recorded, simulated
+
+        if "simulated" in read_attrs(self.store):
+            return partial(simulated, self.store)
+        if self.data is None:
+            raise InputError(
+                "A recorded trial of HIRO needs its joint angles; give the folder that was imported: --data DIR. Of "
+                "other robots only simulated trials can be seen."
+            )
+        return partial(recorded, self.data)
+
     def _check(self, out: Path | None) -> None:
         from rcbht_jax.plots.canvas import check_suffix
         from sim_mjx.plots import animation
@@ -135,19 +152,6 @@ class View(Command):
             animation.check(out)
         else:
             check_suffix(out, animation.SUFFIXES)
-
-    def _replay(self, recordings: Recordings, row: int) -> Replay:
-        from rcbht_jax.io.store import read_attrs
-        from sim_mjx.validation.replay import recorded, simulated
-
-        if "simulated" in read_attrs(self.store):
-            return simulated(self.store, recordings, row)
-        if self.data is None:
-            raise InputError(
-                "A recorded trial of HIRO needs its joint angles; give the folder that was imported: --data DIR. Of "
-                "other robots only simulated trials can be seen."
-            )
-        return recorded(self.data, recordings, row)
 
 
 def has_display() -> bool:

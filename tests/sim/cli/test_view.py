@@ -25,9 +25,9 @@ def test_a_picture_of_no_format_is_refused_before_the_work(tmp_path: Path, capsy
 def test_tracks_that_are_not_there_are_refused_before_the_simulation(
     hiro_store: Path, hiro_recordings: Recordings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # without --data, of which the motion asks
     words = [str(hiro_store), str(hiro_recordings.trial[0]), "-o", str(tmp_path / "trial.png"), "--tracks", "NOPE"]
-    assert "has no label tracks" in refused(capsys, *words)
+    assert "has no label tracks" in refused(capsys, *words, "--data", str(tmp_path))
+    assert "needs its joint angles" in refused(capsys, *words)  # before anything is read
 
 
 def test_a_display_that_is_not_there_is_one_sentence(
