@@ -99,7 +99,7 @@ def by_hand(train: list[NDArray[np.float64]], test: NDArray[np.float64], monitor
                 np.sqrt(np.mean((here - features(part, min(u, len(part) - 1), channel) / bank.scale[channel]) ** 2))
                 for part in train
                 for u in range(now - 60, now + 61)
-                if u >= 0 and abs(u - now) <= reach + 0.1 * t and abs(u - now) <= bank.reach
+                if u >= 0 and abs(u - now) <= min(reach + 0.1 * t, np.ceil(reach + 0.1 * longest))
             ]
             surprise.append(np.log1p((min(near) / bank.reference[now, channel]) ** 2 / FREEDOM))
         out.append(float(np.mean(surprise)))
