@@ -302,6 +302,10 @@ def test_alarms_are_judged_by_the_onset() -> None:
         (NominalMonitor(), [1e200 * part for part in pushes(3, 0)], "not finite numbers, or huge"),  # all scores were 0
         (NominalMonitor(calibration="none"), pushes(3, 0), "cross, split"),
         (NominalMonitor(neighbours=0), pushes(3, 0), "neighbours is 0"),
+        (NominalMonitor(lags=(0.2, -0.4)), pushes(3, 0), r"lags \(0.2, -0.4\)"),
+        (NominalMonitor(lags=((0.2, 0.4),)), pushes(3, 0), r"lags \(\(0.2, 0.4\),\)"),
+        (NominalMonitor(levels=(0.5,)), pushes(3, 0), r"levels \(0.5,\)"),
+        (NominalMonitor(neighbours=1.5), pushes(3, 0), "neighbours 1.5"),
         (NominalMonitor(memory=0), pushes(3, 0), "memory is 0"),
         (NominalMonitor(score_rate=1e-300), pushes(3, 0), "score_rate is 1e-300"),
         (QuantileBand(share=2), pushes(3, 0), "share is 2"),
