@@ -347,3 +347,10 @@ def test_a_gaussian_process_finds_course_and_noise() -> None:
     scores = band.scores(late)
     assert scores[:40].max() < 3
     assert scores[40:].min() > 5
+
+
+def test_samples_of_other_axes_are_refused() -> None:
+    monitor = NominalMonitor().fit(pushes(4, 0))
+    for axes, words in ((3, "3 axes"), (1, "1 axis")):
+        with pytest.raises(InputError, match=f"The samples have {words}; the monitor learned 2"):
+            monitor.scores(np.zeros((5, axes)))
