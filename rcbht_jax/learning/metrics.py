@@ -210,7 +210,7 @@ def window_start(steps: int) -> int:
 def certain_count(probability: Floats, y_true: int, k: float) -> int:
     """Steps in the last third of one trial that are correct with a probability above k."""
     last = probability[window_start(len(probability)) :]
-    return int(np.sum((last.argmax(1) == y_true) & (last.max(1) > k))) if len(last) else 0
+    return int(np.sum((last.argmax(1) == y_true) & (last.max(1) > k)))
 
 
 @dataclass(frozen=True)

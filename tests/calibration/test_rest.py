@@ -10,7 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rcbht_jax.calibration.rest import RestSlopes, auto_thresholds, rest_not_constant, rest_thresholds, window_slopes
+from rcbht_jax.calibration.rest import (
+    LEAST,
+    STEPS,
+    RestSlopes,
+    auto_thresholds,
+    rest_not_constant,
+    rest_thresholds,
+    window_slopes,
+)
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -174,3 +182,22 @@ def test_held_blocks_are_not_the_whole_of_rest(held: float, trials: int) -> None
     limits = np.asarray(rest_thresholds(recordings).thresholds.limits)
     assert (found.rest.mean((0, 1)) > 0.6).all()
     np.testing.assert_allclose(np.asarray(found.thresholds.limits), limits, rtol=0.15)  # they dilute the quantile
+
+
+def test_the_steepness_of_contacts_is_the_median_of_the_steepest_windows_of_their_spells() -> None:
+    """Spells are those of each recording; their sizes differ from recording to recording."""
+    recordings, _ = pushes(0.002)
+    sizes = np.array([1.0, 5.0, 2.0, 7.0, 3.0, 1.5])
+    recordings = Recordings.from_arrays(recordings.wrench * sizes[:, None, None], RATE, axes=("grip", "twist"))
+    found = rest_thresholds(recordings)
+    steep = np.abs(window_slopes(recordings, 5)[0])
+    for axis, limits in enumerate(np.asarray(found.thresholds.limits)):
+        peaks: list[float] = []
+        for moving, values in zip(~found.rest[..., axis], steep[..., axis], strict=True):
+            before = False
+            for now, value in zip(moving.tolist(), values.tolist(), strict=True):
+                if now:
+                    peaks[len(peaks) - before :] = [max(value, peaks[-1])] if before else [value]
+                before = now
+        np.testing.assert_allclose(limits[:3], np.maximum(np.median(peaks) * STEPS, limits[3] * LEAST), rtol=1e-5)
+        assert np.median(peaks) * STEPS[0] > limits[3] * LEAST[0]

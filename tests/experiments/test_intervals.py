@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from experiments._lib.benchmarks import with_interval
-from experiments._lib.intervals import by_trial, jackknife, of_folds, of_sums, with_width, without
+from experiments._lib.intervals import bootstrap, by_trial, jackknife, of_folds, of_sums, sums, with_width, without
 from experiments._lib.results_io import COMMITTED
-from rcbht_jax.learning.metrics import has_width, wilson
+from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
 
 
 def pairs(value: Any) -> Iterator[tuple[float, float]]:
@@ -116,3 +116,24 @@ def test_the_jackknife_of_means_is_that_of_student() -> None:
     ends = [jackknife(ratio, rng.normal(size=(30, 1)), rng.normal(size=(40, 1))) for _ in range(200)]
     widths = [float(high[0] - low[0]) / 2 / stats.t.ppf(0.975, 29) for low, high in ends]
     assert np.median(widths) == pytest.approx(np.std(many), rel=0.15)
+
+
+def test_a_bootstrap_draws_groups_not_items() -> None:
+    """Items of a group stay together, whatever their order and the names of the groups."""
+    rng = np.random.default_rng(2)
+    groups = rng.permutation(np.repeat(np.arange(12), rng.integers(1, 9, 12)))
+    correct = rng.random(len(groups)) < np.linspace(0.3, 1, 12)[groups]
+    right, total = (np.array([part[groups == group].sum() for group in range(12)]) for part in (correct, correct >= 0))
+    draws = rng.integers(0, 12, (4000, 12))
+    expected = percentile_interval(right[draws].sum(1) / total[draws].sum(1), 12)
+    found = bootstrap(correct, groups, 0)
+    np.testing.assert_allclose(found, expected, atol=0.02)
+    assert bootstrap(correct, np.array(list("abcdefghijkl"))[groups], 0) == found
+    alone = bootstrap(correct, np.arange(len(groups)), 0)
+    assert found[1] - found[0] > 1.2 * (alone[1] - alone[0])
+    assert bootstrap(correct >= 0, groups, 0) == wilson(12, 12)
+
+
+def test_sums_of_groups() -> None:
+    values = np.array([[1.0, 2], [3, 4], [5, 6], [7, 8]])
+    assert sums(values, np.array(["b", "a", "b", "a"])).tolist() == [[10, 12], [6, 8]]

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FAMILIES, FeatureSpec, Intervals, concatenate_arms, interval_features, longest
+from rcbht_jax.features.word_families import compressed
 from rcbht_jax.labels import LAYER_SIZES, LAYERS, PRIMITIVE_GROUP
 from rcbht_jax.types import LabelTrack, LabelTracks
 
@@ -324,3 +325,10 @@ def test_bad_intervals_are_refused(row):
 def test_bad_specifications_are_refused(bad):
     with pytest.raises(InputError):
         FeatureSpec(**bad)
+
+
+@pytest.mark.parametrize(("axes", "units"), [(6, [0.1] * 3 + [0.01] * 3), (1, [0.1]), (3, [0.1] * 3), (12, [0.1] * 12)])
+def test_forces_and_moments_are_compressed_in_their_own_units_and_other_axes_as_forces(axes, units):
+    x = np.random.default_rng(0).normal(size=(2, axes, 4)) * 10
+    expected = [[np.sign(x[i, k]) * np.log(1 + abs(x[i, k]) / units[k]) for k in range(axes)] for i in range(2)]
+    np.testing.assert_allclose(compressed(x), expected, rtol=1e-12)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import jax
 import numpy as np
 import pytest
 
@@ -9,6 +12,7 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features.trailing import (
+    LatestWords,
     RunningTotals,
     TrailingStatistics,
     latest_words,
@@ -16,6 +20,8 @@ from rcbht_jax.features.trailing import (
     trailing_statistics,
     with_norms,
 )
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTracks
 
 
 @pytest.mark.parametrize("seconds", [0.05, 0.2, 1.0])
@@ -91,3 +97,24 @@ def test_pieces_of_a_stream_give_the_rows_of_the_whole(sizes):
         rows = np.concatenate([stream.push(piece) for piece in pieces])
         assert np.array_equal(rows, whole[: len(rows)])
         assert len(rows) == sum(map(len, pieces))
+
+
+def test_words_of_a_stream_are_those_known_at_each_time():
+    """Word by word as published, of three axes of which one says nothing."""
+    signal = np.random.default_rng(4).normal(size=(400, 3)).cumsum(0) * [1.0, 0.2, 0.0]
+    config = EncoderConfig(5, 0.01)
+    limits = preset(axes=("Fx", "Mx", "Fz"))
+    tracks = jax.tree.map(
+        lambda x: np.asarray(x)[0], encode_batch(config, limits, signal[None], np.array([400], np.int32))
+    )
+    stream, before = LatestWords(3), 0
+    for now in (0, 4, 20, 21, 33, 150, 260, 400):
+
+        def new(track, since=before, now=now):
+            return replace(track, label=np.where((track.emit > since) & (track.emit <= now), track.label, 0))
+
+        stream.take(LabelTracks(*(new(getattr(tracks, layer)) for layer in LAYERS)))
+        expected = [latest_words(getattr(tracks, layer), np.array([now])) for layer in LAYERS]
+        np.testing.assert_allclose(stream.row(now), np.concatenate(expected, 1), rtol=1e-6)
+        before = now
+    assert np.count_nonzero(stream.row(400)) > 20

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyRaised, Belief
-from rcbht_jax.introspection.alarms import Alarm, conformal_threshold, held_out, peaks, rounded_up, sustained_peak
+from rcbht_jax.introspection.alarms import (
+    Alarm,
+    Confidence,
+    conformal_threshold,
+    held_out,
+    peaks,
+    rounded_up,
+    sustained_peak,
+)
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.session import Session
@@ -131,3 +139,10 @@ def test_dates_as_time_stamps_delay_no_alarm():
             if isinstance(event, Belief) and event.head == "outcome" and event.probabilities[1] > 0.7
         ]
         assert found[0].sample == above[1] == above[0] + 20  # held for one belief
+
+
+@pytest.mark.parametrize(("k", "margin"), [(1.0, 0.1), (1.5, 0.1), (0.49, 0.0), (0.8, 0.31), (0.8, -0.1)])
+def test_a_level_that_no_belief_can_pass_or_keep_is_refused(k: float, margin: float) -> None:
+    with pytest.raises(InputError, match="cannot be certain above"):
+        Confidence(k, margin)
+    Confidence(0.8, 0.3)

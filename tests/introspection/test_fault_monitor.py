@@ -50,6 +50,15 @@ def test_the_clock_raises_the_alarm_when_a_sub_task_lasts_too_long() -> None:
     np.testing.assert_allclose(monitor.alarms(streams(2, 1, 0.0), 3)["clock"], 0.9)
 
 
+def test_the_clock_of_a_later_sub_task_starts_when_that_begins() -> None:
+    durations = {1: np.append(np.linspace(1.0, 1.55, 100), np.full(20, np.nan))}
+    monitor = FaultMonitor.fit(streams(100, 20, 6.0), causes(100, 20), durations=durations, config=CONFIG)
+    assert 1.5 < monitor.limits[1] < 1.6
+    new = streams(2, 1, 0.0)
+    np.testing.assert_allclose(new.elapsed, [*np.arange(1, 11) * DT, *np.arange(1, 21) * DT] * 3)
+    np.testing.assert_allclose(monitor.alarms(new, 3)["clock"], 1.0 + 1.6)
+
+
 def test_nothing_is_learned_before_a_fault_can_show() -> None:
     cause, late = causes(100, 20), streams(100, 20, 6.0, since=20)
     visible = np.where(cause == NOMINAL, 0.0, 2.05)

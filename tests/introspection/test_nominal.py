@@ -99,7 +99,7 @@ def by_hand(train: list[NDArray[np.float64]], test: NDArray[np.float64], monitor
                 np.sqrt(np.mean((here - features(part, min(u, len(part) - 1), channel) / bank.scale[channel]) ** 2))
                 for part in train
                 for u in range(now - 60, now + 61)
-                if u >= 0 and abs(u - now) <= reach + 0.1 * t and abs(u - now) <= bank.reach
+                if u >= 0 and abs(u - now) <= min(reach + 0.1 * t, np.ceil(reach + 0.1 * longest))
             ]
             surprise.append(np.log1p((min(near) / bank.reference[now, channel]) ** 2 / FREEDOM))
         out.append(float(np.mean(surprise)))
@@ -302,6 +302,10 @@ def test_alarms_are_judged_by_the_onset() -> None:
         (NominalMonitor(), [1e200 * part for part in pushes(3, 0)], "not finite numbers, or huge"),  # all scores were 0
         (NominalMonitor(calibration="none"), pushes(3, 0), "cross, split"),
         (NominalMonitor(neighbours=0), pushes(3, 0), "neighbours is 0"),
+        (NominalMonitor(lags=(0.2, -0.4)), pushes(3, 0), r"lags \(0.2, -0.4\)"),
+        (NominalMonitor(lags=((0.2, 0.4),)), pushes(3, 0), r"lags \(\(0.2, 0.4\),\)"),
+        (NominalMonitor(levels=(0.5,)), pushes(3, 0), r"levels \(0.5,\)"),
+        (NominalMonitor(neighbours=1.5), pushes(3, 0), "neighbours 1.5"),
         (NominalMonitor(memory=0), pushes(3, 0), "memory is 0"),
         (NominalMonitor(score_rate=1e-300), pushes(3, 0), "score_rate is 1e-300"),
         (QuantileBand(share=2), pushes(3, 0), "share is 2"),
@@ -343,3 +347,10 @@ def test_a_gaussian_process_finds_course_and_noise() -> None:
     scores = band.scores(late)
     assert scores[:40].max() < 3
     assert scores[40:].min() > 5
+
+
+def test_samples_of_other_axes_are_refused() -> None:
+    monitor = NominalMonitor().fit(pushes(4, 0))
+    for axes, words in ((3, "3 axes"), (1, "1 axis")):
+        with pytest.raises(InputError, match=f"The samples have {words}; the monitor learned 2"):
+            monitor.scores(np.zeros((5, axes)))

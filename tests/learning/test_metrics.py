@@ -106,6 +106,7 @@ def test_the_papers_m_exceeds_one_for_a_long_trial_and_the_own_window_does_not()
     certain = np.array([[0.99, 0.01]])
     made = metrics.certainties([np.repeat(certain, n, 0) for n in (2, 2, 60)], [0, 0, 0], k=0.7)
     assert made.count_max[0] / (made.avg_len[0] / 3) > 1
+    assert made.count_min[0] == 0  # of a trial without a last third
     assert made.m_own[0] == 1
     assert np.isnan(made.m_own[1])
 

@@ -143,6 +143,21 @@ def test_sigmoid_is_the_maximum_likelihood_fit(seed, gap, ups, downs):
     assert loss(found) <= best.fun + 1e-6
 
 
+@pytest.mark.parametrize("seed", [84, 106, 159, 216, 287])
+def test_the_fit_does_not_stop_where_a_whole_step_of_newton_overshoots(seed):
+    """Decision values with outliers, for which steps have to be halved."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(4, 20))
+    positive = np.arange(count) < max(1, int(count * rng.uniform(0.05, 0.6)))
+    f = rng.standard_cauchy(count) * rng.choice([1, 10, 100]) + np.where(positive, 1, -1)
+    ups, downs = positive.sum(), (~positive).sum()
+    target = np.where(positive, (ups + 1) / (ups + 2), 1 / (downs + 2))
+    a, b = probability.fit_sigmoid(f, positive)
+    rest = expit(-(a * f + b)) - target  # the gradient of the likelihood is zero at its maximum, which is unique
+    assert abs(rest.sum()) < 1e-4
+    assert abs((rest * f).sum()) < 1e-4 * np.abs(f).max()
+
+
 def test_sigmoid_of_separable_and_of_useless_values():
     positive = np.arange(20) < 10
     a, b = probability.fit_sigmoid(np.where(positive, 1e6, -1e6), positive)

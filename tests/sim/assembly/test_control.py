@@ -12,7 +12,7 @@ import pytest
 from rcbht_jax.errors import InputError
 from rcbht_jax.robots import kinematics
 from sim_mjx.assembly import sensor, task
-from sim_mjx.assembly.controllers import force_law, goals_in_world
+from sim_mjx.assembly.controllers import force_law, goals_in_world, half_cosine
 from sim_mjx.assembly.rollout import as_float32, stack
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.presets import ONE_ARM, preset
@@ -57,6 +57,16 @@ def test_set_points_turn_with_the_wrist_unless_given_in_the_world() -> None:
     np.testing.assert_allclose(goals_in_world(goal, turn, jnp.bool_(True)), goal)
     # hand straight down: the wrist's x is the world's z, its z the world's -x
     np.testing.assert_allclose(goals_in_world(goal, turn, jnp.bool_(False)), [5.0, 0.0, 10.0], atol=1e-6)
+
+
+def test_a_motion_rests_at_every_waypoint_and_is_halfway_in_half_the_time() -> None:
+    times, poses = np.array([0.0, 2.0, 3.0]), np.array([[1.0, 0.0], [5.0, -2.0], [5.0, 4.0]])
+    at = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 2.5, 3.0, 9.0])
+    share = (1 - np.cos(np.pi / 4)) / 2
+    expected = [poses[0], poses[0], poses[0] + share * (poses[1] - poses[0]), [3.0, -1.0], poses[1], [5.0, 1.0]]
+    np.testing.assert_allclose(half_cosine(times, poses, at), [*expected, poses[2], poses[2]], atol=1e-12)
+    speed = np.diff(half_cosine(times, poses, np.repeat(times, 2) + np.tile([-1e-4, 1e-4], 3)), axis=0)[::2]
+    np.testing.assert_allclose(speed, 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -231,3 +241,16 @@ def test_readings_are_quantised_before_the_filter() -> None:
     np.testing.assert_allclose(reading(direct(step=step), raw), [1.0, -1.5, 0.5, 0.1, -0.15, 0.05], atol=1e-6)
     halved = reading(direct(step=step, d=np.array(0.5)), raw)
     np.testing.assert_allclose(halved, [0.5, -0.75, 0.25, 0.05, -0.075, 0.025], atol=1e-6)
+
+
+def test_readings_are_turned_from_the_wrist_into_the_world() -> None:
+    turn, raw = kinematics.rotation_from_rpy(np.array([0.3, -1.2, 0.5])), np.array([3.0, -2.0, 10.0, 0.1, 0.4, -0.2])
+    params, felt = direct(reference=np.array([0.01, -0.03, 0.05])), jnp.asarray(raw, jnp.float32)
+    about = raw[3:] - np.cross([0.01, -0.03, 0.05], raw[:3])
+    expected = np.concatenate([turn @ raw[:3], turn @ about])
+    state, turned = sensor.begin(params, jnp.zeros(6)), jnp.asarray(turn, jnp.float32)
+    for _, logged in (
+        sensor.read(params, state, felt, jnp.zeros(6), turned),
+        sensor.read_exactly(params, state, felt, turned),
+    ):
+        np.testing.assert_allclose(logged, expected, atol=3e-6)
