@@ -31,11 +31,11 @@ LEVER = 0.02  # m: moments are moved by the force at this distance
 SIMULATED = ("A", "B", "openhrp", "hooked-A", "hooked-B")
 
 
-def moved(one: Profiles, other: Profiles, size: Float64[np.ndarray, "4 6"]) -> float:
-    """Mean AUC of one set against the other, each of whose cells is moved by ``size``, up or down."""
+def moved(one: Profiles, other: Profiles, size: Float64[np.ndarray, "4 6"]) -> Float64[np.ndarray, " draw"]:
+    """AUC, by draw of signs, of one set against the other, each of whose cells is moved by ``size``, up or down."""
     rng = np.random.default_rng(SEED)
     signs = rng.choice([-1.0, 1.0], (DRAWS, *size.shape))
-    return float(np.mean([separability(one, other + (size * sign)[None, :, None]) for sign in signs]))
+    return np.array([separability(one, other + (size * sign)[None, :, None]) for sign in signs])
 
 
 def of_recordings(reference: Profiles) -> dict[str, Any]:
@@ -43,12 +43,16 @@ def of_recordings(reference: Profiles) -> dict[str, Any]:
     one, other = reference[::2], reference[1::2]
     spread = reference.mean(2).std(0, ddof=1)
     even = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
+    shares = {str(share): moved(one, other, share * spread) for share in SHARES}
+    forces = {str(force): moved(one, other, np.tile(force * even, (len(spread), 1))) for force in FORCES}
+    errors = [areas.std(ddof=1) / np.sqrt(DRAWS) for areas in (*shares.values(), *forces.values())]
     return {
         "recordings": len(reference),
         "spread of forces, N, least, median, most": np.quantile(spread[:, :3], (0, 0.5, 1)).tolist(),
         "not moved": separability(one, other),
-        "moved by sd": {str(share): moved(one, other, share * spread) for share in SHARES},
-        "moved by N": {str(force): moved(one, other, np.tile(force * even, (len(spread), 1))) for force in FORCES},
+        "moved by sd": {name: float(areas.mean()) for name, areas in shares.items()},
+        "moved by N": {name: float(areas.mean()) for name, areas in forces.items()},
+        "largest standard error of these means": max(errors),
     }
 
 

@@ -166,10 +166,12 @@ def separability(result: Result) -> Lines:
     rows = result["recordings"]
     forces = list(next(iter(rows.values()))["moved by N"])
     shares = [f"{share} sd" for share in next(iter(rows.values()))["moved by sd"]]
-    yield ("", "asked", "sd, N, median", "not moved", *(f"{force} N" for force in forces), *shares)
+    columns = (*(f"{force} N" for force in forces), *shares)
+    yield ("", "asked", "sd, N, median", "not moved", *columns, "largest standard error")
     for name, row in rows.items():
         areas = (row["not moved"], *(row["moved by N"][force] for force in forces), *row["moved by sd"].values())
-        values = (result["asked"][name], row["spread of forces, N, least, median, most"][1], *areas)
+        spread, error = row["spread of forces, N, least, median, most"][1], row["largest standard error of these means"]
+        values = (result["asked"][name], spread, *areas, error)
         yield (name, *(f"{value:.2f}" for value in values))
 
 
