@@ -138,7 +138,7 @@ def over_seeds(session: SessionPreset, scene: Scene, target: sessions.Target, se
         values = [float(each.measures[name]) for each in runs]
         out[name] = {"mean": float(np.mean(values)), "lowest": min(values), "highest": max(values)}
     places, snapped = zip(*(item for each in runs for item in each.snapped.items()), strict=True)
-    out["snaps"]["interval"] = bootstrap(np.array(snapped), np.array(places), SEED)
+    out["snaps"]["interval"] = list(bootstrap(np.array(snapped), np.array(places), SEED))
     ended = np.concatenate([each.as_recorded for each in runs])
     low, high = bootstrap(ended, np.tile(np.arange(len(session.placements)), seeds), SEED)
     out["outcomes as recorded"]["interval"] = [each * len(session.placements) for each in (low, high)]
