@@ -283,6 +283,12 @@ def test_recordings_of_two_samples_tell_a_range_and_no_noise() -> None:
     np.testing.assert_allclose(auto_tolerance(parts, np.array([2, 2]), needed=5), [1.5, 1.0])
 
 
+def test_an_axis_that_rarely_changes_has_a_share_of_its_whole_range() -> None:
+    wrench = np.zeros((1, 2000, 1))
+    wrench[0, 1000] = 100.0  # outside the usual range, and no noise
+    np.testing.assert_allclose(auto_tolerance(wrench, np.array([2000]), needed=5), [1.5])
+
+
 def test_one_tolerance_serves_all_axes_and_a_larger_one_gives_fewer_words() -> None:
     wrench = wrench_of(5, "noise")
     fine, coarse = (rj.encode(wrench, rule="fit", tolerance=tolerance) for tolerance in (0.05, 0.8))
