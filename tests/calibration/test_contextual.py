@@ -70,6 +70,17 @@ def test_missing_states_are_silent_and_medians_ignore_them():
     assert found.trials.tolist() == [3, 3]
 
 
+def test_a_primitive_that_ends_with_the_rotation_is_inside_and_a_free_slot_is_nowhere() -> None:
+    made = track([9, 9, 1, -5, 50, 6, -20, 7, 80, 99])
+    onset, end = np.array([[0, 1.5, 4.0, 8.5]]), np.array([10.0])
+    assert contextual.trial_limits(made, onset, end, DT)[1][0, 0] == pytest.approx(0.90 * abs(1 - 5) / 2)
+    label = made.label.copy()
+    label[..., [3, 6]] = 0
+    impulse, constant = contextual.trial_limits(replace(made, label=label), onset, end, DT)
+    assert impulse[0, 0] == pytest.approx(0.85 * 7)
+    assert constant[0, 0] == pytest.approx(0.90 * 1)
+
+
 def test_axes_copy_as_the_authors_do_and_the_preset_stands_in():
     impulse, constant = np.arange(60.0, 66)[None], np.arange(1.0, 7)[None]
     limits = contextual.combine(impulse, constant, preset()).thresholds.limits
@@ -121,6 +132,8 @@ def test_context_of_recordings_and_of_none():
     nothing = marked(some, onset_harmonised=np.full((8, 4), np.nan))
     with pytest.raises(InputError, match="states may be missing"):
         contextual.calibrate(nothing, np.arange(8), CONFIG)
+    onset = np.tile([0.0, np.nan, 1.0, 1.5], (8, 1))  # insertions alone are enough
+    assert contextual.calibrate(marked(some, onset_harmonised=onset), np.arange(8), CONFIG).trials.tolist() == [8, 0]
 
 
 def test_poisoned_test_folds_change_no_threshold_and_no_training():
@@ -147,6 +160,26 @@ def test_poisoned_test_folds_change_no_threshold_and_no_training():
         assert before[1] == after[1]  # thresholds, kernel and cost
     assert any((a[0] != b[0]).any() for a, b in zip(answers[:3], answers[3:], strict=True))  # the poison works
     assert np.mean(answers[0][0] == items.y[test]) > 0.6
+
+
+def test_fixed_thresholds_are_one_or_several_in_every_fold() -> None:
+    one = preset().limits
+    several = np.stack([one, 2 * one])
+    for given, expected in ((one, one[None]), (several, several), (GradientThresholds(several), several)):
+        for rows in (np.arange(2), np.arange(5)):
+            np.testing.assert_array_equal(fixed(given)(rows, 0).limits, expected)
+
+
+def test_candidates_are_ranked_by_the_rows_given_and_the_first_of_equals_comes_first() -> None:
+    """Candidates 1 and 2 name the classes of the first four recordings, 0 those of the last four."""
+    telling, mute = np.zeros((2, 6, 25), np.int32), np.zeros((2, 6, 25), np.int32)
+    telling[[0, 1], :, [0, 1]], mute[..., 0] = 10, 10
+    times = np.stack([[mute] * 4 + [telling] * 4, [telling] * 4 + [mute] * 4, [telling] * 4 + [mute] * 4])
+    limits = np.stack([preset().limits * factor for factor in (1, 2, 3)])
+    bank = CandidateBank(GradientThresholds(limits), times, np.tile(np.arange(2, dtype=np.int32), (8, 1)), 2)
+    assert bank.rank(np.arange(4), Objective()).tolist() == [1, 2, 0]
+    assert bank.rank(np.arange(4, 8), Objective()).tolist() == [0, 1, 2]
+    np.testing.assert_array_equal(bank.chooser(Objective(), 2)(np.arange(4), 0).limits, limits[1:])
 
 
 def test_any_features_and_scaling_inside_the_folds():

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from sklearn.metrics import mutual_info_score
 
 from rcbht_jax._util import cma
 from rcbht_jax.annotations import Annotations
@@ -117,6 +118,22 @@ def test_labels_that_name_the_class_have_the_best_scores():
     assert made["information"] == pytest.approx(6 / 25)  # two of 25 labels per axis and layer speak, in three layers
 
 
+def test_scores_of_separation_are_those_of_their_definitions() -> None:
+    rng = np.random.default_rng(2)
+    times = rng.integers(1, 50, (9, 3, 6, 25)) * (rng.random((9, 3, 6, 25)) < 0.15)
+    y = rng.integers(0, 3, (9, 3))
+    layers = [part / np.maximum(part.sum(-1, keepdims=True), 1) for part in np.split(times, [9, 17], axis=-1)]
+    x, label = np.concatenate(layers, -1).reshape(27, 150), y.ravel()
+    means = np.stack([x[label == c].mean(0) for c in range(3)])[label]
+    fisher = np.square(means - x.mean(0)).sum() / np.square(x - x.mean(0)).sum()
+    entropy = mutual_info_score(label, label)
+    levels = np.round(3 * x).astype(int).T
+    information = np.mean([mutual_info_score(label, level) for level in levels]) / entropy
+    agreement = np.minimum(x, means).sum() / x.sum()
+    made = scores(jnp.asarray(times[None], jnp.int32), y, 3)[0]
+    np.testing.assert_allclose(made[2:], [fisher, information, agreement], rtol=1e-4)
+
+
 def test_cma_finds_the_maximum_of_a_tilted_bowl():
     target = np.array([0.3, 0.6, 0.45])
     state = cma.CubeCma(cma.start(np.full(3, 0.5), 0.2))
@@ -192,6 +209,12 @@ def test_trials_on_the_device_are_searched_like_any_others_and_nothing_is_copied
         values = score_candidates(there, CONFIG, random_limits(), chunk=4, group=1)
     np.testing.assert_allclose(values, score_candidates(corpus, CONFIG, random_limits(), chunk=4), atol=2e-5)
     np.testing.assert_allclose(found.thresholds.limits, search(corpus, CONFIG, SMALL).thresholds.limits)
+
+
+def test_a_score_may_have_the_weight_zero() -> None:
+    assert Objective.of({"fisher": 2.0, "fit": 0.0}) == Objective(accuracy=0.0, fit=0.0, fisher=2.0)
+    with pytest.raises(InputError, match="positive weights"):
+        Objective.of({"fisher": 0.0, "fit": -1.0})
 
 
 def test_errors_are_sentences(made):

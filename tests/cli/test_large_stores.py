@@ -172,11 +172,11 @@ def test_thresholds_of_a_large_store_come_from_a_stated_sample(
 
 
 def test_a_sample_has_whole_trials_spread_evenly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = [f"trial-{n // 2}" for n in range(20)]
-    made = Recordings.from_arrays(np.ones((20, 30, 6)), trial=names, arm=["R", "L"] * 10)
+    names = [f"trial-{n // 2}" for n in range(21)]  # the last one has one arm; the others say how many fit
+    made = Recordings.from_arrays(np.ones((21, 30, 6)), trial=names, arm=["R", "L"] * 10 + ["R"])
     store.write_recordings(tmp_path / "a.zarr", made, {}, part=3)
     monkeypatch.setattr(sample, "SAMPLE_BYTES", 7 * 30 * 24)
     found = sample.read_sample(tmp_path / "a.zarr", TaskSpec("outcome", outcomes=()))
-    assert found.recordings.trial.tolist() == ["trial-0"] * 2 + ["trial-4"] * 2 + ["trial-9"] * 2
-    assert found.recordings.arm.tolist() == ["R", "L"] * 3
-    assert (found.trials, found.data_hash) == (10, data_hash(made))
+    assert found.recordings.trial.tolist() == ["trial-0"] * 2 + ["trial-5"] * 2 + ["trial-10"]
+    assert found.recordings.arm.tolist() == ["R", "L"] * 2 + ["R"]
+    assert (found.trials, found.data_hash) == (11, data_hash(made))

@@ -19,7 +19,7 @@ from rcbht_jax.encoding.fit_line import Line, join, span_line
 from rcbht_jax.encoding.rules import config_fields, config_from
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.thresholds import preset
-from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
+from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance, noise_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LLB, Primitive
 from rcbht_jax.types import LabelTracks, Recordings
@@ -272,8 +272,21 @@ def test_the_tolerance_is_a_share_of_the_range_unless_noise_asks_for_more() -> N
     rng = np.random.default_rng(0)
     wave = np.sin(np.arange(2000) / 50)[:, None] * [10.0, 10.0, 0.0]
     noise = rng.normal(size=(2000, 3)) * [0.01, 1.0, 0.0]
-    found = auto_tolerance((wave + noise)[None], np.array([2000]), needed=5)
-    np.testing.assert_allclose(found, [0.3, 2.0, 1.0], rtol=0.05)
+    for needed, least in ((5, 2.0), (20, 1.0), (80, 0.5)):  # a break saves needed tolerances squared, 20 variances
+        found = auto_tolerance((wave + noise)[None], np.array([2000]), needed)
+        np.testing.assert_allclose(found, [0.3, least, 1.0], rtol=0.05)
+
+
+def test_recordings_of_two_samples_tell_a_range_and_no_noise() -> None:
+    parts = np.array([[[0.0, 1.0], [100.0, 1.0]], [[0.0, 1.0], [100.0, 1.0]]])
+    assert noise_of(list(parts)).tolist() == [0.0, 0.0]
+    np.testing.assert_allclose(auto_tolerance(parts, np.array([2, 2]), needed=5), [1.5, 1.0])
+
+
+def test_an_axis_that_rarely_changes_has_a_share_of_its_whole_range() -> None:
+    wrench = np.zeros((1, 2000, 1))
+    wrench[0, 1000] = 100.0  # outside the usual range, and no noise
+    np.testing.assert_allclose(auto_tolerance(wrench, np.array([2000]), needed=5), [1.5])
 
 
 def test_one_tolerance_serves_all_axes_and_a_larger_one_gives_fewer_words() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,19 @@ def test_a_file_takes_a_name_and_what_encoders_take(tmp_path: Path) -> None:
         thresholds.write_thresholds(path, fitted, {})
     write_limits(path, fitted, {})
     assert isinstance(read_limits(path)[0], FitLimits)
+
+
+def test_files_with_tolerances_have_the_version_that_others_refuse(tmp_path: Path) -> None:
+    """Files are read years later: the numbers are part of the format."""
+    row = {"impulse": 4.0, "big": 3.0, "medium": 2.0, "small": 1.0}
+    path, top = tmp_path / "limits.json", {"format": "rcbht-thresholds", "provenance": {}}
+    path.write_text(json.dumps({**top, "format_version": 1, "limits": {"Fz": row}}))
+    assert thresholds.read_thresholds(path, ["Fz"])[0].limits.tolist() == [[4.0, 3.0, 2.0, 1.0]]
+    write_limits(path, FitLimits(np.array([[4.0, 3.0, 2.0, 1.0]]), np.array([0.5])), {}, axes=["Fz"])
+    written = json.loads(path.read_text())
+    assert (written["format_version"], written["limits"]) == (2, {"Fz": {**row, "tolerance": 0.5}})
+    with pytest.raises(InputError, match="of the fit rule"):
+        thresholds.read_thresholds(path, ["Fz"])
 
 
 def test_the_letters_of_a_text_are_no_axes(tmp_path: Path) -> None:

@@ -92,6 +92,23 @@ def test_columns_equal_a_plain_loop(seed, start, length):
     expect("order.primitive.Mx.mean.rising", moments.mean() if moments.size else 0.5)
     expect("order.primitive.Mx.first.rising", moments.min(initial=1))
     expect("order.primitive.Mx.last.rising", moments.max(initial=0))
+    expect("together.primitive.Fx-Mz.falling.rising", ((sign[0] < 0) & (sign[5] > 0)).mean())
+    falling = (np.flatnonzero(sign[3] < 0) + 0.5) / signal_families.MOMENTS
+    expect("order.primitive.Mx.mean.falling", falling.mean() if falling.size else 0.5)
+    for name, values in (("rise", slope[2]), ("fall", -slope[2]), ("steepest", np.abs(slope[2]))):
+        near = values >= values.max() - 1e-6 * np.ptp(values)
+        expect(f"order.primitive.Fz.{name}", np.flatnonzero(near)[0] / signal_families.MOMENTS)
+    root = np.sign(slope) * np.sqrt(np.abs(slope))
+    if np.ptp(root[0]) > 1e-3 and np.ptp(root[2]) > 1e-3:
+        expect("together.primitive.Fx-Fz.correlation.slope", np.corrcoef(root[0], root[2])[0, 1])
+    quarter, change = (top - bottom) / 4, level[2] - mean
+    bounds = mean + quarter * np.array([[-1], [0], [1]])
+    if quarter > 1e-3 and (np.abs(level[2] - bounds) > 1e-4).all():  # rounding decides nothing
+        expect("order.primitive.Fz.above.mean", (change > 0).mean())
+        expect("order.primitive.Fz.above.first", (level[2] > level[2, 0] + 1e-6 * quarter).mean())
+        expect("order.primitive.Fz.high", (change > quarter).mean())
+        expect("order.primitive.Fz.low", (change < -quarter).mean())
+        expect("spread.primitive.Fz.share.10%", np.quantile(change, 0.1) / (top - bottom))
 
 
 def changed(tracks: LabelTracks, factor: float, bias: float) -> LabelTracks:

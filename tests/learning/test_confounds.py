@@ -69,6 +69,21 @@ def test_one_session_is_no_confound_and_copies_are_counted():
     assert doctest.testmod(module).failed + doctest.testmod(wrench_facts).failed == 0
 
 
+def test_first_seconds_have_no_centre_of_a_class_of_one() -> None:
+    assert module.first_mean_score(np.array([[5.0], [5.2], [0.0]]), np.array([0, 0, 1])) == 0.5
+
+
+@pytest.mark.parametrize(("items", "samples", "told"), [(4, 201, True), (4, 200, False), (3, 201, False)])
+def test_first_seconds_are_judged_in_two_items_a_class_and_more_than_two_seconds(
+    items: int, samples: int, told: bool
+) -> None:
+    outcome = np.array(["success", "success", "failure", "failure"])[:items]
+    wrench = np.random.default_rng(0).normal(size=(items, samples, 3)) + 50.0 * (outcome == "success")[:, None, None]
+    recordings = Recordings.from_arrays(wrench, rate=100, outcome=outcome)
+    found = confounds(labelled_intervals(recordings, TaskSpec("outcome")), WrenchFacts.of(recordings))
+    assert ("first second predicts" in " ".join(found)) == told
+
+
 def test_a_bias_that_gives_the_class_away_is_told_by_the_first_second() -> None:
     rng = np.random.default_rng(0)
     outcome = np.array(["success", "failure"] * 10)

@@ -23,6 +23,22 @@ def test_by_deviation_and_not_at_all():
     np.testing.assert_array_equal(fit_scale(x, False)(x), x)
 
 
+def test_an_item_of_weight_two_counts_twice() -> None:
+    rng = np.random.default_rng(0)
+    x, count = rng.normal(size=(9, 3)), np.array([2, 1, 3, 0, 1, 1, 4, 1, 2])
+    weighted = fit_scale(x, True, sample_weight=count.astype(float))
+    repeated = fit_scale(np.repeat(x, count, axis=0), True)
+    np.testing.assert_allclose(weighted(x), repeated(x))
+
+
+def test_a_feature_that_does_not_vary_is_not_blown_up() -> None:
+    rounded = np.full((30, 1), 0.1)
+    assert rounded.std(0)[0] > 0  # by rounding, else the case shows nothing
+    np.testing.assert_allclose(fit_scale(rounded, True)(rounded + 1), 1)
+    one = fit_scale(np.array([[0.0], [5.0]]), True, sample_weight=np.array([1.0, 0.0]))
+    np.testing.assert_array_equal(one(np.array([[0.0], [5.0]])), [[0], [5]])
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(KNOTS, 60))
 def test_ranks_follow_the_empirical_distribution(seed, items):
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.clock import seconds_of
+from rcbht_jax.io.importing.clock import seconds_of, since_epoch
 from rcbht_jax.io.importing.importer import read_source
 
 
@@ -25,6 +25,7 @@ from rcbht_jax.io.importing.importer import read_source
         (["1/5/2024 11:59:59 am", "1/5/2024 12:00:00 pm", "1/5/2024 12:00:01 PM"], [0, 1, 2]),
         (["31.12.2024 23:59:59.900", "01.01.2025 00:00:00.100"], [0, 0.2]),
         (["23:59:59", "00:00:01", "23:59:58"], [0, 2, -1]),  # the last one is only out of order
+        (["20:00:00", "10:00:00", "20:00:00", "07:00:00"], [0, -36000, 0, 39600]),  # 10 h are out of order, 13 a night
         (["09:30:00:050", "09:30:01:000"], [0, 0.95]),
         (["00:59.950", "01:00.000"], [0, 0.05]),
         (["", ""], [np.nan, np.nan]),
@@ -41,6 +42,11 @@ def test_times(texts: list[str], seconds: list[float]) -> None:
 def test_no_times(text: str) -> None:
     with pytest.raises(ValueError):
         seconds_of([text])
+
+
+def test_times_by_themselves_are_counted_in_utc() -> None:
+    texts = ["1970-01-01T02:00:00.5+02:00", "1969-12-31 23:30:00-00:30", "1970-01-01T00:00:01Z"]
+    assert since_epoch(texts).tolist() == [0.5, 0.0, 1.0]
 
 
 def test_a_table_whose_time_is_a_time_of_day(tmp_path: Path) -> None:

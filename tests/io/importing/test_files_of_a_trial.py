@@ -11,6 +11,8 @@ from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Mapping, Track, read_mapping, to_toml
+from rcbht_jax.io.importing.marks import Names, ambiguous, intervals_of, track_intervals
+from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.store import read_recordings
 
 STATES = ("home", "approach", "contact", "search", "insert")
@@ -54,6 +56,25 @@ def test_a_folder_in_the_authors_layout(tmp_path: Path, capsys: pytest.CaptureFi
     assert [marks.code[marks.recording == row].tolist() for row in range(3)] == [[*range(5)], [*range(3)], [*range(5)]]
     ends = [marks.end[marks.recording == row][-1] for row in range(3)]
     np.testing.assert_allclose(ends, [2.001, 2.001, 1.9])  # the recording's, or as stated
+
+
+def test_only_words_that_mean_several_recordings_are_told_and_used_for_none(tmp_path: Path) -> None:
+    (tmp_path / "marks.csv").write_text("recording,label,start,end\na,push,0,1\nrun,pull,0,2\nnone,hold,0,3\n")
+    names = Names([("a.csv", ""), ("mon/run.csv", ""), ("tue/run.csv", "")])
+    warnings: list[tuple[str, str]] = []
+    found = [
+        track_intervals(tmp_path, Path(file), Track("phase", file="marks.csv"), names, place, warnings)
+        for place, file in enumerate(("a.csv", "mon/run.csv", "tue/run.csv"))
+    ]
+    assert found == [[("phase", "push", 0.0, 1.0)], [], []]
+    assert warnings == [("marks.csv", ambiguous("run"))]
+
+
+def test_an_interval_across_midnight_ends_on_the_next_day() -> None:
+    texts = {"label": ["push", "pull"], "start": ["23:59:50", "10:00:00"], "end": ["00:00:10", "09:00:00"]}
+    table = Table("a.csv", {name: np.array(column) for name, column in texts.items()})
+    spans = [interval[1:] for _, interval in intervals_of(table, Track("phase", file="a.csv"))]
+    assert spans == [("push", 86390.0, 86410.0), ("pull", 36000.0, 32400.0)]  # an hour back is a mistake, not a day
 
 
 def test_a_pattern_chooses_files(tmp_path: Path) -> None:

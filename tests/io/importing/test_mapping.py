@@ -122,6 +122,15 @@ def test_a_reading_that_is_held_is_noted_though_it_is_rotated() -> None:
     assert record.notes == ["saturated:Fz"]
 
 
+def test_rows_of_each_of_many_groups_are_a_recording() -> None:
+    runs = np.array(["b", "a", "c", "a", "b", "c", "c", "d", "d", "b", "a", "d"])
+    columns = {"t": np.repeat(np.arange(6.0), 2), "Fz": np.arange(12.0), "run": runs}
+    found = records(Table("f", columns), Mapping((Channel("Fz"),), time="t", group="run"))
+    assert {record.name: record.values[:, 0].tolist() for record in found} == {
+        f"f#{run}": np.flatnonzero(runs == run).tolist() for run in "abcd"
+    }
+
+
 def test_rows_without_a_group_are_reported() -> None:
     columns = {"t": np.arange(9.0), "Fz": np.ones(9), "run": np.array([""] * 3 + ["a"] * 6)}
     reason, record = records(Table("a", columns), Mapping((Channel("Fz"),), time="t", group="run"))

@@ -207,6 +207,21 @@ def reading(params: sensor.SensorParams, raw: np.ndarray, noise: np.ndarray | No
     return np.asarray(sensor.read(params, sensor.begin(params, felt), felt, normal, jnp.eye(3))[1])
 
 
+def test_exact_readings_are_those_without_noise_and_quantisation() -> None:
+    rng = np.random.default_rng(0)
+    params = direct(
+        a=np.array(0.9), b=np.array(0.1), c=np.array(0.7), d=np.array(0.3), delay=np.array(2, np.int32),
+        tared=np.array(1.0), reference=np.array([0.01, -0.03, 0.05]), bias=rng.normal(size=6),
+    )  # fmt: skip
+    turned = jnp.asarray(kinematics.rotation_from_rpy(np.array([0.3, -1.2, 0.5])), jnp.float32)
+    raw = jnp.asarray(rng.normal(size=(6, 6)), jnp.float32)
+    state = other = sensor.begin(params, raw[0])
+    for felt in raw:
+        state, logged = sensor.read(params, state, felt, jnp.zeros(6), turned)
+        other, exact = sensor.read_exactly(params, other, felt, turned)
+        np.testing.assert_allclose(exact, logged, atol=1e-5)
+
+
 def test_noise_is_added_before_the_filter_with_its_standard_deviation() -> None:
     raw, normal = np.arange(6.0), np.array([1.0, -1.0, 2.0, 0.5, -0.5, 3.0])
     sd = np.array([0.105, 0.077, 0.065, 0.0017, 0.0042, 0.0038])

@@ -70,6 +70,11 @@ def test_a_small_moment_of_the_other_sign_is_forgiven() -> None:
         assert gate.wrong_signs(reference, test)[1, 1] == wrong
 
 
+@pytest.mark.parametrize(("value", "holds"), [(1.0, True), (2.0, True), (0.99, False), (2.01, False), (None, False)])
+def test_limits_are_within_themselves(value: float | None, holds: bool) -> None:
+    assert gate.Check(value, low=1.0, high=2.0).holds == holds
+
+
 def test_quick_events_are_compared_where_there_are_any() -> None:
     ring, none = Ring(2.3, 40.0, 0.05), Dynamics(np.zeros(0), None)
     recorded = Dynamics(np.full(3, 20.0), ring)
@@ -79,6 +84,9 @@ def test_quick_events_are_compared_where_there_are_any() -> None:
     other = Dynamics(np.full(3, 12.0), Ring(2.9, 60.0, 0.12))
     missed = {"first impact", "ring hertz", "ring peak", "ring damping", "snaps", "onsets"}
     assert failed(gate.checks(LIMITS, trials(0), trials(1), (recorded, other), (0.9, 0.4), 0.9)) == missed
+    found = gate.checks(LIMITS, trials(0), trials(1), (recorded, other))
+    assert found["first impact"].value == pytest.approx(12 / 20)  # of the simulated to the recorded one
+    assert found["ring hertz"].value == pytest.approx(2.9 / 2.3)
     without = gate.checks(LIMITS, trials(0), trials(1), (recorded, none))
     assert failed(without) == {"first impact", "ring hertz", "ring peak", "ring damping"}
     assert gate.as_json(without)["first impact"]["value"] is None
