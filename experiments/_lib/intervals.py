@@ -105,7 +105,8 @@ def jackknife(
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
     """95 % bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
 
-    Where it has no width, as without a mistake, the interval is Wilson's, each group counting once.
+    Where it has no width, as without a mistake, the interval is Wilson's, each group counting once. It draws by a seed
+    of its own, :func:`of_sums` always the same: results were made with either.
     """
     number = np.unique(groups, return_inverse=True)[1]
     right, total = np.bincount(number, correct), np.bincount(number)
