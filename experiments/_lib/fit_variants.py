@@ -20,8 +20,8 @@ _NORMAL_MAD = 0.6745  # median of |x| of a standard normal variable
 _REST = 3  # samples of a run whose slope decides whether it rests
 
 
-class Sums:
-    """Sums from the beginning, of which the line through any span of any axis follows."""
+class SumsOfAxes:
+    """As :class:`piecewise.Sums`, of several axes: sums of which the line through any span of any axis follows."""
 
     def __init__(self, y: Float[np.ndarray, "time axis"]) -> None:
         y = y - y.mean(axis=0)
@@ -59,7 +59,7 @@ def breaks(
         small: the small gradient limit of each axis, units per second: below it a run rests.
         variant: what is changed.
     """
-    sums, axes = Sums(y), np.arange(y.shape[1])
+    sums, axes = SumsOfAxes(y), np.arange(y.shape[1])
     start, found = np.zeros(len(axes), np.int64), [[0] for _ in axes]
     tolerance = variant.wider * tolerance
     noise, now = Noise(y, config, variant), tolerance
@@ -82,7 +82,7 @@ def breaks(
     return found, now
 
 
-def _saved(sums: Sums, start: Ints, places: Ints, end: int, axes: Ints) -> Floats:
+def _saved(sums: SumsOfAxes, start: Ints, places: Ints, end: int, axes: Ints) -> Floats:
     """Squared residual that a break at each place saves ``[place, axis]``, -1 where none is allowed."""
     allowed = (places >= start + 2) & (places <= end - 2)
     first = np.minimum(start, places)
@@ -116,7 +116,7 @@ def words_of(
     y: Float[np.ndarray, "time axis"], found: list[list[int]], dt: float, limits: Floats, tolerance: Floats
 ) -> list[Words]:
     """Words of every axis, named as the fit rule names its runs (impulses apart)."""
-    sums, out = Sums(y), []
+    sums, out = SumsOfAxes(y), []
     for axis, starts in enumerate(found):
         start = np.array(starts)
         stop = np.append(start[1:], len(y))

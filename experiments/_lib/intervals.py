@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,12 @@ def by_trial(mean: float, trials: int) -> dict[str, Any]:
     """A share of items right with Wilson's interval, each trial counting once: items of a trial are not independent."""
     low, high = wilson(mean * trials, trials)
     return {"mean": mean, "low": low, "high": high, "interval by": "Wilson, by trial"}
+
+
+def of_auc(area: float, kinds: Sequence[int]) -> tuple[float, float]:
+    """Wilson's interval of an area under the ROC curve, of as many trials as the fewer of the two kinds has."""
+    fewer = min(kinds)
+    return wilson(area * fewer, fewer)
 
 
 def drawn(groups: int, seed: int) -> Int[np.ndarray, "draw group"]:
@@ -99,7 +105,8 @@ def jackknife(
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
     """95 % bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
 
-    Where it has no width, as without a mistake, the interval is Wilson's, each group counting once.
+    Where it has no width, as without a mistake, the interval is Wilson's, each group counting once. It draws by a seed
+    of its own, :func:`of_sums` always the same: results were made with either.
     """
     number = np.unique(groups, return_inverse=True)[1]
     right, total = np.bincount(number, correct), np.bincount(number)

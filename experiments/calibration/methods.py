@@ -96,7 +96,6 @@ def compare(
     spec: TaskSpec,
     measure: Callable[[validation.Estimator, LabelledIntervals], dict[str, Any]],
     count: int,
-    only: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     items = labelled_intervals(recordings, spec)
     config = EncoderConfig(5, recordings.dt)
@@ -106,8 +105,6 @@ def compare(
         "duration alone": measure(validation.forest(items.seconds, items.y), items),
     }
     for name, choose in methods(recordings, items, config, count).items():
-        if only and name not in only:
-            continue
         for title, features in (("words", WORDS), ("words, duration and offset", FULL)):
             start = time.perf_counter()
             learner = CalibratedSvm(recordings, items, config, choose, GRID, features).learner()

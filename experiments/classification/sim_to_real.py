@@ -174,13 +174,13 @@ class Experiment:
         together = Recordings.join(parts)
         return together, labelled_intervals(together, states(outcomes=()))
 
-    def shift(self, boundaries: str = "harmonised") -> dict[str, Any]:
+    def shift(self) -> dict[str, Any]:
         """How far features of recorded states lie from those of simulated ones, in deviations of the simulated.
 
         Per family the median and the 95th percentile over columns and states, and the columns that are farthest off.
         """
-        features = {name: self.sets.features(name, Labelling(), boundaries) for name in (*ALL.train, *REAL)}
-        y = {name: self.sets.items(name, boundaries).y for name in features}
+        features = {name: self.sets.features(name, Labelling(), "harmonised") for name in (*ALL.train, *REAL)}
+        y = {name: self.sets.items(name, "harmonised").y for name in features}
         simulated = np.concatenate([features[name].values for name in ALL.train]).astype(np.float64)
         width = np.maximum(simulated.std(0), GRID.floor)
         states = np.unique(y["A"]).tolist()

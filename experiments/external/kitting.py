@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 from tqdm import tqdm
 
-from experiments._lib.intervals import of_sums
+from experiments._lib.intervals import of_auc, of_sums
 from experiments._lib.other_robots import KITTING, of_other_robot
 from experiments._lib.results_io import write_result
 from rcbht_jax import labels
@@ -42,7 +42,7 @@ from rcbht_jax.introspection.alarms import conformal_threshold, trials_needed
 from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import FEWEST, Watched, auroc, hold_out, judge
 from rcbht_jax.introspection.nominal_peers import IsolationForestMonitor, QuantileBand
-from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
+from rcbht_jax.learning.metrics import has_width, percentile_interval
 from rcbht_jax.types import Recordings
 
 CHANNELS = tuple(KITTING)
@@ -146,10 +146,10 @@ def interval(one: Watched, rng: np.random.Generator) -> list[float] | None:
     for _ in range(BOOTSTRAP):
         rows = np.concatenate([rng.choice(kind, len(kind)) for kind in kinds])
         draws.append(auroc(one.nominal[rows], peak[rows]))
-    fewer, known = min(map(len, kinds)), np.array(draws, float)
-    if fewer > 1 and has_width(*(ends := percentile_interval(known, fewer))):
+    counts, known = [len(kind) for kind in kinds], np.array(draws, float)
+    if min(counts) > 1 and has_width(*(ends := percentile_interval(known, min(counts)))):
         return list(ends)
-    return list(wilson(known.mean() * fewer, fewer))
+    return list(of_auc(float(known.mean()), counts))
 
 
 def in_words(recordings: Recordings) -> Recordings:

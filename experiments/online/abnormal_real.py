@@ -20,6 +20,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -82,9 +83,9 @@ def halves(groups: list[Flags], rng: np.random.Generator) -> tuple[Flags, Flags]
     return train, np.any(groups, axis=0) & ~train
 
 
-def mixed(session: NDArray[np.str_], rng: np.random.Generator) -> Iterator[tuple[Flags, Flags]]:
-    """Half of every session trains."""
-    yield halves([session == s for s in "ABC"], rng)
+def mixed(names: str, session: NDArray[np.str_], rng: np.random.Generator) -> Iterator[tuple[Flags, Flags]]:
+    """Half of every session of these names trains."""
+    yield halves([session == name for name in names], rng)
 
 
 def held_out(session: NDArray[np.str_], rng: np.random.Generator) -> Iterator[tuple[Flags, Flags]]:
@@ -94,15 +95,10 @@ def held_out(session: NDArray[np.str_], rng: np.random.Generator) -> Iterator[tu
         yield train | (session == seen), test | (session == unseen)
 
 
-def sessions(session: NDArray[np.str_], rng: np.random.Generator) -> Iterator[tuple[Flags, Flags]]:
-    """Half of A and half of B train."""
-    yield halves([session == s for s in "AB"], rng)
-
-
 SPLITS: dict[str, Callable[[NDArray[np.str_], np.random.Generator], Iterator[tuple[Flags, Flags]]]] = {
-    "mixed": mixed,
+    "mixed": partial(mixed, "ABC"),
     "held out": held_out,
-    "sessions": sessions,
+    "sessions": partial(mixed, "AB"),
 }
 
 

@@ -85,7 +85,8 @@ def interval(p: Floats, true: NDArray[np.bool_], trial: NDArray[Any]) -> list[fl
 
     A draw adds noise, which an error counts as error: what the draws exceed it by in the mean is subtracted.
     """
-    gap = sums((p - true)[:, None] * (bin_of(p)[:, None] == np.arange(BINS)), trial)  # [trial, bin]
+    bin_of = np.minimum((p * BINS).astype(np.int64), BINS - 1)
+    gap = sums((p - true)[:, None] * (bin_of[:, None] == np.arange(BINS)), trial)  # [trial, bin]
     steps, counts = sums(np.ones(len(p)), trial), drawn(len(gap), 0)
     found = np.abs(counts @ gap).sum(1) / (counts @ steps)
     low, high = np.array(metrics.percentile_interval(found, len(gap))) - found.mean() + error(p, true)
@@ -94,13 +95,7 @@ def interval(p: Floats, true: NDArray[np.bool_], trial: NDArray[Any]) -> list[fl
 
 def error(p: Floats, true: NDArray[np.bool_]) -> float:
     """Calibration error of a belief ``[step]`` in what is true or not."""
-    gap = np.bincount(bin_of(p), p - true, BINS)
-    return float(np.abs(gap).sum() / len(p))
-
-
-def bin_of(p: Floats) -> Ints:
-    """The bin of each belief ``[step]``."""
-    return np.minimum((p * BINS).astype(np.int64), BINS - 1)
+    return metrics.calibration_error(p[:, None], (~true).astype(np.int64), BINS)  # of one class, number 0
 
 
 def row(name: str, seed: int) -> dict[str, Any]:

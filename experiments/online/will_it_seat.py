@@ -40,6 +40,7 @@ from sklearn.metrics import roc_auc_score
 
 from experiments._lib.benchmarks import FOLDS
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import of_auc
 from experiments.online.seat_trials import APART, KINDS, LENGTH, SESSIONS, SEVERITIES, SeatTrials, seat_trials
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.encoding.batch import encode_batch
@@ -162,11 +163,11 @@ def targets(s: Seen, name: str) -> Ints:
 
 def area(p: Floats, y: Ints) -> dict[str, Any] | None:
     """Area under the ROC curve with its interval; None where one outcome is missing."""
-    fewer = int(min(y.sum(), len(y) - y.sum()))
-    if not fewer:
+    counts = np.bincount(y, minlength=2).tolist()
+    if not all(counts):
         return None
     mean = float(roc_auc_score(y, p))
-    low, high = wilson(mean * fewer, fewer)
+    low, high = of_auc(mean, counts)
     return {"mean": round(mean, 4), "low": round(low, 4), "high": round(high, 4)}
 
 

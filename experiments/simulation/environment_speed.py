@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.results_io import write_result
-from experiments._lib.timing import seconds_of
+from experiments._lib.timing import timed
 from sim_mjx import engines, env
 from sim_mjx.assembly.rollout import batch_size
 from sim_mjx.assembly.task import CONTROL_PERIOD
@@ -33,12 +33,6 @@ CONFIGS = {
     "hand moved, joints and wrench seen": env.EnvConfig(action="cartesian", observe=("joints", "wrench")),
 }
 CALL = 40  # steps of the environment per call
-
-
-def timed(work: Callable[[], Any], repeats: int) -> tuple[float, list[float]]:
-    """Seconds of the first call, which compiles, and of the others."""
-    first, *others = [seconds_of(work)[1] for _ in range(repeats + 1)]
-    return first, others
 
 
 def row(steps: int, first: float, seconds: list[float], host: float = 0.0) -> dict[str, Any]:

@@ -17,9 +17,9 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import recorded, rounded
-from experiments._lib.intervals import jackknife
+from experiments._lib.intervals import jackknife, of_auc
 from experiments._lib.results_io import write_result
-from rcbht_jax.learning.metrics import has_width, wilson
+from rcbht_jax.learning.metrics import has_width
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.presets import HOOKED, ONE_ARM
@@ -107,10 +107,9 @@ def intervals(reference: np.ndarray, test: np.ndarray, area: float | None) -> di
         score = signature.compare(one, other)
         return np.array([score.coverage, score.w1_over_sd, score.dtw_over_sd, gate.spread(one, other)])
 
-    fewer = min(len(reference), len(test))
     low, high = jackknife(measures, reference, test)
     ends = np.stack([np.maximum(low, 0.0), np.minimum(high, (1.0, *[np.inf] * 3))], 1)
-    found = rounded([*ends.tolist(), list(wilson((area or 0.0) * fewer, fewer))])
+    found = rounded([*ends.tolist(), list(of_auc(area or 0.0, [len(reference), len(test)]))])
     return {name: each for name, each in zip(MEASURES, found, strict=True) if has_width(*each)}
 
 

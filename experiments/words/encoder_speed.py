@@ -20,7 +20,7 @@ from jax.experimental.layout import Format, Layout
 
 from experiments._lib.random_walks import AXES, SAMPLES, recordings
 from experiments._lib.results_io import write_result
-from experiments._lib.timing import seconds_of
+from experiments._lib.timing import seconds_of, timed
 from rcbht_jax.encoding import encoder, gpu
 from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -31,11 +31,11 @@ SEED = 0
 SCANNED = 1024  # recordings of the comparison with the scan
 
 
-def timed(work: Callable[[], Any], repeats: int) -> dict[str, Any]:
-    """Seconds of the first call, which compiles, and of the others."""
-    seconds = [seconds_of(work)[1] for _ in range(repeats + 1)]
-    median = statistics.median(seconds[1:])
-    return {"compile_s": round(seconds[0] - median, 2), "seconds": [round(value, 6) for value in seconds[1:]]}
+def calls(work: Callable[[], Any], repeats: int) -> dict[str, Any]:
+    """Seconds of compilation, by the first call, and of the others."""
+    first, others = timed(work, repeats)
+    median = statistics.median(others)
+    return {"compile_s": round(first - median, 2), "seconds": [round(value, 6) for value in others]}
 
 
 def speed(function: Callable[..., LabelTracks], wrench: Array, layout: bool, repeats: int) -> dict[str, Any]:
@@ -44,7 +44,7 @@ def speed(function: Callable[..., LabelTracks], wrench: Array, layout: bool, rep
     length = jnp.full(len(wrench), SAMPLES, jnp.int32)
     compiled = jax.jit(function, out_shardings=Format(Layout.AUTO) if layout else None)
     run, compiling = seconds_of(lambda: compiled.lower(limits, wrench, length).compile())
-    row = timed(lambda: run(limits, wrench, length), repeats)
+    row = calls(lambda: run(limits, wrench, length), repeats)
     row["compile_s"] = round(compiling, 2)
     return row | _rate(wrench, row)
 
@@ -52,7 +52,7 @@ def speed(function: Callable[..., LabelTracks], wrench: Array, layout: bool, rep
 def compact(config: EncoderConfig, wrench: Array, repeats: int) -> dict[str, Any]:
     """Samples per second of the compact form."""
     limits, length = jnp.asarray(preset().limits, jnp.float32), jnp.full(len(wrench), SAMPLES, jnp.int32)
-    row = timed(lambda: encode_on_device(config, limits, wrench, length), repeats)
+    row = calls(lambda: encode_on_device(config, limits, wrench, length), repeats)
     return row | _rate(wrench, row)
 
 

@@ -25,7 +25,7 @@ import tyro
 
 from experiments._lib.benchmarks import rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.fit_variants import Sums, Variant, breaks, words_of
+from experiments._lib.fit_variants import SumsOfAxes, Variant, breaks, words_of
 from experiments._lib.word_stability import Words, agreement, noisy
 from experiments.words.rate_distortion import TARGETS, needed, significant
 from experiments.words.sets import OURS, Part, part
@@ -55,7 +55,7 @@ def curve(name: str, kind: str) -> dict[str, Any]:
         missed, total, words, numbers = (np.zeros(len(data.recordings.axes)) for _ in range(4))
         for y in signals(data.recordings):
             found = breaks(y, config, data.tolerance * factor, small, variant)[0]
-            sums = Sums(y)
+            sums = SumsOfAxes(y)
             for axis, starts in enumerate(found):
                 start = np.array(starts)
                 stop = np.append(start[1:], len(y))
@@ -83,7 +83,7 @@ def of_clean(name: str, kind: str) -> dict[str, Any]:
         for axis, starts in enumerate(breaks(y, config, data.tolerance, small, STABLE[kind])[0]):
             start = np.array(starts)
             spans = start, np.append(start[1:], len(y)), np.full_like(start, axis)
-            missed = missed + Sums(y).line(*spans)[1].sum() * np.eye(y.shape[1])[axis]
+            missed = missed + SumsOfAxes(y).line(*spans)[1].sum() * np.eye(y.shape[1])[axis]
             words += len(start)
         total = total + ((y - y.mean(0)) ** 2).sum(0)
     rate = words / y.shape[1] / data.seconds

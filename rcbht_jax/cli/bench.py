@@ -226,7 +226,7 @@ def _line_fits(window: int, wrench: Any) -> Any:
     return jnp.einsum("nwta,t->nwa", cut, weights), cut.mean(2)
 
 
-def fit_rule(wrench: NDArray[np.float32], window: int = 5) -> tuple[Values, dict[str, float]]:
+def fit_rule(wrench: NDArray[np.float32]) -> tuple[Values, dict[str, float]]:
     """A data set as ``encode`` labels it, and a step inside a scan; their speed in units of the published rule's."""
     import jax
     import jax.numpy as jnp
@@ -237,6 +237,7 @@ def fit_rule(wrench: NDArray[np.float32], window: int = 5) -> tuple[Values, dict
     from rcbht_jax.encoding.thresholds import preset
     from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 
+    window = 5
     ours, published = fit.FitConfig(window=window, dt=DT), encoder.EncoderConfig(window=window, dt=DT)
     length = np.full(len(wrench), wrench.shape[1], np.int32)
     limits = FitLimits(np.asarray(preset().limits), auto_tolerance(wrench, length, ours.needed))
@@ -260,7 +261,7 @@ def fit_rule(wrench: NDArray[np.float32], window: int = 5) -> tuple[Values, dict
     return values, {f"fit/encode/W={window}": batch.ratio, "fit/step": step.ratio}
 
 
-def streaming_step(window: int = 5, windows: int = 2000) -> tuple[Values, float]:
+def streaming_step(windows: int = 2000) -> tuple[Values, float]:
     """One step for six axes: inside a scan, as a single jitted call, and that in units of a call that does nothing."""
     import jax
     import jax.numpy as jnp
@@ -268,6 +269,7 @@ def streaming_step(window: int = 5, windows: int = 2000) -> tuple[Values, float]
     from rcbht_jax.encoding.encoder import EncoderConfig, init, step
     from rcbht_jax.encoding.thresholds import preset
 
+    window = 5
     config, limits = EncoderConfig(window=window, dt=DT), jnp.asarray(preset().limits, jnp.float32)
     samples = jnp.asarray(signal(1, windows * window)[0].reshape(windows, window, 6))
     scan = jax.jit(lambda s, x: jax.lax.scan(lambda c, w: step(config, limits, c, w), s, x))

@@ -142,12 +142,9 @@ class Calibrate(RuleCommand):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache
-        from rcbht_jax.calibration.dataset import calibration_data
         from rcbht_jax.calibration.sample import read_sample
-        from rcbht_jax.encoding.limit_files import write_limits
-        from rcbht_jax.encoding.rules import config_fields
         from rcbht_jax.io.store import read_table
-        from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
+        from rcbht_jax.learning.tasks import TaskSpec
 
         self._check()
         compile_cache.use(self.compile_cache)
@@ -155,7 +152,14 @@ class Calibrate(RuleCommand):
             return self._rest(read_sample(self.store, self._everything))
         task = chosen_task(self.task, read_table(self.store))
         spec = TaskSpec(task, self.boundaries, self.arm, self.source, self.session)
-        sample = read_sample(self.store, spec)
+        return self._by_classes(read_sample(self.store, spec), spec)
+
+    def _by_classes(self, sample: Sample, spec: TaskSpec) -> dict[str, Any]:
+        from rcbht_jax.calibration.dataset import calibration_data
+        from rcbht_jax.encoding.limit_files import write_limits
+        from rcbht_jax.encoding.rules import config_fields
+        from rcbht_jax.learning.tasks import labelled_intervals
+
         recordings = sample.recordings
         config = self.config(recordings.dt)
         items = labelled_intervals(recordings, spec)

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -39,9 +40,12 @@ from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.events import Event
+    from rcbht_jax.introspection.model import IntrospectionModel
     from rcbht_jax.introspection.session import Session
+    from rcbht_jax.introspection.training import HeadSpec
     from rcbht_jax.io.messages import Message
     from rcbht_jax.io.rosbags import McapWriter
+    from rcbht_jax.types import Recordings
 
 Family = Literal[  # that a stream can keep up to date
     "histogram", "ngram", "duration", "attributes", "offset", "course", "edges", "parts", "spread", "together", "order",
@@ -93,34 +97,14 @@ class TrainOnline(RuleCommand):
     def run(self) -> dict[str, Any]:
         from rcbht_jax.encoding.rules import made_by
         from rcbht_jax.introspection.model import save
-        from rcbht_jax.introspection.training import HeadSpec, train_model
+        from rcbht_jax.introspection.training import train_model
         from rcbht_jax.io.store import read_recordings
-        from rcbht_jax.learning.confounds import confounds
-        from rcbht_jax.learning.rare_classes import learnable
-        from rcbht_jax.learning.tasks import TaskSpec, chosen_recordings, labelled_intervals, track_of
-        from rcbht_jax.learning.wrench_facts import WrenchFacts
+        from rcbht_jax.learning.tasks import chosen_recordings
 
         recordings = read_recordings(self.store)
-        filters = TaskSpec("", sources=self.source, sessions=self.session, outcomes=self.outcome or None)
-        names = self.task or (chosen_task("", recordings),)
-        tasks = [replace(filters, task=name, seconds=self.first_seconds) for name in names]
-        phases = [task for task in tasks if track_of(recordings, task)][:1] if self.detect else []
-        if self.detect and not phases:
-            raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(names)}.")
-        specs = tuple(
-            HeadSpec(
-                task,
-                self.families,
-                relative=self.relative,
-                ranks=self.ranks,
-                phase=number >= len(tasks),
-                false_alarms=self.false_alarms,
-                weighing=self.weighing,
-            )
-            for number, task in enumerate([*tasks, *phases])
-        )
+        specs = self._heads(recordings)
         config = self.config(recordings.dt)
-        rows = np.flatnonzero(np.any([chosen_recordings(recordings, task) for task in tasks], axis=0))
+        rows = np.flatnonzero(np.any([chosen_recordings(recordings, spec.task) for spec in specs], axis=0))
         training = recordings.take(rows) if len(rows) else recordings  # without any, training raises the error
         limits = self.limits(config, self.read_limits(training, self.store)[0], training)
         with progress_bar("train", "snapshots") as bar:
@@ -131,21 +115,31 @@ class TrainOnline(RuleCommand):
 
             model = train_model(recordings, specs, config, limits, self.seed, progress)
         save(self.out, model)
-        facts = WrenchFacts.of(recordings)
-        items = [learnable(labelled_intervals(recordings, spec.task))[0] for spec in specs]
-        heads = {
-            head.name: {
-                "classes": list(head.classes),
-                "kernel": head.machine.svm.spec.kernel,
-                "cost": head.machine.svm.spec.cost,
-                "features": int(head.machine.svm.center.size),
-                "dropped": learnt.dropped,
-                "confounds": " ".join(confounds(learnt, facts)),
-            }
-            for learnt, head in zip(items, model.heads, strict=True)
-        }
-        encoder = made_by(config, limits)["config"]
+        encoder, heads = made_by(config, limits)["config"], _summaries(recordings, specs, model)
         return {"model": str(self.out), "encoder": encoder, "heads": heads, "data_hash": model.data_hash}
+
+    def _heads(self, recordings: Recordings) -> tuple[HeadSpec, ...]:
+        """What is learned: a classifier per task, and one that detects when sub-tasks begin."""
+        from rcbht_jax.introspection.training import HeadSpec
+        from rcbht_jax.learning.tasks import TaskSpec, track_of
+
+        names = self.task or (chosen_task("", recordings),)
+        filters = TaskSpec(
+            "", sources=self.source, sessions=self.session, outcomes=self.outcome or None, seconds=self.first_seconds
+        )
+        tasks = [replace(filters, task=name) for name in names]
+        phases = [task for task in tasks if track_of(recordings, task)][:1] if self.detect else []
+        if self.detect and not phases:
+            raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(names)}.")
+        head = partial(
+            HeadSpec,
+            families=self.families,
+            relative=self.relative,
+            ranks=self.ranks,
+            false_alarms=self.false_alarms,
+            weighing=self.weighing,
+        )
+        return (*(head(task, phase=False) for task in tasks), *(head(task, phase=True) for task in phases))
 
     def text(self, result: dict[str, Any]) -> str:
         by = " of words by the fit rule" if result["encoder"]["rule"] == "fit" else ""
@@ -318,6 +312,28 @@ class ExportModel(Command):
         heads = ", ".join(head["name"] for head in result["heads"])
         platforms = " and ".join(result["platforms"])
         return f"{result['chain']}: {heads} for {platforms}, {result['bytes'] / 1e6:.1f} MB"
+
+
+def _summaries(recordings: Recordings, specs: tuple[HeadSpec, ...], model: IntrospectionModel) -> dict[str, Any]:
+    """What was learned, by classifier: classes, machine, classes left out, and what else tells the classes apart."""
+    from rcbht_jax.learning.confounds import confounds
+    from rcbht_jax.learning.rare_classes import learnable
+    from rcbht_jax.learning.tasks import labelled_intervals
+    from rcbht_jax.learning.wrench_facts import WrenchFacts
+
+    facts = WrenchFacts.of(recordings)
+    items = [learnable(labelled_intervals(recordings, spec.task))[0] for spec in specs]
+    return {
+        head.name: {
+            "classes": list(head.classes),
+            "kernel": head.machine.svm.spec.kernel,
+            "cost": head.machine.svm.spec.cost,
+            "features": int(head.machine.svm.center.size),
+            "dropped": learnt.dropped,
+            "confounds": " ".join(confounds(learnt, facts)),
+        }
+        for learnt, head in zip(items, model.heads, strict=True)
+    }
 
 
 def _left_out(session: Session) -> int:

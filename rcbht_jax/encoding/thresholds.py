@@ -20,7 +20,7 @@ from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.signals import distinct, numbers_of, texts
 from rcbht_jax._util.untrusted import checked_number, load_json
 from rcbht_jax._util.url_path import as_path
-from rcbht_jax._util.values import expect, positive, same
+from rcbht_jax._util.values import ByValue, expect, positive
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Array
@@ -37,7 +37,7 @@ MOMENT_SCALE = 10.0  # moments of a hand-sized lever are about a tenth of the fo
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class GradientThresholds:
+class GradientThresholds(ByValue):
     """Gradient limits, largest first; negative slopes use the same limits, mirrored (paper, section III-A).
 
     A plain pytree: ``jax.grad``, ``jax.tree.map`` and ``jax.device_get`` return another one. The constructor checks
@@ -64,9 +64,6 @@ class GradientThresholds:
         """
         validate(host_limits(self))
         return self
-
-    def __eq__(self, other: object) -> bool:
-        return same(self, other)
 
 
 Thresholds = GradientThresholds | Float[Array, "*batch axis 4"]  # what encoders take: the object, or its limits

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.signals import numbers_of
-from rcbht_jax._util.values import positive, same
+from rcbht_jax._util.values import ByValue, positive
 from rcbht_jax.encoding.thresholds import validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
@@ -26,7 +26,7 @@ _SECOND_DIFFERENCE = 6**0.5  # deviation of x[i] - 2 x[i+1] + x[i+2] of white no
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class FitLimits:
+class FitLimits(ByValue):
     """Gradient limits and tolerance of every axis, for :mod:`rcbht_jax.encoding.fit`; equal if all numbers are.
 
     Attributes:
@@ -62,9 +62,6 @@ class FitLimits:
                 "3.4e38, which single precision holds."
             )
         return np.concatenate([gradients, tolerance[..., None]], axis=-1)
-
-    def __eq__(self, other: object) -> bool:
-        return same(self, other)
 
 
 def by_lane(limits: Array, like: Array) -> Array:

@@ -91,53 +91,67 @@ def sound(path: Path) -> Iterator[tuple[Path, list[str]]]:
 def _problems(path: Path, file: BinaryIO, size: int) -> list[str]:
     """Problems of a file, in a few words each; needs the memory of one chunk."""
     problems: Counter[str] = Counter()
-    unpacked = described = found = 0
+    kinds: Counter[int] = Counter()  # records outside and inside of chunks
+    unpacked = 0
     stated: int | None = None
     try:
         for kind, at, length in _records(path, file):
-            described += kind in (SCHEMA, CHANNEL)
+            kinds[kind] += 1
             _check_schema(path, kind, length)
-            found += kind == MESSAGE
             if kind == CHUNK:
-                try:
-                    chunk = _chunk(file, at, length)
-                    inside = [(kind, length) for kind, _, length in _inside(chunk.content)]
-                except _TooLarge as error:
-                    raise InputError(
-                        f"{path} holds {error}; expected at most {MAX_CHUNK}. That is not a recording."
-                    ) from None
-                except ValueError:
+                if (found := _chunk_and_kinds(path, file, at, length)) is None:
                     problems["damaged chunks"] += 1
                     continue
-                kinds = Counter(kind for kind, _ in inside)
-                for one, size_inside in inside:
-                    _check_schema(path, one, size_inside)
+                chunk, inside = found
+                kinds += inside
                 unpacked += len(chunk.content)
                 check_declared(path, min(unpacked, 2 * size), size)
-                described += kinds[SCHEMA] + kinds[CHANNEL]
-                found += kinds[MESSAGE]
                 problems["chunks with a wrong checksum"] += chunk.crc not in (0, zlib.crc32(chunk.content))
             elif kind == DATA_END and length >= 4:
-                (crc,) = _numbers(file, at, "<I")
-                # Writers disagree on whether the magic and the header are data.
-                starts = (0, len(MAGIC), _after_header(file))
-                problems["the data do not match their checksum"] += bool(crc) and all(
-                    _crc(file, start, at - _HEAD) != crc for start in starts
-                )
+                problems["the data do not match their checksum"] += not _data_match(file, at)
             elif kind == STATISTICS and length >= 8:
                 (stated,) = _numbers(file, at, "<Q")
             elif kind == FOOTER and length == 20:
-                summary, _, crc = _numbers(file, at, "<QQI")
-                begin = summary or at - _HEAD
-                if begin > at or (crc and _crc(file, begin, at + 16) != crc):
-                    problems["the index does not match its checksum"] += 1
-            if described > MAX_CHANNELS:
+                problems["the index does not match its checksum"] += not _index_matches(file, at)
+            if kinds[SCHEMA] + kinds[CHANNEL] > MAX_CHANNELS:
                 raise InputError(f"{path} describes more than {MAX_CHANNELS} channels; that is not a recording.")
     except _Cut:
         problems["the file is cut off, or damaged in the middle"] += 1
-    if stated not in (None, found) and not problems.total():
-        problems[f"{found} messages were found where {stated} were written"] += 1
+    if stated not in (None, kinds[MESSAGE]) and not problems.total():
+        problems[f"{kinds[MESSAGE]} messages were found where {stated} were written"] += 1
     return [f"{what}: {count}" if "chunks" in what else what for what, count in problems.items() if count]
+
+
+def _chunk_and_kinds(path: Path, file: BinaryIO, at: int, length: int) -> tuple[_Chunk, Counter[int]] | None:
+    """A chunk, and how many records of each kind it holds; None = it is damaged.
+
+    Raises:
+        InputError: it, or the description of a message in it, is larger than is allowed.
+    """
+    try:
+        chunk = _chunk(file, at, length)
+        inside = [(kind, size) for kind, _, size in _inside(chunk.content)]
+    except _TooLarge as error:
+        raise InputError(f"{path} holds {error}; expected at most {MAX_CHUNK}. That is not a recording.") from None
+    except ValueError:
+        return None
+    for kind, size in inside:
+        _check_schema(path, kind, size)
+    return chunk, Counter(kind for kind, _ in inside)
+
+
+def _data_match(file: BinaryIO, at: int) -> bool:
+    """Whether the data have the checksum, if any, that their end states, whose content is at ``at``."""
+    (crc,) = _numbers(file, at, "<I")
+    starts = (0, len(MAGIC), _after_header(file))  # writers disagree on whether the magic and the header are data
+    return not crc or any(_crc(file, start, at - _HEAD) == crc for start in starts)
+
+
+def _index_matches(file: BinaryIO, at: int) -> bool:
+    """Whether the index has the checksum, if any, that the footer states, whose content is at ``at``."""
+    summary, _, crc = _numbers(file, at, "<QQI")
+    begin = summary or at - _HEAD
+    return begin <= at and (not crc or _crc(file, begin, at + 16) == crc)
 
 
 def _copy_whole(path: Path, file: BinaryIO, out: BinaryIO) -> None:

@@ -58,10 +58,8 @@ def _same(y_true: Ints, y_pred: Ints) -> None:
         raise InputError(f"{y_true.size} true classes and {y_pred.size} predicted ones cannot be compared.")
 
 
-def corrected_interval(
-    scores: Floats, test_to_train: float, level: float = 0.95, split: Ints | None = None
-) -> tuple[float, float, float]:
-    """Mean and confidence limits of scores from repeated train/test splits, corrected for their overlap.
+def corrected_interval(scores: Floats, test_to_train: float, split: Ints | None = None) -> tuple[float, float, float]:
+    """Mean and 95 % confidence limits of scores from repeated train/test splits, corrected for their overlap.
 
     Nadeau and Bengio (2003): the variance of the mean of J scores is (1/J + n_test/n_train) s^2, with
     J - 1 degrees of freedom. Limits are cut to [0, 1], the range of scores. A split that is repeated, as folds of a few
@@ -70,7 +68,6 @@ def corrected_interval(
     Args:
         scores: one per split, any shape, in [0, 1].
         test_to_train: n_test / n_train, which is 1 / (k - 1) for k folds.
-        level: coverage.
         split: number of each score's split, of the shape of the scores; None = all are different.
 
     Raises:
@@ -84,7 +81,7 @@ def corrected_interval(
     from scipy.special import stdtrit  # a fifth of the time that "rcbht info" takes to start
 
     error = np.sqrt((1 / scores.size + test_to_train) * scores.var(ddof=1))
-    half = float(stdtrit(scores.size - 1, 0.5 + level / 2) * error)
+    half = float(stdtrit(scores.size - 1, 0.975) * error)
     return mean, max(0.0, mean - half), min(1.0, mean + half)
 
 

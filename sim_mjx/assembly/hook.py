@@ -166,22 +166,19 @@ def facing(outward: float, turn: Float64[np.ndarray, " 4"] = UNTURNED) -> Float6
     return quat
 
 
-def add_tab(
-    hand: mujoco.MjsBody, name: str, hook: Hook, place: Float64[np.ndarray, " 3"], outward: float = 1.0
-) -> None:
+def add_tab(hand: mujoco.MjsBody, name: str, hook: Hook, place: Float64[np.ndarray, " 3"]) -> None:
     """Hang a tab on the hand: a sphere on a spring.
 
     Args:
         hand: body that carries it.
         name: of the tab; its joint and tip are named after it.
         hook: its parameters.
-        place: m, of the tip's centre in the hand's frame, where x is the direction of bending.
-        outward: 1 or -1, the side on which its lip stands.
+        place: m, of the tip's centre in the hand's frame, in which the tab bends along -x.
     """
     body = hand.add_body(name=f"TAB_{name}", pos=place)
     damping = 2 * np.sqrt(hook.stiffness * ARMATURE)  # critical: a plastic beam does not ring for long
     body.add_joint(
-        name=f"TAB_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(-outward, 0.0, 0.0), armature=ARMATURE,
+        name=f"TAB_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(-1.0, 0.0, 0.0), armature=ARMATURE,
         stiffness=[hook.stiffness, 0.0, 0.0], damping=[damping, 0.0, 0.0],
     )  # fmt: skip
     body.add_geom(
@@ -191,26 +188,20 @@ def add_tab(
 
 
 def add_lip(
-    spec: mujoco.MjSpec,
-    holder: mujoco.MjsBody,
-    name: str,
-    hook: Hook,
-    place: Float64[np.ndarray, " 3"],
-    outward: float = 1.0,
+    spec: mujoco.MjSpec, holder: mujoco.MjsBody, name: str, hook: Hook, place: Float64[np.ndarray, " 3"]
 ) -> None:
     """Put the lip of a tab on its holder, and let the tab's tip touch it.
 
     Args:
         spec: that holds both. holder: body that carries the lip.
         name: of the tab. hook: its parameters.
-        place: m, of the lower end of the lip's edge in the holder's frame, whose z points against the insertion.
-        outward: 1 or -1, the direction of x in which the lip lies.
+        place: m, of the lower end of the lip's edge in the holder's frame, whose z points against the insertion; the
+            lip lies along x.
     """
     for kind, (offset, turn, size) in lip_boxes(hook).items():
-        quat = facing(outward, turn)
         holder.add_geom(
-            name=f"{kind}_{name}", type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place + offset * [outward, 1.0, 1.0],
-            quat=quat, mass=0.0, contype=0, conaffinity=0, rgba=(0.3, 0.3, 0.3, 1.0),
+            name=f"{kind}_{name}", type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place + offset, quat=turn,
+            mass=0.0, contype=0, conaffinity=0, rgba=(0.3, 0.3, 0.3, 1.0),
         )  # fmt: skip
         pair = spec.add_pair(
             name=f"TIP_{name}:{kind}_{name}", geomname1=f"TIP_{name}", geomname2=f"{kind}_{name}", condim=3

@@ -146,8 +146,6 @@ def simulate_labelled(
     engine: str,
     config: EncoderConfig,
     limits: Float[Array, "6 4"],
-    *,
-    progress: Callable[[int], None] | None = None,
 ) -> tuple[Rollouts, LabelTracks]:
     """Simulate a batch of trials and label their wrenches.
 
@@ -157,7 +155,6 @@ def simulate_labelled(
         engine: one of ``engines.ENGINES``.
         config: of the encoder.
         limits: thresholds, N/s and Nm/s.
-        progress: called with the number of control periods done since the last call, summed over trials.
 
     Returns:
         the trials, and host arrays of labels [trial * K, 6, slot], the wrists of a trial one after another. Labels of
@@ -168,11 +165,11 @@ def simulate_labelled(
     """
     engines.check(engine)
     if engine == "native":
-        out = engines.simulate(scene, params, engine, progress=progress)
+        out = engines.simulate(scene, params, engine)
         return out, label(out, config, limits)
     from sim_mjx.engines import device  # MJX takes seconds to import
 
-    there = device.run(scene, params, engines.IMPLEMENTATIONS[engine], progress=progress)
+    there = device.run(scene, params, engines.IMPLEMENTATIONS[engine])
     tracks = encode_on_device(config, limits, *by_wrist(there.wrench, there.length))
     return device.to_host(there), jax.device_get(tracks)
 

@@ -135,61 +135,74 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, share:
     Returns:
         trials of the shards of this worker.
     """
-    folder = draft.folder
-    held: dict[int, tuple[claims.Claim, Drawn]] = {}
-    done: set[int] = set()
-
-    def batches() -> Iterator[tuple[int, Any]]:
-        while is_open(folder):
-            skip = shards.finished(folder) | set(held) | done | set(_failed(folder))
-            claimed = _claim(folder, [shard for shard in range(draft.shards) if shard not in skip])
-            if claimed is None:
-                return
-            shard, claim = claimed
-            held[shard] = claim, draft.draw(shard)
-            yield shard, held[shard][1][0]
-
-    writing: deque[tuple[int, Future[None]]] = deque()
-
-    def settle() -> None:
-        shard, written = writing.popleft()
-        written.result()
-        done.add(shard)
-        held.pop(shard)[0].done()
+    own = _OwnShards(draft)
+    fill = -(-lanes // draft.job.shard)
 
     def ahead(asked: int, coming: int) -> int:
-        missing = draft.shards - len(shards.finished(folder)) - len(held)
+        missing = draft.shards - len(shards.finished(draft.folder)) - len(own.held)
         more = max(AHEAD, min(fill, missing // SHARE)) - coming
         return more if share is None else min(more, share - asked)
 
-    def room() -> bool:
-        return sum(not written.done() for _, written in writing) < writers.count
-
-    fill = -(-lanes // draft.job.shard)
     try:
-        with Ahead(batches(), fill, ahead) as coming, Writers(draft) as writers:
-            for made in stream(coming, coming.ready, room):
-                shard = int(str(made.key))
-                drawn = held[shard][1]
-                labels = None if made.tracks is None else records.of_labels(made.tracks, len(drawn[1]))
-                writing.append((shard, writers.submit(shard, drawn, made.rows, labels)))
-                del made, labels  # which are copied, and not kept until the next shard comes
-                while writing and (writing[0][1].done() or len(writing) > writers.count):  # more would fill the memory
-                    settle()
-                tally.show(shards.finished(folder))
-            while writing:
-                settle()
+        with Ahead(own.batches(), fill, ahead) as coming, Writers(draft) as writers:
+            for made in stream(coming, coming.ready, lambda: own.unwritten() < writers.count):
+                own.write(writers, made)
+                del made  # it is copied, and not kept until the next shard comes
+                own.settle(writers.count)
+                tally.show(shards.finished(draft.folder))
+            own.settle(0)
     except Exception as error:
         ours = isinstance(error, InputError | OSError)  # of the input or the machine: it would fail again
-        for claim, _ in held.values():
+        for claim, _ in own.held.values():
             claim.release() if ours else claim.failed(_reason(error))
         if ours:
             raise
     except BaseException:
-        for claim, _ in held.values():
+        for claim, _ in own.held.values():
             claim.release()
         raise
-    return sum(len(indices(draft.job, shard)) for shard in done)
+    return sum(len(indices(draft.job, shard)) for shard in own.done)
+
+
+class _OwnShards:
+    """The shards of a worker in lanes: claimed, being written, and written."""
+
+    def __init__(self, draft: Draft) -> None:
+        self._draft = draft
+        self.held: dict[int, tuple[claims.Claim, Drawn]] = {}
+        self.done: set[int] = set()
+        self._writing: deque[tuple[int, Future[None]]] = deque()
+
+    def batches(self) -> Iterator[tuple[int, Any]]:
+        """Claim missing shards that no worker holds; their numbers and parameters."""
+        folder = self._draft.folder
+        while is_open(folder):
+            skip = shards.finished(folder) | set(self.held) | self.done | set(_failed(folder))
+            claimed = _claim(folder, [shard for shard in range(self._draft.shards) if shard not in skip])
+            if claimed is None:
+                return
+            shard, claim = claimed
+            self.held[shard] = claim, self._draft.draw(shard)
+            yield shard, self.held[shard][1][0]
+
+    def write(self, writers: Writers, made: Shard) -> None:
+        """Begin to write a simulated shard."""
+        shard = int(str(made.key))
+        drawn = self.held[shard][1]
+        labels = None if made.tracks is None else records.of_labels(made.tracks, len(drawn[1]))
+        self._writing.append((shard, writers.submit(shard, drawn, made.rows, labels)))
+
+    def unwritten(self) -> int:
+        """Shards that are being written."""
+        return sum(not written.done() for _, written in self._writing)
+
+    def settle(self, most: int) -> None:
+        """Give back the claims of shards that are written, waiting until at most so many are not."""
+        while self._writing and (self._writing[0][1].done() or len(self._writing) > most):  # more would fill the memory
+            shard, written = self._writing.popleft()
+            written.result()
+            self.done.add(shard)
+            self.held.pop(shard)[0].done()
 
 
 def is_open(folder: Path) -> bool:

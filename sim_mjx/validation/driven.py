@@ -19,6 +19,7 @@ from jaxtyping import Float, Float64, Int
 
 from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Array
+from sim_mjx.assemblies.program import onsets
 from sim_mjx.assembly import sensor
 from sim_mjx.assembly.controllers import Joints, Wrench
 from sim_mjx.assembly.parts import PartParams
@@ -67,10 +68,6 @@ def control(
     return DrivenState(loop.tick + 1, read), params.path[rows], LogRow(wrench, joints, phase)
 
 
-def _onsets(entered: Int[np.ndarray, "*batch phase"]) -> Float64[np.ndarray, "*batch phase"]:
-    return np.where(entered >= 0, entered * CONTROL_PERIOD, np.nan)
-
-
 def _home(params: DrivenParams) -> Array:
     return params.path[..., 0, :]
 
@@ -79,7 +76,7 @@ def _timeout(params: DrivenParams) -> Array:
     return params.periods * CONTROL_PERIOD
 
 
-PROGRAM = Program(begin, control, _home, _timeout, ENDED, _onsets)
+PROGRAM = Program(begin, control, _home, _timeout, ENDED, onsets)
 
 
 def driven(scene: Scene, heavier: float = HEAVIER) -> Scene:

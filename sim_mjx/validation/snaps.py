@@ -44,19 +44,18 @@ def unfiltered(force: Float[np.ndarray, "*batch time"], sensor: SensorParams) ->
     return out
 
 
-def find(force: Float64[np.ndarray, " time"], touch: float = 0.0, least: float = LEAST_DROP) -> list[Snap]:
+def find(force: Float64[np.ndarray, " time"], touch: float = 0.0) -> list[Snap]:
     """Snaps in one force.
 
     Args:
         force: unfiltered, N, at the control period.
         touch: when the parts first met, s; the bouncing just after it is left out.
-        least: smallest drop, N.
     """
     snaps: list[Snap] = []
     fall = force[:-FALL] - force[FALL:]
     earliest = max(LEVEL + FALL, round((touch + SETTLED) / CONTROL_PERIOD))
     for start in (earliest + np.argsort(-fall[earliest:], kind="stable")).tolist():
-        if fall[start] < least / 2:
+        if fall[start] < LEAST_DROP / 2:
             break
         around = force[start - FALL : start + FALL]
         first = start + FALL - 1 - int(np.argmax(around[::-1]))  # the last maximum, where a level held
@@ -64,7 +63,7 @@ def find(force: Float64[np.ndarray, " time"], touch: float = 0.0, least: float =
             continue
         release, bottom = float(force[first]), float(force[first : first + 3 * FALL].min())
         level = float(np.median(force[first - LEVEL + BEFORE : first - BEFORE + 1]))
-        if release - bottom >= least and bottom < BELOW * level:
+        if release - bottom >= LEAST_DROP and bottom < BELOW * level:
             snaps.append(Snap(first * CONTROL_PERIOD, release, release - bottom))
     return sorted(snaps)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rcbht_jax as rj
-from experiments._lib.fit_variants import Noise, Sums, Variant, breaks
+from experiments._lib.fit_variants import Noise, SumsOfAxes, Variant, breaks
 from rcbht_jax.encoding.fit import FitConfig
 
 SMALL = np.ones(2)
@@ -21,7 +21,7 @@ def signal(samples: int = 403, seed: int = 0) -> np.ndarray:
 
 def test_the_line_through_a_span_is_that_of_least_squares() -> None:
     y = signal()
-    slope, residual = Sums(y).line(np.array([7]), np.array([31]), np.array([1]))
+    slope, residual = SumsOfAxes(y).line(np.array([7]), np.array([31]), np.array([1]))
     (expected,), found = (
         np.polyfit(np.arange(24), y[7:31, 1], 1, full=True)[1],
         np.polyfit(np.arange(24), y[7:31, 1], 1),

@@ -18,21 +18,21 @@ from tests.support.store_cases import files
 COUNT, PART, GAPS = 11, 4, (5, 8)
 
 
-def ragged(count: int = COUNT, gaps: tuple[int, ...] = ()) -> Recordings:
+def ragged(gaps: tuple[int, ...] = ()) -> Recordings:
     """Recordings of lengths from 3 to 600 samples with 0 to 3 intervals each; nothing in the rows of ``gaps``."""
     rng = np.random.default_rng(1)
-    wrenches = [rng.normal(size=(int(n), 2)) for n in rng.integers(3, 600, count)]
+    wrenches = [rng.normal(size=(int(n), 2)) for n in rng.integers(3, 600, COUNT)]
     marks = [
         (row, f"track{number % 2}", f"label{number}", 0.1 * number, 0.1 * number + 0.05)
-        for row in range(count)
+        for row in range(COUNT)
         for number in range(row % 4)
         if row not in gaps
     ]
     labels = {"track0": ["label0", "label2"], "track1": ["label1"]}
     texts = {
-        "outcome": [f"ö{n}" for n in range(count)],
-        "mass": rng.normal(size=count),
-        "hook": ["", *"x" * (count - 1)],
+        "outcome": [f"ö{n}" for n in range(COUNT)],
+        "mass": rng.normal(size=COUNT),
+        "hook": ["", *"x" * (COUNT - 1)],
     }
     made = Recordings.from_arrays(
         wrenches, 100.0, axes=("grip", "push"), units=("N", "V"),
@@ -44,10 +44,10 @@ def ragged(count: int = COUNT, gaps: tuple[int, ...] = ()) -> Recordings:
     return made
 
 
-def truth(count: int = COUNT) -> dict[str, Any]:
+def truth() -> dict[str, Any]:
     rng = np.random.default_rng(2)
-    words = np.array([f"fault{n % 3}" for n in range(count)])
-    return {"seated": rng.random((count, 4)) > 0.5, "fault": words, "mass": rng.normal(size=count)}
+    words = np.array([f"fault{n % 3}" for n in range(COUNT)])
+    return {"seated": rng.random((COUNT, 4)) > 0.5, "fault": words, "mass": rng.normal(size=COUNT)}
 
 
 def tracks_of(count: int = COUNT, gaps: tuple[int, ...] = ()) -> LabelTracks:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rcbht_jax.types import Array
+from sim_mjx.assemblies.program import onsets
 from sim_mjx.assembly.rollout import LogRow, Program
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
@@ -61,7 +62,7 @@ def plunger() -> Scene:
     one = np.array([0], np.int32)
     tips = np.array([model.geom("tip").id], np.int32)
     lips = np.array([model.geom("floor").id], np.int32)
-    program = Program(_begin, _control, lambda params: params.home, lambda params: params.timeout, ENDED, _onsets)
+    program = Program(_begin, _control, lambda params: params.home, lambda params: params.timeout, ENDED, onsets)
     places = np.array([6], np.int32)
     return Scene(model, program, one, one, tips, lips, places, _fields, 1, _beneath)
 
@@ -77,10 +78,6 @@ def _control(params: PlungerParams, loop: dict[str, Array], joints: Array, raw: 
     after = {"tick": loop["tick"] + 1, "least": jnp.minimum(loop["least"], raw[2])}
     reading = raw.at[0].set(after["least"])  # what the loop remembers shows in the log
     return after, ends, LogRow(reading, joints, phase)
-
-
-def _onsets(entered: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    return np.where(entered >= 0, entered * CONTROL_PERIOD, np.nan)
 
 
 def _fields(parts: np.ndarray[Any, Any]) -> dict[str, np.ndarray[Any, Any]]:

@@ -41,46 +41,24 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     """
     clocks = [conform.clock(record.time) for record in records]
     period = conform.checked_period(1 / rate if rate else conform.common(clocks))
-    kept: list[Record] = []
-    values: list[NDArray[np.float32]] = []
-    rates: Counter[str] = Counter()
-    filtered = uneven = 0
     odd = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if not 1 <= one.rate <= FAST]
     report.warnings += [(name, f"has {rate:.3g} samples per second. Is the unit of time right?") for name, rate in odd]
-    for record, source_clock in zip(records, clocks, strict=True):
+    kept: list[Record] = []
+    values: list[NDArray[np.float32]] = []
+    moves: list[list[str]] = []
+    for record, clock in zip(records, clocks, strict=True):
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
-                moved, flags = conform.on_grid(record.time, record.values, source_clock, period)
-                wrench = moved.astype(np.float32)
-            if not np.isfinite(wrench).all():
-                raise InputError("a value is too large for single precision; scale the channel in a map.")
+            wrench, flags = _moved(record, clock, period)
         except InputError as error:
             report.skipped.append((record.name, str(error)))
             continue
         record.notes.extend(flags)
-        rates.update(f"{flag.partition(':')[2]} Hz" for flag in flags if flag.startswith("resampled"))
-        filtered += "filtered" in flags
-        uneven += "uneven" in flags
         kept.append(record)
         values.append(wrench)
+        moves.append(flags)
     if not kept:
         raise InputError(f"{source} holds no usable recording.{report.first_reason}")
-    if uneven:
-        were = plural(uneven, "recording was", "recordings were")
-        text = f"{were} not sampled evenly and interpolated at {1 / period:.6g} Hz."
-        report.remarks.append(text)
-    if held := sum(note.startswith("held:") for record in kept for note in record.notes):
-        text = f"{plural(held, 'log', 'logs')} held each value for several rows; the repeats were left out."
-        report.remarks.append(text)
-    if parts := sum(note.startswith("restarts:") for record in kept for note in record.notes):
-        text = f"{plural(parts, 'recording is', 'recordings are')} from tables in which the time starts anew."
-        report.remarks.append(text)
-    for encoding, word in WORDS.items():
-        if coded := sum(encoding in record.notes for record in kept):
-            were = plural(coded, "recording is", "recordings are")
-            text = f"{were} from a file that is not UTF-8, read as {word}; if names are garbled, save it as UTF-8."
-            report.remarks.append(text)
-    _remarks(report, period, rates, filtered)
+    report.remarks += _remarks([record.notes for record in kept], moves, period)
     report.imported = [record.name for record in kept]
     _words(kept)
     columns = _columns(kept, source, report)
@@ -90,13 +68,40 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     return replace(recordings, dt=period)  # exact: the reciprocal of a rate need not be
 
 
-def _remarks(report: ImportReport, period: float, rates: Counter[str], filtered: int) -> None:
+def _moved(record: Record, clock: conform.Clock, period: float) -> tuple[NDArray[np.float32], list[str]]:
+    """The values of a recording on the grid, and notes of how they came there."""
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
+        moved, flags = conform.on_grid(record.time, record.values, clock, period)
+        wrench = moved.astype(np.float32)
+    if not np.isfinite(wrench).all():
+        raise InputError("a value is too large for single precision; scale the channel in a map.")
+    return wrench, flags
+
+
+def _remarks(notes: list[list[str]], moves: list[list[str]], period: float) -> list[str]:
+    """What was done to several recordings, from the notes of each; ``moves`` are those from moving it to the grid."""
+    found = []
+    if uneven := sum("uneven" in flags for flags in moves):
+        were = plural(uneven, "recording was", "recordings were")
+        found.append(f"{were} not sampled evenly and interpolated at {1 / period:.6g} Hz.")
+    if held := sum(note.startswith("held:") for each in notes for note in each):
+        found.append(f"{plural(held, 'log', 'logs')} held each value for several rows; the repeats were left out.")
+    if parts := sum(note.startswith("restarts:") for each in notes for note in each):
+        found.append(f"{plural(parts, 'recording is', 'recordings are')} from tables in which the time starts anew.")
+    for encoding, word in WORDS.items():
+        if coded := sum(encoding in each for each in notes):
+            were = plural(coded, "recording is", "recordings are")
+            found.append(
+                f"{were} from a file that is not UTF-8, read as {word}; if names are garbled, save it as UTF-8."
+            )
+    rates = Counter(f"{flag.partition(':')[2]} Hz" for flags in moves for flag in flags if flag.startswith("resampled"))
     if rates:
         listed = ", ".join(f"{rate} ({count})" for rate, count in rates.most_common(6))
+        filtered = sum("filtered" in flags for flags in moves)
         low = f"; {filtered} of them low-passed before, at {0.4 / period:.4g} Hz" if filtered else ""
         were = plural(rates.total(), "recording was", "recordings were")
-        text = f"{were} resampled to {1 / period:.6g} Hz, from {listed}{low}."
-        report.remarks.append(text)
+        found.append(f"{were} resampled to {1 / period:.6g} Hz, from {listed}{low}.")
+    return found
 
 
 def _words(records: list[Record]) -> None:

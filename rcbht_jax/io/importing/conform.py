@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -50,52 +51,67 @@ def tidy(
         InputError: a value is infinite, times are missing, run backwards or repeat with other values, fewer than two
             samples are left, or more than ``MISSING`` values in a row are missing. The message names no file.
     """
-    notes: list[str] = []
     if not np.isfinite(time).all():
         raise InputError(f"sample {int(np.flatnonzero(~np.isfinite(time))[0])} has no time.")
+    few = max(2, len(time) // 100)  # that may be out of order, or repeat
+    time, values, moved = _ordered(time, values, few)
+    time, values, repeated = _once(time, values, few)
+    if len(time) < 2:
+        raise InputError("there are fewer than two samples at different times.")
+    if np.isinf(values).any():
+        raise InputError(f"sample {int(np.argwhere(np.isinf(values))[0, 0])} is infinite; expected numbers.")
+    values, missing = _filled(time, values)
+    return time, values, [*moved, *repeated, *missing]
+
+
+def _ordered(time: NDArray[Any], values: NDArray[Any], few: int) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
+    """Samples in order of time, and a note if some were not."""
     back = np.flatnonzero(np.diff(time) < 0)
-    few = max(2, len(time) // 100)
+    if not len(back):
+        return time, values, []
     if len(back) > few:
         raise InputError(
             f"time runs backwards {len(back)} times, first at sample {int(back[0]) + 1}; if the table holds several "
             "recordings, name the column that separates them with --group."
         )
-    if len(back):
-        order = np.argsort(time, kind="stable")
-        if np.ptp(time[order] - time) > 0.1 * np.ptp(time):
-            raise InputError(
-                f"time starts anew at sample {int(back[0]) + 1}; if the table holds several recordings, name the "
-                "column that separates them with --group."
-            )
-        time, values = time[order], values[order]
-        notes.append(f"unordered:{len(back)}")
+    order = np.argsort(time, kind="stable")
+    if np.ptp(time[order] - time) > 0.1 * np.ptp(time):
+        raise InputError(
+            f"time starts anew at sample {int(back[0]) + 1}; if the table holds several recordings, name the "
+            "column that separates them with --group."
+        )
+    return time[order], values[order], [f"unordered:{len(back)}"]
+
+
+def _once(time: NDArray[Any], values: NDArray[Any], few: int) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
+    """The first sample of each time, and a note if there were others."""
     fresh = np.concatenate([[True], np.diff(time) > 0])
-    if not fresh.all():
-        other = ~fresh[1:] & ~_equal(values[1:], values[:-1]).all(1)
-        if other.sum() > few:
-            raise InputError(
-                f"time stamps repeat {int((~fresh).sum())} of {len(time)} times, with other values; if the table holds "
-                "several recordings, name the column that separates them with --group, else give --source-rate, which "
-                "replaces the stamps."
-            )
-        notes.append(f"repeated:{int((~fresh).sum())}")
-        time, values = time[fresh], values[fresh]
-    if len(time) < 2:
-        raise InputError("there are fewer than two samples at different times.")
-    if np.isinf(values).any():
-        raise InputError(f"sample {int(np.argwhere(np.isinf(values))[0, 0])} is infinite; expected numbers.")
+    if fresh.all():
+        return time, values, []
+    repeats = int((~fresh).sum())
+    other = ~fresh[1:] & ~_equal(values[1:], values[:-1]).all(1)
+    if other.sum() > few:
+        raise InputError(
+            f"time stamps repeat {repeats} of {len(time)} times, with other values; if the table holds "
+            "several recordings, name the column that separates them with --group, else give --source-rate, which "
+            "replaces the stamps."
+        )
+    return time[fresh], values[fresh], [f"repeated:{repeats}"]
+
+
+def _filled(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], list[str]]:
+    """Missing values interpolated, and a note if there were any."""
     missing = np.isnan(values)
-    if missing.any():
-        longest = max(int(runs(column).max(initial=0)) for column in missing.T)
-        if longest > MISSING or missing.all(0).any():
-            raise InputError(
-                f"{longest} values in a row are missing, first at sample {int(np.flatnonzero(missing.any(1))[0])}; "
-                f"at most {MISSING} are interpolated. Cut the recording there, or leave the channel out."
-            )
-        filled = [np.interp(time, time[~gone], column[~gone]) for column, gone in zip(values.T, missing.T, strict=True)]
-        values = np.stack(filled, 1)
-        notes.append(f"missing:{int(missing.sum())}")
-    return time, values, notes
+    if not missing.any():
+        return values, []
+    longest = max(int(runs(column).max(initial=0)) for column in missing.T)
+    if longest > MISSING or missing.all(0).any():
+        raise InputError(
+            f"{longest} values in a row are missing, first at sample {int(np.flatnonzero(missing.any(1))[0])}; "
+            f"at most {MISSING} are interpolated. Cut the recording there, or leave the channel out."
+        )
+    filled = [np.interp(time, time[~gone], column[~gone]) for column, gone in zip(values.T, missing.T, strict=True)]
+    return np.stack(filled, 1), [f"missing:{int(missing.sum())}"]
 
 
 def restarts(time: Float[np.ndarray, " sample"]) -> NDArray[np.int64]:

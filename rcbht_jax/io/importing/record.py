@@ -101,15 +101,7 @@ def records(
         group = table.columns[mapping.group]
         if ((group == "") if group.dtype.kind == "U" else ~np.isfinite(group)).any():
             yield table.name, f"rows without a value in {mapping.group} belong to no recording."
-        values, which = np.unique(group, return_inverse=True)
-        if len(values) > MAX_GROUPS:
-            raise InputError(
-                f"{table.name}: {mapping.group} has {len(values)} values; it does not separate recordings."
-            )
-        order = np.argsort(which, kind="stable")
-        bounds = np.cumsum(np.bincount(which, minlength=len(values)))[:-1]
-        pairs = zip(values, np.split(order, bounds), strict=True)
-        parts = {text(value): part for value, part in pairs if text(value)}
+        parts = _groups(table, mapping.group)
     elif (stamps := _readable_stamps(table, mapping, parts[""])) is not None:
         starts = conform.restarts(stamps)
         if 0 < len(starts) < MAX_GROUPS:
@@ -125,6 +117,17 @@ def records(
             yield replace(record, part=place, listed=row is not None)
         except InputError as error:
             yield name, str(error)
+
+
+def _groups(table: Table, name: str) -> dict[str, NDArray[Any]]:
+    """The rows of every value of a column but the empty one."""
+    values, which = np.unique(table.columns[name], return_inverse=True)
+    if len(values) > MAX_GROUPS:
+        raise InputError(f"{table.name}: {name} has {len(values)} values; it does not separate recordings.")
+    order = np.argsort(which, kind="stable")
+    bounds = np.cumsum(np.bincount(which, minlength=len(values)))[:-1]
+    pairs = zip(values, np.split(order, bounds), strict=True)
+    return {text(value): part for value, part in pairs if text(value)}
 
 
 def without_arm(part: str, arm: str) -> str:
@@ -240,23 +243,14 @@ def _record(
     known = measured[np.isfinite(measured)]
     first = known.min() if len(known) else 0.0
     time, values, notes = conform.tidy(measured - first, values[new])
-    columns: dict[str, str | float] = {}
-    for key, fact in table.facts.items():
-        short = re.split("[./]", key.lower())[-1]
-        columns[short if short in (*STANDARD_COLUMNS, "trial") else column_name(key)] = fact
-        if short == "success" and is_outcome("success", [fact]):  # a word of "outcome" stays that of its file
-            columns.setdefault("outcome", OUTCOMES[text(fact).lower()])
-    for target, source in mapping.columns.items():
-        value = _value(table, source, rows, row)
-        if value is None:
-            notes.append(f"changes:{target}")
-        else:
-            columns[target] = value
+    given = {target: _value(table, source, rows, row) for target, source in mapping.columns.items()}
+    columns = _facts(table) | {target: value for target, value in given.items() if value is not None}
+    notes += [f"changes:{target}" for target, value in given.items() if value is None]
+    order = np.argsort(stamps, kind="stable")
+    order = order[stamps[order] >= first]
     intervals = list(table.intervals)
     for track in mapping.annotations:
         if track.column in table.columns:
-            order = np.argsort(stamps, kind="stable")
-            order = order[stamps[order] >= first]
             intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
     notes += [f"saturated:{mapping.axes[axis]}" for axis in conform.saturated(values)]  # a rotation would hide it
     notes += [f"stuck:{mapping.axes[axis]}" for axis in conform.stuck(values)]
@@ -266,6 +260,17 @@ def _record(
     texts = table.columns[mapping.time][counted] if mapping.time else raw
     origin = float(first) + (first_second(texts.tolist()) if texts.dtype.kind == "U" else 0.0)
     return Record(name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], origin)
+
+
+def _facts(table: Table) -> dict[str, str | float]:
+    """What a table states about its recordings, by column."""
+    columns: dict[str, str | float] = {}
+    for key, fact in table.facts.items():
+        short = re.split("[./]", key.lower())[-1]
+        columns[short if short in (*STANDARD_COLUMNS, "trial") else column_name(key)] = fact
+        if short == "success" and is_outcome("success", [fact]):  # a word of "outcome" stays that of its file
+            columns.setdefault("outcome", OUTCOMES[text(fact).lower()])
+    return columns
 
 
 def _with_values(
