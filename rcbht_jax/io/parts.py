@@ -14,12 +14,11 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +37,7 @@ with needs_extra("store"):
 DIGESTS = "part_sha256"
 CHUNK_BYTES = 2**18  # of a chunk of an array that grows: what reading one row costs
 CHUNKS = 8  # along the dimension that grows, in one file
-AT_ONCE = 4  # parts that are verified at the same time: more would fill the memory
 _DIGEST = 32  # bytes of a SHA-256
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -229,16 +225,6 @@ def digest(group: zarr.Group, number: int) -> str | None:
     """Digest of one part, None = it is missing."""
     row = np.asarray(zarr_io.member(group, DIGESTS)[number])
     return row.tobytes().hex() if row.any() else None
-
-
-def each(check: Callable[[int], T], numbers: Iterable[int]) -> list[T]:
-    """What a function finds in each of several parts, a few of which it reads at the same time.
-
-    Raises:
-        any exception that the function raises, for the first of the parts.
-    """
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        return list(pool.map(check, numbers))
 
 
 def whole_digest(header: Any, parts: list[str]) -> str:
