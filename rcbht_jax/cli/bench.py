@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _REPEATS = 7
 DT = 0.005
+WINDOW = 5  # samples, of the fit rule and of a step
 TRIALS, TRIALS_ON_DEVICE = 100, 8192
 MOST = 10**12  # samples: more would fill any memory
 Values = dict[str, tuple[float, str]]  # name -> value, unit
@@ -237,8 +238,7 @@ def fit_rule(wrench: NDArray[np.float32]) -> tuple[Values, dict[str, float]]:
     from rcbht_jax.encoding.thresholds import preset
     from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 
-    window = 5
-    ours, published = fit.FitConfig(window=window, dt=DT), encoder.EncoderConfig(window=window, dt=DT)
+    ours, published = fit.FitConfig(window=WINDOW, dt=DT), encoder.EncoderConfig(window=WINDOW, dt=DT)
     length = np.full(len(wrench), wrench.shape[1], np.int32)
     limits = FitLimits(np.asarray(preset().limits), auto_tolerance(wrench, length, ours.needed))
     batch = interleaved(
@@ -246,8 +246,8 @@ def fit_rule(wrench: NDArray[np.float32]) -> tuple[Values, dict[str, float]]:
         lambda: encode_batch(published, preset(), wrench, length),
         _REPEATS,
     )
-    count = wrench.shape[1] // window
-    samples = jnp.asarray(wrench[0, : count * window].reshape(count, window, -1))
+    count = wrench.shape[1] // WINDOW
+    samples = jnp.asarray(wrench[0, : count * WINDOW].reshape(count, WINDOW, -1))
     stacked = jnp.asarray(limits.stacked(), samples.dtype)
     fitted = jax.jit(lambda x: jax.lax.scan(partial(fit.step, ours, stacked), fit.init(ours), x))
     paper = jax.jit(lambda x: jax.lax.scan(partial(encoder.step, published, stacked[:, :4]), encoder.init(), x))
@@ -255,10 +255,10 @@ def fit_rule(wrench: NDArray[np.float32]) -> tuple[Values, dict[str, float]]:
         lambda: jax.block_until_ready(fitted(samples)), lambda: jax.block_until_ready(paper(samples)), _REPEATS
     )
     values: Values = {
-        f"fit/encode/W={window}": (wrench.size / batch.seconds, "samples/s"),
+        f"fit/encode/W={WINDOW}": (wrench.size / batch.seconds, "samples/s"),
         "fit/step/scan": (step.seconds / count * 1e6, "us"),
     }
-    return values, {f"fit/encode/W={window}": batch.ratio, "fit/step": step.ratio}
+    return values, {f"fit/encode/W={WINDOW}": batch.ratio, "fit/step": step.ratio}
 
 
 def streaming_step(windows: int = 2000) -> tuple[Values, float]:
@@ -269,9 +269,8 @@ def streaming_step(windows: int = 2000) -> tuple[Values, float]:
     from rcbht_jax.encoding.encoder import EncoderConfig, init, step
     from rcbht_jax.encoding.thresholds import preset
 
-    window = 5
-    config, limits = EncoderConfig(window=window, dt=DT), jnp.asarray(preset().limits, jnp.float32)
-    samples = jnp.asarray(signal(1, windows * window)[0].reshape(windows, window, 6))
+    config, limits = EncoderConfig(window=WINDOW, dt=DT), jnp.asarray(preset().limits, jnp.float32)
+    samples = jnp.asarray(signal(1, windows * WINDOW)[0].reshape(windows, WINDOW, 6))
     scan = jax.jit(lambda s, x: jax.lax.scan(lambda c, w: step(config, limits, c, w), s, x))
     in_scan = median_seconds(lambda: jax.block_until_ready(scan(init(), samples))) / windows
     single = jax.jit(step, static_argnums=0)

@@ -156,10 +156,10 @@ def recorded_rows(recordings: Recordings, session: str) -> Int[np.ndarray, " row
     """Recordings of a session that reached every state; arguments and errors of :func:`recorded`."""
     constants = preset(session)
     usable = recordings.session == constants.recorded_as
-    if not {RECORDED, HARMONISED} <= set(recordings.annotations.tracks):  # of another robot or task
-        usable[:] = False
-    if usable.any():
+    if {RECORDED, HARMONISED} <= set(recordings.annotations.tracks):
         usable &= np.isfinite(recordings.starts(HARMONISED)).all(1)
+    else:  # of another robot or task
+        usable[:] = False
     usable &= np.char.find(recordings.note, "other-setup") < 0
     if not constants.real:  # of the OpenHRP simulation only the successes are logged like the other sessions
         usable &= recordings.outcome == "success"

@@ -246,11 +246,11 @@ def _record(
     given = {target: _value(table, source, rows, row) for target, source in mapping.columns.items()}
     columns = _facts(table) | {target: value for target, value in given.items() if value is not None}
     notes += [f"changes:{target}" for target, value in given.items() if value is None]
-    order = np.argsort(stamps, kind="stable")
-    order = order[stamps[order] >= first]
     intervals = list(table.intervals)
-    for track in mapping.annotations:
-        if track.column in table.columns:
+    if tracks := [track for track in mapping.annotations if track.column in table.columns]:
+        order = np.argsort(stamps, kind="stable")
+        order = order[stamps[order] >= first]
+        for track in tracks:
             intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
     notes += [f"saturated:{mapping.axes[axis]}" for axis in conform.saturated(values)]  # a rotation would hide it
     notes += [f"stuck:{mapping.axes[axis]}" for axis in conform.stuck(values)]
