@@ -50,14 +50,28 @@ class _Zstd(ZstdCodec):
     """Zstandard that refuses a chunk that is too large before it allocates memory for it."""
 
     def _decode_sync(self, chunk_bytes: Buffer, chunk_spec: ArraySpec) -> Buffer:
-        packed, dtype = len(chunk_bytes), chunk_spec.dtype.to_native_dtype()
-        most = max(SMALL, MAX_RATIO * packed)
-        if dtype.kind not in "TUO":  # a text may have any length
-            most = min(most, math.prod(chunk_spec.shape) * dtype.itemsize)
-        size = content_size(chunk_bytes[:_HEADER].to_bytes())
-        if size is None or size > most:
-            raise ValueError(f"a chunk of {packed} bytes declares {size} unpacked; expected at most {most}")
+        dtype = chunk_spec.dtype.to_native_dtype()
+        most = None if dtype.kind in "TUO" else math.prod(chunk_spec.shape) * dtype.itemsize
+        unpacked_size(chunk_bytes[:_HEADER].to_bytes(), len(chunk_bytes), most)
         return super()._decode_sync(chunk_bytes, chunk_spec)
+
+
+def unpacked_size(head: bytes, packed: int, most: int | None) -> int:
+    """Bytes to which a chunk unpacks.
+
+    Args:
+        head: at least the first 18 bytes of the chunk. packed: all its bytes.
+        most: bytes that its shape has; None = a text, which may have any length.
+
+    Raises:
+        ValueError: too many for its shape, or for a measured signal.
+    """
+    limit = max(SMALL, MAX_RATIO * packed)
+    limit = limit if most is None else min(limit, most)
+    size = content_size(head)
+    if size is None or size > limit:
+        raise ValueError(f"a chunk of {packed} bytes declares {size} unpacked; expected at most {limit}")
+    return size
 
 
 def content_size(frame: bytes) -> int | None:

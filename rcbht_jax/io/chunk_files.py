@@ -24,7 +24,7 @@ with needs_extra("store"):
     from numcodecs.zstd import compress
 
 LEVEL = 1  # of Zstandard: 3 takes five times as long for a wrench and saves nothing, -1 costs 6 % of its size
-_NONE = 2**64 - 1  # offset and size of a chunk that is all zeros
+NONE = 2**64 - 1  # offset and size of a chunk that is all zeros
 
 
 def write_chunk(file: Path, values: NDArray[Any], shape: tuple[int, ...]) -> None:
@@ -58,7 +58,7 @@ def write_shards(
 def _shard(values: NDArray[Any], chunk: tuple[int, ...], shard: tuple[int, ...]) -> bytes | None:
     """A shard's file, None if it would be empty."""
     grid = [whole // one for whole, one in zip(shard, chunk, strict=True)]
-    index = np.full((*grid, 2), _NONE, "<u8")
+    index = np.full((*grid, 2), NONE, "<u8")
     pieces, offset = list[bytes](), 0
     for place, block in _blocks(values, chunk):
         piece = _encoded(_grown(block, chunk))

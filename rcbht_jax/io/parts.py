@@ -14,11 +14,12 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import read_object
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import chunk_files
+from rcbht_jax.io import chunk_files, chunk_reader
 from rcbht_jax.io import zarr as zarr_io
 
 with needs_extra("store"):
@@ -37,7 +38,9 @@ with needs_extra("store"):
 DIGESTS = "part_sha256"
 CHUNK_BYTES = 2**18  # of a chunk of an array that grows: what reading one row costs
 CHUNKS = 8  # along the dimension that grows, in one file
+AT_ONCE = 4  # parts that are verified at the same time: more would fill the memory
 _DIGEST = 32  # bytes of a SHA-256
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -245,15 +248,34 @@ def read(
     found = "string" if array.dtype.kind in "TUO" else str(array.dtype)
     if found != made.dtype:
         raise InputError(f"{zarr_io.path_of(group)}: {name} is {found}; expected {made.dtype}.")
-    within = [slice(None)] * (array.ndim - 1)
+    stops = list(array.shape[1:])
     if (axis := made.grows) is not None and width is not None:
-        within[axis - 1] = slice(0, width)
-    values = np.asarray(array[(rows, *within)] if isinstance(rows, slice) else array.oindex[(rows, *within)])
+        stops[axis - 1] = min(width, stops[axis - 1])
+    values = _rows(array, rows, tuple(stops))
     wanted = len(range(*rows.indices(rows.stop))) if isinstance(rows, slice) and rows != slice(None) else len(values)
     if len(values) != wanted:
         where = zarr_io.path_of(group)
         raise InputError(f"{where}: {name} has {len(values)} of {wanted} rows; import or copy it again.")
     return np.array(values.tolist(), np.str_).reshape(values.shape) if made.dtype == "string" else values
+
+
+def each(check: Callable[[int], T], numbers: Iterable[int]) -> list[T]:
+    """What a function finds in each of several parts, a few of which it reads at the same time.
+
+    Raises:
+        any exception that the function raises, for the first of the parts.
+    """
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        return list(pool.map(check, numbers))
+
+
+def _rows(array: zarr.Array[Any], rows: slice | NDArray[np.int64], stops: tuple[int, ...]) -> NDArray[Any]:
+    chosen = np.arange(*rows.indices(array.shape[0])) if isinstance(rows, slice) else rows
+    chunks = chunk_reader.chunks_of(array)
+    if chunks is not None and (not len(chosen) or 0 <= chosen.min() <= chosen.max() < array.shape[0]):
+        return chunk_reader.read(chunks, chosen, stops)
+    within = [slice(0, stop) for stop in stops]
+    return np.asarray(array[(rows, *within)] if isinstance(rows, slice) else array.oindex[(rows, *within)])
 
 
 def fields_in(group: zarr.Group) -> dict[str, Field]:

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import store_reader, store_v1, store_v2, store_writer
+from rcbht_jax.io import parts, store_reader, store_v1, store_v2, store_writer
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import VARIABLES, validate
 from rcbht_jax.io.store_reader import Stored
@@ -273,8 +274,7 @@ def verify(path: Path) -> None:
     store_reader.check_whole(stored)
     if stored.schema.simulation:
         store_reader.check_simulation(stored)
-    for number in range(len(stored.schema.layout)):
-        store_reader.check_part(stored, number)
+    parts.each(partial(store_reader.check_part, stored), range(len(stored.schema.layout)))
     zarr_io.check_collected(path)
 
 

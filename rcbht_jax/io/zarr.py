@@ -26,6 +26,7 @@ with needs_extra("store"):
     from zarr.abc.store import ByteRequest
     from zarr.codecs import Crc32cCodec, ZstdCodec
     from zarr.core.buffer import Buffer, BufferPrototype
+    from zarr.core.metadata import ArrayV3Metadata
     from zarr.storage import LocalStore
 
     from rcbht_jax.io.bounded_chunks import bounded
@@ -155,7 +156,7 @@ class _Files(LocalStore):
     async def get(
         self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
-        self._check(key)
+        self.check(key)
         return await super().get(key, prototype, byte_range)
 
     async def get_partial_values(
@@ -163,10 +164,10 @@ class _Files(LocalStore):
     ) -> list[Buffer | None]:
         wanted = list(key_ranges)
         for key, _ in wanted:
-            self._check(key)
+            self.check(key)
         return await super().get_partial_values(prototype, wanted)
 
-    def _check(self, key: str) -> None:
+    def check(self, key: str) -> None:
         """Raise an error for a file that is not regular or too large, before it is read.
 
         Raises:
@@ -239,10 +240,27 @@ def member(group: zarr.Group, name: str) -> zarr.Array[Any]:
     Raises:
         InputError: the array is missing, or packed in an unknown way.
     """
-    array = group.get(name)
+    array = _local_array(group, name)
+    if array is None:
+        array = group.get(name)  # type: ignore[assignment]
     if not isinstance(array, zarr.Array):
         raise InputError(f"{path_of(group)} has no array {name}; it is incomplete. Import or copy it again.")
     return bounded(array)
+
+
+def _local_array(group: zarr.Group, name: str) -> zarr.Array[Any] | None:
+    """An array of local files, which Zarr would open in a task of its event loop; None if it is no such array."""
+    place = group.store_path / name
+    if not isinstance(place.store, _Files) or group.metadata.consolidated_metadata is not None:
+        return None
+    key = f"{place.path}/{META}"
+    if not (file := place.store.root / key).exists():
+        return None
+    place.store.check(key)
+    content = json.loads(file.read_bytes())
+    if content["node_type"] != "array":
+        return None
+    return zarr.Array(zarr.AsyncArray(ArrayV3Metadata.from_dict(content), place))
 
 
 @uninterrupted()

@@ -14,6 +14,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -89,8 +90,8 @@ def renew(folder: Path, notice: Callable[[str], None] | None = None) -> None:
             found = sorted(finished(folder))
             if found and notice is not None:
                 notice(f"Verifying {plural(len(found), 'finished shard')}.")
-            for shard in found:
-                if not _is_intact(stored, shard):
+            for shard, intact in zip(found, parts.each(partial(_is_intact, stored), found), strict=True):
+                if not intact:
                     parts.discard(stored.path, shard)
         except InputError:  # no store yet, or a damaged one
             delete(store_of(folder))

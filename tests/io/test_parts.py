@@ -9,6 +9,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import threading
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -371,3 +372,18 @@ def test_batches_need_the_memory_of_one(tmp_path: Path) -> None:
     assert sum(len(batch) for batch in store.read_batches(path)) == count * part
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before  # KiB
     assert grown < 100_000  # all of it is 173 MB
+
+
+def test_parts_are_verified_at_the_same_time_and_the_first_damaged_one_is_named() -> None:
+    both = threading.Barrier(2, timeout=10.0)  # a second part is read while the first one is
+
+    def check(number: int) -> int:
+        if number < 2:
+            both.wait()
+        if number in (3, 5):
+            raise InputError(f"part {number}")
+        return number
+
+    assert parts.each(check, range(3)) == [0, 1, 2]
+    with pytest.raises(InputError, match="part 3"):
+        parts.each(check, range(7))

@@ -1,0 +1,157 @@
+"""Chunks of numbers in local files, read directly: the counterpart of :mod:`rcbht_jax.io.chunk_files`.
+
+Zarr hands each chunk to a task of one event loop, which takes longer than unpacking it. Object stores, texts and arrays
+that another program laid out are read by Zarr.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.untrusted import check_file
+from rcbht_jax.io.bounded_chunks import unpacked_size
+from rcbht_jax.io.chunk_files import NONE
+
+with needs_extra("store"):
+    import google_crc32c
+    import zarr
+    from numcodecs.zstd import decompress
+    from zarr.storage import LocalStore
+
+_CHECKSUM = 4  # bytes of a CRC-32C
+_HEAD = 32  # bytes of a chunk that declare its size, and more
+_PLACE = 16  # bytes of a chunk's offset and size in the index of a shard
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """Where the chunks of an array are, and of what shape.
+
+    Attributes:
+        folder: of the array's chunks ("c").
+        dtype: of the numbers.
+        chunk: shape of a chunk. shard: of a file of several chunks, a multiple of it; of one chunk without an index,
+            None.
+    """
+
+    folder: Path
+    dtype: np.dtype[Any]
+    chunk: tuple[int, ...]
+    shard: tuple[int, ...] | None
+
+
+def chunks_of(array: zarr.Array[Any]) -> Chunks | None:
+    """The chunks of an array of which :func:`read` can read them, None if Zarr must.
+
+    Args:
+        array: packed as :func:`rcbht_jax.io.bounded_chunks.bounded` accepts.
+    """
+    files, metadata = array.store_path.store, array.metadata.to_dict()
+    if not isinstance(files, LocalStore) or array.dtype.kind not in "biuf" or not array.ndim or metadata["fill_value"]:
+        return None
+    codecs: Any = metadata["codecs"]
+    if array.shards is not None:
+        if codecs[0]["configuration"].get("index_location", "end") != "end":
+            return None
+        codecs = codecs[0]["configuration"]["codecs"]
+    if codecs[0].get("configuration", {}).get("endian", "little") != "little":
+        return None
+    keys: Any = metadata["chunk_key_encoding"]
+    if keys["name"] != "default" or keys.get("configuration", {}).get("separator", "/") != "/":
+        return None
+    return Chunks(files.root / array.store_path.path / "c", array.dtype, array.chunks, array.shards)
+
+
+def read(chunks: Chunks, rows: NDArray[np.int64], stops: tuple[int, ...]) -> NDArray[Any]:
+    """Some rows of an array, up to ``stops`` along its other dimensions; zeros where there is no chunk.
+
+    Raises:
+        ValueError: a file or a chunk is damaged, or unpacks to another size than its shape.
+    """
+    out = np.zeros((len(rows), *stops), chunks.dtype)
+    shard = chunks.shard or chunks.chunk
+    for number in np.unique(rows // shard[0]).tolist():
+        mine = np.flatnonzero(rows // shard[0] == number)
+        within = rows[mine] - number * shard[0]
+        for place in _grid(stops, shard[1:]):
+            _read_file(chunks, (number, *place), within, mine, _window(out, place, shard[1:]))
+    return out
+
+
+def _grid(stops: tuple[int, ...], sizes: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+    """Places of the blocks of a size, as far as they are used."""
+    return itertools.product(*(range(-(-stop // size)) for stop, size in zip(stops, sizes, strict=True)))
+
+
+def _window(out: NDArray[Any], place: tuple[int, ...], sizes: tuple[int, ...]) -> NDArray[Any]:
+    """What an array holds of a block, all of whose rows it may have."""
+    return out[(slice(None), *(slice(n * size, (n + 1) * size) for n, size in zip(place, sizes, strict=True)))]
+
+
+def _read_file(
+    chunks: Chunks, place: tuple[int, ...], within: NDArray[np.int64], to: NDArray[np.int64], out: NDArray[Any]
+) -> None:
+    """Copy the rows ``within`` a file to the rows ``to`` of ``out``."""
+    file = chunks.folder.joinpath(*map(str, place))
+    if not file.exists():
+        return
+    size = check_file(file)
+    with file.open("rb", buffering=0) as source:
+        index = _index(source.fileno(), size, chunks)
+        for number in np.unique(within // chunks.chunk[0]).tolist():
+            mine = within // chunks.chunk[0] == number
+            taken = within[mine] - number * chunks.chunk[0]
+            for inner in _grid(out.shape[1:], chunks.chunk[1:]):
+                offset, length = map(int, index[(number, *inner)])
+                if (offset, length) != (NONE, NONE):
+                    block = _unpacked(_bytes(source.fileno(), offset, length, size), chunks)
+                    window = _window(out, inner, chunks.chunk[1:])
+                    window[to[mine]] = block[(slice(None), *map(slice, window.shape[1:]))][taken]
+
+
+def _index(file: int, size: int, chunks: Chunks) -> NDArray[np.uint64]:
+    """Offset and size of each chunk of a file ``[..., 2]``."""
+    if chunks.shard is None:
+        return np.array([0, size], np.uint64).reshape(*[1] * len(chunks.chunk), 2)
+    grid = [whole // one for whole, one in zip(chunks.shard, chunks.chunk, strict=True)]
+    length = _PLACE * math.prod(grid) + _CHECKSUM
+    raw = _verified(_bytes(file, size - length, length, size))
+    return np.frombuffer(raw, "<u8").reshape(*grid, 2)
+
+
+def _bytes(file: int, offset: int, length: int, size: int) -> bytes:
+    if offset < 0 or length <= _CHECKSUM or offset + length > size:
+        raise ValueError(f"a chunk of {length} bytes at {offset} is not within the {size} bytes of its file")
+    data = os.pread(file, length, offset)
+    if len(data) != length:
+        raise ValueError(f"a chunk ends after {len(data)} of {length} bytes")
+    return data
+
+
+def _verified(data: bytes) -> memoryview:
+    """What is before a checksum."""
+    content = memoryview(data)[:-_CHECKSUM]
+    if google_crc32c.value(bytes(content)) != int.from_bytes(data[-_CHECKSUM:], "little"):
+        raise ValueError("a chunk does not match its checksum")
+    return content
+
+
+def _unpacked(data: bytes, chunks: Chunks) -> NDArray[Any]:
+    """The numbers of a chunk; refused before memory is allocated for more than its shape."""
+    packed, wanted = _verified(data), math.prod(chunks.chunk) * chunks.dtype.itemsize
+    size = unpacked_size(data[:_HEAD], len(packed), wanted)
+    if size != wanted:
+        raise ValueError(f"a chunk declares {size} bytes unpacked; expected the {wanted} of its shape")
+    out = np.empty(chunks.chunk, chunks.dtype)
+    decompress(packed, out.reshape(-1).view(np.uint8))
+    return out
