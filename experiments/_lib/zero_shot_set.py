@@ -40,12 +40,12 @@ SENSOR = (
 SPEC = replace(WIDE, mating=(0.5, 30.0), sensor=WORN, physical=SENSOR)
 
 
-def simulated_and_recorded(folder: Path) -> Recordings:
+def simulated_and_recorded(folder: Path, seed: int = SEED) -> Recordings:
     """The trials of session "simulated", kept in the folder and made if they are missing, then those of A and B."""
     target = folder / f"zero-shot-{TRIALS}.zarr"
     if not target.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        pipeline.synthesise(target, SynthesisConfig(PRESET, TRIALS, SEED, shard=64, spec=SPEC))
+        pipeline.synthesise(target, SynthesisConfig(PRESET, TRIALS, seed, shard=64, spec=SPEC))
     known, made = recorded(), read_recordings(target)
     real = known.take(np.isin(known.session, SESSIONS))
     made = replace(made, session=np.full(len(made), SIMULATED))

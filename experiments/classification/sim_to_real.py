@@ -77,8 +77,8 @@ class Pool:
 class Experiment:
     """The sets, and the functions that make each row."""
 
-    def __init__(self, folder: Path) -> None:
-        self.sets = Sets(folder, recorded())
+    def __init__(self, folder: Path, seed: int = SEED_OF_SETS) -> None:
+        self.sets = Sets(folder, recorded(), seed)
 
     def row(self, spec: Row) -> Callable[[], Any]:
         return lambda: {"train": list(spec.train)} | {b: self.measure(spec, b) for b in BOUNDARIES}

@@ -83,8 +83,8 @@ class Labelling:
 class Sets:
     """Sets by name, each read, labelled and described once."""
 
-    def __init__(self, folder: Path, recorded: Recordings) -> None:
-        self.folder, self.recorded = folder, recorded
+    def __init__(self, folder: Path, recorded: Recordings, seed: int = SEED) -> None:
+        self.folder, self.recorded, self.seed = folder, recorded, seed
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def recordings(self, name: str, tared: bool) -> Recordings:
@@ -94,7 +94,7 @@ class Sets:
             found = self.recorded.take(self.recorded.session == session)
         else:
             level, which = name.split()
-            make(self.folder, level, which)
+            make(self.folder, level, which, self.seed)
             found = read_recordings(store_of(self.folder, level, which))
         return tare(found, round(TARE_SECONDS / found.dt)) if tared else found
 
@@ -128,7 +128,7 @@ def store_of(folder: Path, level: str, session: str) -> Path:
     return folder / f"{level}-{PRESETS[session]}.zarr"
 
 
-def make(folder: Path, level: str, session: str) -> None:
+def make(folder: Path, level: str, session: str, seed: int = SEED) -> None:
     """Simulate a set unless it is there."""
     target, preset = store_of(folder, level, session), PRESETS[session]
     if target.exists():
@@ -137,7 +137,7 @@ def make(folder: Path, level: str, session: str) -> None:
     spec = SETS[level].spec
     if not preset_of(preset).real and level != "ideal":
         spec = replace(spec, sensor=WORN)
-    job = SynthesisConfig(preset, SETS[level].trials, SEED, shard=64, spec=spec)
+    job = SynthesisConfig(preset, SETS[level].trials, seed, shard=64, spec=spec)
 
     def progress(now: SynthesisProgress) -> None:
         print(f"{target.name}: {now.done}/{now.total}, {now.per_minute:.0f} a minute", flush=True)

@@ -47,12 +47,12 @@ FEATURES = {"frozen": False, "frozen, relative": True}
 class Experiment:
     """Simulated and recorded trials in one set."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.method = folder, frozen.load()
+    def __init__(self, folder: Path, seed: int = SEED) -> None:
+        self.folder, self.seed, self.method = folder, seed, frozen.load()
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def recordings(self) -> Recordings:
-        return simulated_and_recorded(self.folder)
+        return simulated_and_recorded(self.folder, self.seed)
 
     @cache  # noqa: B019
     def grammars(self) -> frozen.Grammars:
