@@ -20,7 +20,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.between import Between, Line
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
-from rcbht_jax.io.importing.numerals import Numerals, shows_points, two_meanings
+from rcbht_jax.io.importing.numerals import Numerals, shows_commas, shows_points, two_meanings
 from rcbht_jax.io.importing.preamble import stated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates
@@ -165,9 +165,11 @@ def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
             blocks = len(columns) == 1 and len(row) == 6  # rows of a wrench below a word
             hint = "Read the blocks of a UCI file with: rcbht import uci." if blocks else "Is the line cut off?"
             raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(columns)}. {hint}")
-    if columns and not columns[0].count and shows_points(row for _, row in lines[:PROBES]):
-        for column in columns:
-            column.numerals.assume_points()
+    if columns and not columns[0].count:
+        first = [row for _, row in lines[:PROBES]]
+        points, commas = shows_points(first), shows_commas(first)
+        for column in columns if points != commas else ():
+            (column.numerals.assume_points if points else column.numerals.assume_commas)()
     numbers = [number for number, _ in lines]
     for column, some in zip(columns, zip(*(row for _, row in lines), strict=True), strict=False):
         column.add(some, numbers)

@@ -55,7 +55,8 @@ def read_titles(file: BinaryIO, path: Path, encoding: str) -> Titles:
     delimiter = cells.delimiter_of(head)
     titles, start = cells.split(head, delimiter, encoding), file.tell()
     following = _following(file, delimiter, encoding)
-    below = [row for row, _ in following]
+    # a delimiter at the end of every row makes an empty cell more than there are names
+    below = [row[:-1] if len(row) == len(titles) + 1 and not row[-1] else row for row, _ in following]
     titles = labview.without_comment(titles, below[0] if below else []) if before else titles
     if not (comment or cells.is_title(titles, below[0] if below else [])):
         names = _checked([f"c{number}" for number in range(len(titles))], path)
@@ -88,8 +89,8 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
     while line := file.readline(MAX_TABLE_LINE):
         if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
             raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
-        if line.startswith((b"#", b"%")) and not line.startswith(b"%time"):
-            comment = line.lstrip(b"#% ")
+        if (mark := cells.COMMENT.match(line)) and not line.startswith(b"%time"):
+            comment = line[mark.end() :]
             comments = [*comments, line][:PREAMBLE]
         elif line.strip():
             # A comment is the line of names if it has as many of them as the first row has cells.

@@ -1,0 +1,118 @@
+"""Text as sensors, spreadsheets and loggers of other laboratories write it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcbht_jax.io.importing.importer import Imported, read_source
+from rcbht_jax.io.importing.text import read_csv
+
+N = 40
+TIME = (np.arange(N) * 0.01).round(2)
+WRENCH = np.random.default_rng(0).normal(size=(N, 6)).round(3) * 100
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+UNITS = ("N",) * 3 + ("Nm",) * 3
+COUNTS = "Counts per Unit"
+
+
+def comma(value: float) -> str:
+    return f"{value:.4f}".replace(".", ",")
+
+
+def holds(imported: Imported, units: tuple[str, ...] = ("",) * 6) -> None:
+    recordings = imported.recordings
+    assert (recordings.axes, imported.mapping.units) == (AXES, units)
+    assert recordings.dt == pytest.approx(0.01)
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-3)
+    assert imported.report.skipped == imported.report.warnings == []
+
+
+@pytest.mark.parametrize("head", ["time,Fx,Fy,Fz,Mx,My,Mz\n", '"time","Fx","Fy","Fz","Mx","My","Mz"\n'])
+@pytest.mark.parametrize("units", ["", '"s","N","N","N","Nm","Nm","Nm"\n'])
+def test_quoted_decimal_commas_between_commas(head: str, units: str, tmp_path: Path) -> None:
+    rows = [",".join(f'"{comma(value)}"' for value in (time, *row)) for time, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text(head + units + "\n".join(rows))
+    holds(read_source(tmp_path), UNITS if units else ("",) * 6)
+
+
+@pytest.mark.parametrize("between", [" ", "   "])
+def test_decimal_commas_between_blanks(between: str, tmp_path: Path) -> None:
+    rows = [between.join(map(comma, (time, *row))) for time, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join([between.join(("time", *AXES)), *rows]))
+    holds(read_source(tmp_path))
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-1e6, 1e6).map(lambda value: round(value, 4))] * 3), min_size=3, max_size=8),
+    st.sampled_from(",;\t"),
+)
+def test_no_number_with_a_decimal_comma_changes(rows: list[tuple[float, ...]], delimiter: str) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, delimiter=delimiter)
+    writer.writerow(["t", "Fx", "Fz"])
+    writer.writerows([[comma(value) for value in row] for row in rows])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.csv"
+        path.write_text(text.getvalue())
+        [table] = read_csv(path, "run.csv")
+    np.testing.assert_array_equal(np.stack(list(table.columns.values()), 1), rows)
+
+
+def test_quoted_thousands_beside_points_stay_thousands(tmp_path: Path) -> None:
+    rows = "\n".join(f'{time},"1,{k:03}",0.5' for k, time in enumerate(TIME))
+    (tmp_path / "run.csv").write_text(f"t,Fx,Fz\n{rows}\n")
+    np.testing.assert_array_equal(read_source(tmp_path).recordings.wrench[0, :, 0], 1000 + np.arange(N))
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        f'"Start: 5/1/2024"\n"Force Units: N","{COUNTS} Force: 1000000.0"\n"Torque Units: Nm","{COUNTS} Torque: 1e6"',
+        f'"Force Units: N","{COUNTS} Force: 1e6","Torque Units: N-m","{COUNTS} Torque: 1000000.0"',
+        f"Force Units:,N,{COUNTS} Force:,1000000\nTorque Units:,Nm,{COUNTS} Torque:,1000000",
+        f"Force Units,N\n{COUNTS} Force,1000000\nTorque Units,Nm\n{COUNTS} Torque,1000000",
+    ],
+)
+def test_counts_are_divided_however_the_lines_before_state_them(before: str, tmp_path: Path) -> None:
+    head = "Status (hex),RDT Sequence,F/T Sequence,Fx,Fy,Fz,Tx,Ty,Tz,Time"
+    rows = [
+        ",".join(["0", f"{k}", f"{5 * k}", *(f"{1e6 * value:.0f}" for value in row), f"{time}"])
+        for k, (time, row) in enumerate(zip(TIME, WRENCH, strict=True))
+    ]
+    (tmp_path / "run.csv").write_text("\n".join([before, head, *rows]) + "\n")
+    imported = read_source(tmp_path)
+    holds(imported, UNITS)
+    assert imported.recordings.note[0].endswith(";counts")
+
+
+def test_units_before_the_names_without_counts(tmp_path: Path) -> None:
+    rows = [",".join(map(str, (time, *row))) for time, row in zip(TIME, WRENCH, strict=True)]
+    head = '"Force Units: N","Torque Units: Nm"\ntime,Fx,Fy,Fz,Tx,Ty,Tz\n'
+    (tmp_path / "run.csv").write_text(head + "\n".join(rows))
+    holds(read_source(tmp_path), UNITS)
+
+
+@pytest.mark.parametrize("mark", ["sep=;", '"sep=;"', "\ufeffsep=;"])
+def test_the_separator_that_a_spreadsheet_reads_is_no_name(mark: str, tmp_path: Path) -> None:
+    rows = [";".join(map(str, (10 * k, *row))) + ";" for k, row in enumerate(WRENCH)]
+    head = f"{mark}\nTimestamp;Fx;Fy;Fz;Tx;Ty;Tz\n;N;N;N;Nm;Nm;Nm\n"
+    (tmp_path / "run.csv").write_text(head + "\n".join(rows), "utf-8")
+    holds(read_source(tmp_path), UNITS)
+
+
+@pytest.mark.parametrize("mark", ["#", "%", "//"])
+def test_comments_before_and_between_rows_are_left_out(mark: str, tmp_path: Path) -> None:
+    rows = [",".join(map(str, (time, *row))) for time, row in zip(TIME, WRENCH, strict=True)]
+    rows.insert(20, f"{mark} contact, here")
+    (tmp_path / "run.csv").write_text("\n".join([f"{mark} robot A", ",".join(("time", *AXES)), *rows]))
+    imported = read_source(tmp_path)
+    holds(imported)
+    assert any(f"left out: '{mark} contact'" in remark for remark in imported.report.remarks)
