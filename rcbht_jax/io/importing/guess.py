@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import TIMES, base_and_unit, split_unit
+from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, split_unit
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
@@ -256,7 +256,7 @@ def some(texts: Iterable[str]) -> str:
 def _unit_of(table: Table, name: str, axis: str = "") -> str:
     """The unit of a column; "" = unknown, also where a whole wrench states one that only some axes can have."""
     unit = table.units.get(name, "") or base_and_unit(name)[1]
-    return "" if unit in {"F": names.MOMENTS, "M": names.FORCES}.get(axis[:1], ()) else unit
+    return "" if unit in {"F": MOMENTS, "M": FORCES}.get(axis[:1], ()) else unit
 
 
 def _table(table: Table, mapping: Mapping) -> list[Understood]:

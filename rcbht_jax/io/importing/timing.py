@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit, split_unit
+from rcbht_jax._util.columns import SECONDS, TIMES, TIMES_ABROAD, base_and_unit, split_unit
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
 from rcbht_jax.io.importing.mapping import Mapping
@@ -18,7 +18,7 @@ from rcbht_jax.io.importing.table import Table
 SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 _SECONDS = re.compile(r"^(|.*[./_ ])(?:secs?|seconds)$")
 _DAYS = (2e4, 8e4), (6e5, 8e5)  # days since 1900 (spreadsheets) and since the year 0 (MATLAB), of our time
-_LAST = ("time", "times", "timestamp", "timestamps", "stamp", "duration", "zeit", "zeitstempel", "datenum")
+_LAST = ("time", "times", "timestamp", "timestamps", "stamp", "duration", "datenum", *TIMES_ABROAD)
 
 
 def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:

@@ -52,8 +52,10 @@ def read_titles(file: BinaryIO, path: Path, encoding: str) -> Titles:
     """
     before = _preamble(file)
     head, comment, comments = _head(file, path)
-    delimiter = cells.delimiter_of(head)
-    titles, start = cells.split(head, delimiter, encoding), file.tell()
+    start = file.tell()
+    delimiter = _delimiter(head, file.readline(MAX_TABLE_LINE))
+    file.seek(start)
+    titles = cells.split(head, delimiter, encoding)
     following = _following(file, delimiter, encoding)
     # a delimiter at the end of every row makes an empty cell more than there are names
     below = [row[:-1] if len(row) == len(titles) + 1 and not row[-1] else row for row, _ in following]
@@ -101,6 +103,16 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
                 return comment, True, comments
             return line, False, comments
     raise InputError(f"{path} is empty; expected a table.")
+
+
+def _delimiter(head: bytes, below: bytes) -> str:
+    """The mark between the cells of a line, that of the next one if both have as many cells then: names have commas.
+
+    >>> _delimiter(b"t, s;Fz, N", b"0,5;1,5"), _delimiter(b"t,Fz", b"0.5,1.5")
+    (';', ',')
+    """
+    own, other = cells.delimiter_of(head), cells.delimiter_of(below)
+    return other if 1 < len(cells.split(head, other)) == len(cells.split(below, other)) else own
 
 
 def _following(file: BinaryIO, delimiter: str, encoding: str) -> list[tuple[list[str], int]]:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.importer import Imported, read_source
 from rcbht_jax.io.importing.text import read_csv
 
@@ -116,3 +117,58 @@ def test_comments_before_and_between_rows_are_left_out(mark: str, tmp_path: Path
     imported = read_source(tmp_path)
     holds(imported)
     assert any(f"left out: '{mark} contact'" in remark for remark in imported.report.remarks)
+
+
+CYRILLIC = ("Н", "Н", "Н", "Н·м", "Нм", "Н*м")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1251"])
+@pytest.mark.parametrize("form", ["{} [{}]", "{}, {}", "{} ({})"])
+def test_cyrillic_names_and_units(form: str, encoding: str, tmp_path: Path) -> None:
+    names = [f"{word} {axis}" for word in ("Сила", "Момент") for axis in "XYZ"]
+    heads = [form.format(name, unit) for name, unit in zip(("Время", *names), ("мс", *CYRILLIC), strict=True)]
+    rows = [";".join(map(comma, (10 * k, *row))) for k, row in enumerate(WRENCH)]
+    (tmp_path / "run.csv").write_text("\n".join([";".join(heads), *rows]), encoding)
+    imported = read_source(tmp_path)
+    holds(imported, UNITS)
+    assert imported.recordings.note[0] == ("cp1251" if encoding == "cp1251" else "")
+
+
+@pytest.mark.parametrize("word", ["Größe", "créée à côté", "Ø [mm] durchschnittlich"])
+def test_western_words_are_not_taken_for_cyrillic_ones(word: str, tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("\n".join(["t;Fz;label", *(f"{t};{t};{word}" for t in TIME)]), "cp1252")
+    assert read_source(tmp_path).recordings.note[0] == "cp1252"
+
+
+@pytest.mark.parametrize(
+    ("force", "moment", "meant"),
+    [("kgf", "kgf.cm", ("kgf", "kgf cm")), ("lb", "in-lb", ("lbf", "lbf in")), ("lbs", "ft-lbs", ("lbf", "lbf ft")),
+     ("daN", "daN.m", ("daN", "")), ("кгс", "кгс·м", ("kgf", "kgf m")), ("mN", "mN m", ("mN", "mNm")),
+     ("MN", "MNm", ("", "")), ("kp", "kp*m", ("", "")), ("bar", "Nm", ("", "Nm"))],
+)  # fmt: skip
+def test_no_axis_is_left_out_for_its_unit(force: str, moment: str, meant: tuple[str, str], tmp_path: Path) -> None:
+    heads = [f"F{axis} ({force})" for axis in "xyz"] + [f"M{axis} ({moment})" for axis in "xyz"]
+    rows = [",".join(map(str, (time, *row))) for time, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join([",".join(("time (s)", *heads)), *rows]))
+    holds(read_source(tmp_path), (meant[0],) * 3 + (meant[1],) * 3)
+
+
+def test_brackets_that_tell_wrenches_apart_are_no_units(tmp_path: Path) -> None:
+    heads = [f"F{axis} ({word})" for word in ("raw", "filtered") for axis in "xyz"]
+    rows = [",".join(map(str, (time, *row))) for time, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join([",".join(("time", *heads)), *rows]))
+    imported = read_source(tmp_path)
+    assert imported.recordings.axes == ("Fx", "Fy", "Fz")
+    np.testing.assert_allclose(imported.recordings.wrench[0], WRENCH[:, 3:], rtol=1e-6)
+    assert any(remark.startswith("2 wrenches were found") for remark in imported.report.remarks)
+
+
+@pytest.mark.parametrize("word", ["Zeit", "Temps", "Tiempo", "Время", "时间", "時間", "시간"])
+def test_times_in_other_languages_grow(word: str, tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(
+        "\n".join([f"Fz,{word}", *(f"{row[2]},{t}" for t, row in zip(TIME, WRENCH, strict=True))])
+    )
+    assert read_source(tmp_path).recordings.axes == ("Fz",)
+    (tmp_path / "run.csv").write_text("\n".join([f"Fz,{word}", *(f"{row[2]},{row[3]}" for row in WRENCH)]))
+    with pytest.raises(InputError, match="no column of time"):
+        read_source(tmp_path)
