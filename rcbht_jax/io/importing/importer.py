@@ -25,6 +25,7 @@ from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.arms import PLACE, tables_of_arms
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.blocks import read_blocks
+from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find
@@ -202,7 +203,7 @@ def _read(
         try:
             if source.is_dir():
                 check_inside(item.path, source)
-            wide = (widened(table, base) for table in read_item(item, base))
+            wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
                 named = marks.headed(table) if named_after(table.name) else table
                 if item.kind == "csv" and marks.is_intervals(named.columns):

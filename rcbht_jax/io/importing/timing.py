@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import SECONDS, TIMES, TIMES_ABROAD, base_and_unit, split_unit
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
+from rcbht_jax.io.importing.clock_parts import JOINT
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.importing.table import Table
 
@@ -34,6 +35,8 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         mapping: names no time.
         free: columns without another meaning.
     """
+    if joint := next((name for name in free if JOINT in name and _is_joint(table, name)), ""):
+        return replace(mapping, time=joint, time_unit="s")
     parsed = {name: base_and_unit(name) for name in free}
     bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
     bases |= {base: name for name, (base, _) in reversed(parsed.items())}
@@ -66,6 +69,12 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     if likely := _likely_time(table, free):
         return replace(mapping, time=likely, time_unit=_unit(table, likely))
     return mapping
+
+
+def _is_joint(table: Table, name: str) -> bool:
+    """Whether several columns were joined to this time, perhaps to one that does not exist."""
+    values = table.columns[name]
+    return bool(re.search(r"\d:\d", str(values[0]))) if values.dtype.kind == "U" else table.units.get(name) == "s"
 
 
 def _likely_time(table: Table, free: list[str]) -> str:
