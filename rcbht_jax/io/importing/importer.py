@@ -32,6 +32,7 @@ from rcbht_jax.io.importing.find import Item, chosen, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
+from rcbht_jax.io.importing.label_studio import unfolded
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
@@ -205,9 +206,10 @@ def _read(
                 check_inside(item.path, source)
             wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                named = marks.headed(table) if named_after(table.name) else table
+                named = unfolded(marks.headed(table) if named_after(table.name) else table)
                 if item.kind == "csv" and marks.is_intervals(named.columns):
                     marked.append(named)
+                    report.remarks += marks.unused(named)
                     continue
                 try:
                     for record, meaning in _understood(beside.described(table), base, rows, report):
