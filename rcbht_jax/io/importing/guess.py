@@ -223,7 +223,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
         raise InputError(
             f"{table.name} has {plural(len(rest), 'column')} of numbers and none is a wrench; choose some with --map."
         )
-    short = [split_unit(name)[0] for name in rest]
+    short = [names.axis_name(name) or split_unit(name)[0] for name in rest]
     titles = short if len(set(short)) == len(rest) else rest
     return tuple(Channel(name, title, _unit_of(table, name)) for name, title in zip(rest, titles, strict=True))
 

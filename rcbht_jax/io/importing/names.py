@@ -35,7 +35,7 @@ _QUALIFIERS = (
     "continuous|raw|filtered|compensated|comp|measured|meas|ext|external|data|values?|sensor|tcp|tool|ee|base|world|"
     "history|calibrated|tared|est|estimated|left|right|l|r"
 )
-_WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*[\[({]\s*([^\W\d][^\])}]*)[\])}]$")
+_WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*(?!\{arm\})[\[({]\s*([^\W\d][^\])}]*)[\])}]$")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
 _LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
@@ -136,6 +136,17 @@ def is_axis(name: str) -> bool:
     (True, True, False)
     """
     return _axis_of(snake(split_unit(name)[0]), "") is not None
+
+
+def axis_name(name: str) -> str:
+    """The axis that a column is by a name without anything else; "" = none, or a T that may be a translation.
+
+    >>> axis_name("mx [Nm]"), axis_name("force_z"), axis_name("left_fx"), axis_name("tx"), axis_name("tx [Nm]")
+    ('Mx', 'Fz', '', '', 'Mx')
+    """
+    base, unit = split_unit(name)
+    place, kind, letter, certain = _axis_of(snake(base), unit) or (("", ""), "", "", False)
+    return kind + letter if place == ("", "") and (certain or kind == "F" or unit in MOMENTS) else ""
 
 
 def preference(name: str) -> int:

@@ -172,3 +172,12 @@ def test_times_in_other_languages_grow(word: str, tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("\n".join([f"Fz,{word}", *(f"{row[2]},{row[3]}" for row in WRENCH)]))
     with pytest.raises(InputError, match="no column of time"):
         read_source(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("head", "axes"), [("t,mx,my", ("Mx", "My")), ("t,force_z,speed", ("Fz", "speed")), ("t,fx,Fx", ("fx", "Fx"))]
+)
+def test_single_axes_have_the_names_of_axes(head: str, axes: tuple[str, ...], tmp_path: Path) -> None:
+    rows = [f"{time},{row[0]},{row[1]}" for time, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join([head, *rows]))
+    assert read_source(tmp_path).recordings.axes == axes
