@@ -85,6 +85,7 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
     said = dict(pair for line in lines for pair in _pairs(line))
     rates = [number(text) for key, text in said.items() if key.endswith(_RATES) or key in _RATE]
     rates += [1 / period for key, text in said.items() if key in _PERIOD and (period := number(text)) > 0]
+    rates += [1 / period] if (period := labview.period_in(lines)) > 0 else []
     counts: dict[str, float] = {}
     units: dict[str, str] = {}
     axes = [pair for wrench in wrenches(names) for pair in wrench.items()]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import cells
+from rcbht_jax.io.importing import cells, labview
 from rcbht_jax.io.importing.between import Between, Line
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
 from rcbht_jax.io.importing.numerals import Numerals, shows_commas, shows_points, two_meanings
@@ -68,6 +68,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
         if columns[column].dtype.kind == "f":
             columns[column] = columns[column].astype(np.float64) / counts
     notes += ("counts",) if about.counts else ()
+    columns = labview.with_one_time(path, columns) if any(map(labview.ends_header, titles.before)) else columns
     yield Table(name, columns, about.rate, about.units, notes=notes, lines=tuple(between.left))
 
 
@@ -164,6 +165,8 @@ def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
         if len(row) != len(columns):
             blocks = len(columns) == 1 and len(row) == 6  # rows of a wrench below a word
             hint = "Read the blocks of a UCI file with: rcbht import uci." if blocks else "Is the line cut off?"
+            if [column.name for column in columns] == ["header:"]:
+                hint = "Messages that ros2 topic echo prints are no table; print them with --csv, or record a bag."
             raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(columns)}. {hint}")
     if columns and not columns[0].count:
         first = [row for _, row in lines[:PROBES]]
@@ -180,7 +183,7 @@ class _Column:
     """A column that grows; it is text if its first cell with content is."""
 
     def __init__(self, path: Path, name: str, delimiter: str) -> None:
-        self._path, self._name, self._where = path, name, f"{path}, column {name}"
+        self._path, self.name, self._where = path, name, f"{path}, column {name}"
         self._delimiter, self.numerals = delimiter, Numerals(delimiter)
         self._parts: list[NDArray[np.generic]] = []
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
@@ -217,7 +220,7 @@ class _Column:
         values = np.empty(len(row))
         for place, cell in enumerate(row):
             if not cells.is_number(cell):
-                where = f"{self._path}, line {lines[place]}, column {self._name}"
+                where = f"{self._path}, line {lines[place]}, column {self.name}"
                 raise InputError(f"{where}: {cell[:30]!r} is not a number.{two_meanings(cell)}")
             values[place] = np.nan if cell.lower() in cells.NAN else float(cell)
         return values

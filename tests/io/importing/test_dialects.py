@@ -181,3 +181,46 @@ def test_single_axes_have_the_names_of_axes(head: str, axes: tuple[str, ...], tm
     rows = [f"{time},{row[0]},{row[1]}" for time, row in zip(TIME, WRENCH, strict=True)]
     (tmp_path / "run.csv").write_text("\n".join([head, *rows]))
     assert read_source(tmp_path).recordings.axes == axes
+
+
+def measurement(path: Path, names: str, delta: str, rows: list[str]) -> None:
+    """A file of LabVIEW (.lvm) of two signals."""
+    units = "\t".join("Newton" if name in ("Fx", "Fz") else "" for name in names.split("\t")[1:])
+    head = f"LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\nChannels\t2\nY_Unit_Label\t{units}\n"
+    path.write_text(f"{head}Delta_X\t{delta}\n***End_of_Header***\t\n{names}\tComment\n" + "\n".join(rows) + "\n")
+
+
+def forces(imported: Imported) -> None:
+    assert (imported.recordings.axes, imported.mapping.units) == (("Fx", "Fz"), ("N", "N"))
+    assert imported.recordings.dt == pytest.approx(0.01)
+    np.testing.assert_allclose(imported.recordings.wrench[0], WRENCH[:, :2], rtol=1e-6)
+
+
+@pytest.mark.parametrize("delta", ["0.01\t0.01", "0,010000\t0,010000", "1.0E-2\t1.0E-2"])
+def test_a_measurement_of_labview_without_times_states_its_rate(delta: str, tmp_path: Path) -> None:
+    measurement(tmp_path / "run.lvm", "X_Value\tFx\tFz", delta, [f"\t{row[0]}\t{row[1]}" for row in WRENCH])
+    forces(read_source(tmp_path / "run.lvm", "csv"))
+
+
+def test_times_of_labview_before_every_signal_are_no_signals(tmp_path: Path) -> None:
+    names, pairs = "X_Value\tFx\tX_Value\tFz", list(zip(TIME, WRENCH, strict=True))
+    measurement(tmp_path / "run.lvm", names, "0.01\t\t0.01", [f"{t}\t{row[0]}\t{t}\t{row[1]}" for t, row in pairs])
+    forces(read_source(tmp_path / "run.lvm", "csv"))
+    measurement(tmp_path / "run.lvm", names, "0.01\t\t0.02", [f"{t}\t{row[0]}\t{2 * t}\t{row[1]}" for t, row in pairs])
+    with pytest.raises(InputError, match=r"column X_Value.2 are not those in X_Value; save the signals one by one."):
+        read_source(tmp_path / "run.lvm", "csv")
+
+
+@pytest.mark.parametrize("kind", ["auto", "csv"])
+@pytest.mark.parametrize("name", ["run.xlsx", "run.xls", "run.ods"])
+def test_a_workbook_is_to_be_saved_as_csv(name: str, kind: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"PK\x03\x04")
+    for source in (tmp_path, tmp_path / name):
+        with pytest.raises(InputError, match=r"as CSV, each as a file\.$"):
+            read_source(source, kind)
+
+
+def test_messages_that_a_terminal_shows_are_no_table(tmp_path: Path) -> None:
+    (tmp_path / "run.txt").write_text("header:\n  stamp:\n    sec: 5\n    nanosec: 7\n  frame_id: tool0\n---\n" * 9)
+    with pytest.raises(InputError, match="print them with --csv, or record a bag"):
+        read_source(tmp_path / "run.txt", "csv")
