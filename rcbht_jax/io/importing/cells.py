@@ -15,7 +15,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.numerals import ungrouped
 
 COMMENT = re.compile(rb"^(?:[#%]|//)(?:[#% ]|//)*")  # what begins one
-NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
+NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a", "-", "--"}
 _BLANKS = re.compile(r"\s+(?![\[(][^\W\d][^\s\])]*[\])])")  # but before a unit: Time (s)
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 _BETWEEN_BLANKS = re.compile(r"[+-]?\d+(?:,\d+(?:[eE][+-]?\d+)?)?")  # numbers, some with decimal commas
@@ -29,7 +29,7 @@ def delimiter_of(line: bytes) -> str:
     >>> delimiter_of(b"0,5 1,5"), delimiter_of(b"0, 1,5")
     (' ', ',')
     """
-    for mark in ";\t":
+    for mark in ";\t|":
         if mark.encode() in line and b"," in line:
             cells = next(csv.reader([line.decode("utf-8", "replace").strip("\r\n")], delimiter=mark), [])
             if all(is_number(plain(cell.strip(), mark)) for cell in cells if "," in cell):
@@ -37,7 +37,7 @@ def delimiter_of(line: bytes) -> str:
     words = line.decode("utf-8", "replace").split()
     if len(words) > 1 and b"," in line and all(map(_BETWEEN_BLANKS.fullmatch, words)):
         return "\t" if b"\t" in line else " "
-    counts = {mark: line.count(mark.encode()) for mark in ";\t,"}
+    counts = {mark: line.count(mark.encode()) for mark in ";\t|,"}
     best = max(counts, key=lambda mark: counts[mark])
     return best if counts[best] else " "
 
@@ -79,7 +79,7 @@ def plain(cell: str, delimiter: str) -> str:
     if cell[:1] in ("(", "[") or cell[-1:] in (")", "]"):
         inner = cell.strip("()[] ")
         return inner if inner and is_number(inner) else cell
-    return _COMMA.sub(r"\1.\2", ungrouped(cell)) if delimiter and delimiter in ";\t " and "," in cell else cell
+    return _COMMA.sub(r"\1.\2", ungrouped(cell)) if delimiter and delimiter in ";\t| " and "," in cell else cell
 
 
 def count_numbers(cells: Sequence[str]) -> int:
@@ -123,7 +123,7 @@ def units(cells: list[str]) -> list[str]:
     >>> units(["[s]", "[N]"]), units(["0", "1"])
     (['s', 'N'], [])
     """
-    bare = [cell.strip("[]() ") for cell in cells]
+    bare = [cell.strip("[]()- ") for cell in cells]
     known = [split_unit(f"x [{unit}]")[1] for unit in bare]
     numbers = any(map(is_number, filter(None, bare)))
     return bare if any(known) and not numbers and 2 * sum(map(bool, known)) >= sum(map(bool, bare)) else []

@@ -18,7 +18,7 @@ from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.numerals import two_meanings
 from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.timing import are_dates, is_clock, is_stamp, with_time
+from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, with_time
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
@@ -211,8 +211,10 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
     if wrench := names.preferred(names.wrenches(numeric)):
         return tuple(Channel(column, axis, _unit_of(table, column, axis)) for axis, column in wrench.items())
-    other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
+    other = {*names.COUNTERS, *names.GROUPS, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]
+    # a T that does not grow is a temperature or a torque
+    rest = [name for name in rest if base_and_unit(name)[0] not in TIMES or not grows(table, name)]
     rest = [name for name in rest if np.isfinite(table.columns[name]).any()]  # an empty column is none
     rest = [name for name in rest if not is_stamp(table, name)]
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]

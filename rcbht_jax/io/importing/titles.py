@@ -187,5 +187,7 @@ def _checked(titles: list[str], path: Path) -> list[str]:
     if len(titles) > MAX_COLUMNS:
         raise InputError(f"{path} has {len(titles)} columns; expected at most {MAX_COLUMNS}.")
     if any(not cell.isprintable() for cell in titles):
-        raise InputError(f"{path} is not a table: its first line is not text. Unpack it if it is compressed.")
+        raise InputError(
+            f"{path} is not a table: its first line is not text. Unpack it if it is compressed, or save it as UTF-8."
+        )
     return titles

@@ -224,3 +224,31 @@ def test_messages_that_a_terminal_shows_are_no_table(tmp_path: Path) -> None:
     (tmp_path / "run.txt").write_text("header:\n  stamp:\n    sec: 5\n    nanosec: 7\n  frame_id: tool0\n---\n" * 9)
     with pytest.raises(InputError, match="print them with --csv, or record a bag"):
         read_source(tmp_path / "run.txt", "csv")
+
+
+def test_bars_between_cells_and_a_dash_for_a_missing_value(tmp_path: Path) -> None:
+    rows = [
+        f"{t} | {'--' if k == 7 else row[0]} | {row[1]}" for k, (t, row) in enumerate(zip(TIME, WRENCH, strict=True))
+    ]
+    (tmp_path / "run.csv").write_text("\n".join(["time|Fx|Fz|", "s|N|N|", *(f"{row}|" for row in rows)]))
+    imported = read_source(tmp_path)
+    assert (imported.mapping.units, imported.recordings.note[0]) == (("N", "N"), "missing:1")
+    np.testing.assert_allclose(imported.recordings.wrench[0, :, 1], WRENCH[:, 1], rtol=1e-6)
+
+
+def test_a_dash_is_no_unit(tmp_path: Path) -> None:
+    rows = [f"{t},{row[0]},{row[1]},1" for t, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["time,Fx,Fz,valid", "s,N,N,-", *rows]))
+    assert read_source(tmp_path).mapping.units[:2] == ("N", "N")
+
+
+def test_a_torque_without_an_axis_is_no_time(tmp_path: Path) -> None:
+    rows = [f"{t},{row[0]},{row[1]}" for t, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["time,F,T", *rows]))
+    assert read_source(tmp_path).recordings.axes == ("F", "T")
+
+
+def test_text_of_two_bytes_without_a_mark_is_to_be_saved_again(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_bytes("t,Fz\n0,1\n1,2\n".encode("utf-16-le"))
+    with pytest.raises(InputError, match="or save it as UTF-8"):
+        read_source(tmp_path)
