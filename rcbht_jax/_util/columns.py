@@ -13,26 +13,41 @@ from numpy.typing import NDArray
 from rcbht_jax.errors import InputError
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s per unit of time
+FORCES = ("N", "mN", "cN", "daN", "kN", "gf", "kgf", "ozf", "lbf")
+MOMENTS = (
+    "Nm", "mNm", "cNm", "Nmm", "Ncm", "kNm", "gf cm", "kgf m", "kgf cm", "kgf mm", "ozf in", "lbf in", "lbf ft",
+)  # fmt: skip
 UNITS = {
-    "n": "N", "nm": "Nm", "mn": "mN", "mnm": "mNm", "kn": "kN", "nmm": "Nmm", "ncm": "Ncm", "knm": "kNm", "kgf": "kgf",
-    "lbf": "lbf", "lbfin": "lbf in", "lbfft": "lbf ft", "newton": "N", "newtons": "N", "newtonmeter": "Nm",
-    "newtonmeters": "Nm",
+    **{unit.lower().replace(" ", ""): unit for unit in (*FORCES, *MOMENTS)},
+    "lb": "lbf", "lbs": "lbf", "inlbf": "lbf in", "lbin": "lbf in", "inlb": "lbf in", "inlbs": "lbf in",
+    "ftlbf": "lbf ft", "lbft": "lbf ft", "ftlb": "lbf ft", "ftlbs": "lbf ft", "ozin": "ozf in", "kgcm": "kgf cm",
+    "newton": "N", "newtons": "N", "newtonmeter": "Nm", "newtonmeters": "Nm", "newtonmetre": "Nm",
+    "newtonmetres": "Nm", "牛": "N", "牛米": "Nm",
+    "н": "N", "мн": "mN", "кн": "kN", "нм": "Nm", "мнм": "mNm", "нмм": "Nmm", "нсм": "Ncm", "кнм": "kNm",
+    "кгс": "kgf", "кгсм": "kgf m", "кгссм": "kgf cm",
     "s": "s", "sec": "s", "second": "s", "seconds": "s", "秒": "s", "ms": "ms", "msec": "ms", "millisecond": "ms",
     "milliseconds": "ms", "毫秒": "ms", "ミリ秒": "ms", "us": "us", "usec": "us", "µs": "us", "μs": "us",
     "microseconds": "us",
     "ns": "ns", "nsec": "ns", "nanoseconds": "ns", "min": "min", "minutes": "min", "h": "h", "hr": "h", "hours": "h",
+    "с": "s", "сек": "s", "мс": "ms", "мсек": "ms", "мкс": "us", "нс": "ns", "мин": "min", "ч": "h", "초": "s",
     "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
+    "м": "m", "мм": "mm", "рад": "rad", "град": "deg",
 }  # fmt: skip
 TIMES = (
     "time", "t", "stamp", "timestamp", "times", "timestamps", "secs", "sec", "seconds", "elapsed", "%time", "clock",
     "header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt", "ts", "tout",
     "__time", "publish_time", "log_time",
 )  # fmt: skip
+TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
+    "zeit", "zeitstempel", "temps", "tiempo", "tempo", "czas", "tijd", "время", "时间", "時間", "시간",
+)  # fmt: skip
 
 _TAILS = ("N", "Nm", "mN", "mNm", "Nmm", "Ncm", "kN", "kNm", "kgf", "lbf")  # that end a name after "_"
-_PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅・･∙•×-](?=[a-z])")  # N-m, N·mm, lbf in
-_AFTER = re.compile(r"^(.*?[^\s,/])(?:\s*[,/]\s*|\s+in\s+)([a-zA-Zµ]+(?:[ .*·⋅-][a-zA-Z]+)?)$")  # Fx/N, Fx, N; Fx in N
+_PRODUCT = re.compile(r"(?<=[^\W\d_])[ .*·⋅・･∙•×-](?=[^\W\d_])")  # N-m, N·mm, lbf in
+_AFTER = re.compile(r"^(.*?[^\s,/])(?:\s*[,/]\s*|\s+in\s+)([^\W\d_]+(?:[ .*·⋅-][^\W\d_]+)?)$")  # Fx/N, Fx, N; Fx in N
 _SINCE = re.compile(r"\s+since\s.*$")  # ms since 2026-05-01 00:00:00
+_QUANTITY = re.compile(r"[NН]|кгс|kgf|lbf")  # in the unit of a force or a moment, after a comma or a slash
+_MEGA = re.compile(r"[MМ][NН]")  # no milli
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<（［【]\s*([^\])}>）］】]*?)\s*[\])}>）］】]$")
 
 
@@ -45,19 +60,26 @@ def split_unit(name: str) -> tuple[str, str]:
     (('Fx', 'N'), ('时间', 'ms'))
     >>> split_unit("Fx/N"), split_unit("Moment x in Ncm"), split_unit("time, s"), split_unit("imu/a")
     (('Fx', 'N'), ('Moment x', 'Ncm'), ('time', 's'), ('imu/a', ''))
+    >>> split_unit("Время, мс"), split_unit("Mx [Н·м]"), split_unit("Tx (in-lb)"), split_unit("Fz [MN]")
+    (('Время', 'ms'), ('Mx', 'Nm'), ('Tx', 'lbf in'), ('Fz [MN]', ''))
     """
     match = _BRACKETS.match(name.strip())
-    if match and match[1] and (unit := UNITS.get(_PRODUCT.sub("", _SINCE.sub("", match[2].lower().strip())))):
+    if match and match[1] and (unit := _unit(_SINCE.sub("", match[2].strip()))):
         return match[1], unit
     after = _AFTER.match(name.strip())
-    unit = UNITS.get(_PRODUCT.sub("", after[2].lower())) if after else None
     # A path may end in a single letter: only forces, moments and the unit of a time are known by their place.
-    if after and unit and ("N" in after[2] or unit[:3] in ("kgf", "lbf") or after[1].lower() in TIMES):
+    placed = after and (_QUANTITY.search(after[2]) or after[1].lower() in (*TIMES, *TIMES_ABROAD))
+    if after and placed and (unit := _unit(after[2])):
         return after[1], unit
     head, _, tail = name.strip().rpartition("_")
     if head and (tail in _TAILS or tail.lower() in ("ms", "us", "ns", "sec", "s")):
         return head, UNITS[tail.lower()]
     return name.strip(), ""
+
+
+def _unit(text: str) -> str:
+    """The unit that a text names; "" = none that is known."""
+    return "" if _MEGA.match(text) else UNITS.get(_PRODUCT.sub("", text.lower()), "")
 
 
 def base_and_unit(name: str) -> tuple[str, str]:

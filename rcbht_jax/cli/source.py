@@ -72,8 +72,8 @@ class Source(RuleCommand):
     axes: Annotated[
         tuple[str, ...],
         option(
-            "Names of the axes, if no model is given; those that begin with M or T are moments. Default: Fx Fy Fz "
-            "Mx My Mz if there are six.",
+            "Names of the axes, if no model is given; those that begin with M or T or are like mx are moments. "
+            "Default: Fx Fy Fz Mx My Mz if there are six.",
             "",
         ),
     ] = ()

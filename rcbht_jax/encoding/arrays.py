@@ -56,7 +56,7 @@ def encode(
         rate: samples per second.
         window: samples per straight-line fit, >= 2.
         thresholds: gradient limits: an object or array ``[axis, 4]`` (or ``[recording, axis, 4]``), or the name of a
-            robot; None = the preset of HIRO, where axes whose names begin with M or T are moments. For the fit rule
+            robot; None = the preset of HIRO, where axes such as Mx, Tx or mx are moments. For the fit rule
             also FitLimits, whose tolerance is used unless ``tolerance`` is given.
         lengths: number of valid samples of each recording, if ``[recording, time, axis]`` is padded.
         config: all options of the encoder at once, instead of ``rate``, ``window`` and ``rule``.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -32,6 +33,9 @@ _FORCE_LIMITS = {
     "pa10": (1000.0, 100.0, 10.0, 1.0),
 }
 ROBOTS = tuple(_FORCE_LIMITS)
+_MOMENT = re.compile(
+    r"[MT]|(?:.*[ ._/-])?(?:(?:m|tau|torque|moment)[ ._-]*(?:[xyz]|\d+)|t[ ._-]*[xyz])$"
+)  # by its name
 MOMENT_SCALE = 10.0  # moments of a hand-sized lever are about a tenth of the forces
 
 
@@ -108,7 +112,8 @@ def preset(robot: str = "hiro", axes: Sequence[str] = AXES) -> GradientThreshold
 
     Args:
         robot: one of ``ROBOTS``.
-        axes: their names; those that begin with M or T are moments, all others forces.
+        axes: their names; those that begin with M or T, and names such as ``mx`` and ``torque_z``, are moments, all
+            others forces.
 
     Raises:
         InputError: unknown robot, no axes, or axes that are not names.
@@ -116,14 +121,14 @@ def preset(robot: str = "hiro", axes: Sequence[str] = AXES) -> GradientThreshold
     Example:
         >>> preset("hiro", ["Fz", "My"]).limits.tolist()
         [[70.0, 46.0, 23.0, 1.0], [7.0, 4.6, 2.3, 0.1]]
+        >>> preset("hiro", ["mx", "wrist.torque.z", "mass"]).limits[:, 0].tolist()
+        [7.0, 7.0, 70.0]
     """
     if robot not in ROBOTS:
         raise InputError(f"Robot {robot!r} has no thresholds; expected one of {', '.join(ROBOTS)}.")
     force = np.array(_FORCE_LIMITS[robot])
     names = texts(axes)
-    return GradientThresholds(
-        np.stack([force / MOMENT_SCALE if axis.startswith(("M", "T")) else force for axis in names])
-    )
+    return GradientThresholds(np.stack([force / MOMENT_SCALE if _MOMENT.match(axis) else force for axis in names]))
 
 
 def from_free(free: Array) -> GradientThresholds:

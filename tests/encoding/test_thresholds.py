@@ -112,3 +112,15 @@ def test_the_letters_of_a_text_are_no_axes(tmp_path: Path) -> None:
 def test_unknown_robot_is_refused() -> None:
     with pytest.raises(InputError, match="hiro"):
         thresholds.preset("r2d2")
+
+
+@pytest.mark.parametrize(
+    "name", ["Mx", "Tz", "mx", "m_y", "tx", "torque_z", "moment x", "tau_3", "left.torque.x", "left_mz"]
+)
+def test_moments_get_their_limits_however_they_are_spelled(name: str) -> None:
+    np.testing.assert_array_equal(thresholds.preset("hiro", [name]).limits, thresholds.preset("hiro", ["Mz"]).limits)
+
+
+@pytest.mark.parametrize("name", ["Fx", "fz", "force_z", "mass", "motor_1", "tcp_x", "load", "axis0"])
+def test_all_other_axes_get_the_limits_of_forces(name: str) -> None:
+    np.testing.assert_array_equal(thresholds.preset("hiro", [name]).limits, thresholds.preset("hiro", ["Fz"]).limits)

@@ -34,7 +34,7 @@ class Between:
 
     def samples(self, number: int, row: list[str]) -> list[Line]:
         """The rows that are known to be samples now that one more was read."""
-        if row in self._heads or (row[0].startswith(("#", "%")) and len(row) != self._width):
+        if row in self._heads or (row[0].startswith(("#", "%", "//")) and len(row) != self._width):
             self._leave(row)
             return []
         if self._words is None and row[0]:

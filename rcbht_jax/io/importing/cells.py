@@ -14,9 +14,11 @@ from rcbht_jax._util.untrusted import MAX_RATIO, MAX_TEXT_BYTES
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.numerals import ungrouped
 
-NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
+COMMENT = re.compile(rb"^(?:[#%]|//)(?:[#% ]|//)*")  # what begins one
+NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a", "-", "--"}
 _BLANKS = re.compile(r"\s+(?![\[(][^\W\d][^\s\])]*[\])])")  # but before a unit: Time (s)
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
+_BETWEEN_BLANKS = re.compile(r"[+-]?\d+(?:,\d+(?:[eE][+-]?\d+)?)?")  # numbers, some with decimal commas
 
 
 def delimiter_of(line: bytes) -> str:
@@ -24,28 +26,33 @@ def delimiter_of(line: bytes) -> str:
 
     >>> delimiter_of(b"1,5;2,5"), delimiter_of(b"t,Fz"), delimiter_of(b"t Fz")
     (';', ',', ' ')
+    >>> delimiter_of(b"0,5 1,5"), delimiter_of(b"0, 1,5")
+    (' ', ',')
     """
-    for mark in ";\t":
+    for mark in ";\t|":
         if mark.encode() in line and b"," in line:
             cells = next(csv.reader([line.decode("utf-8", "replace").strip("\r\n")], delimiter=mark), [])
             if all(is_number(plain(cell.strip(), mark)) for cell in cells if "," in cell):
                 return mark  # its commas are those of numbers
-    counts = {mark: line.count(mark.encode()) for mark in ";\t,"}
+    words = line.decode("utf-8", "replace").split()
+    if len(words) > 1 and b"," in line and all(map(_BETWEEN_BLANKS.fullmatch, words)):
+        return "\t" if b"\t" in line else " "
+    counts = {mark: line.count(mark.encode()) for mark in ";\t|,"}
     best = max(counts, key=lambda mark: counts[mark])
     return best if counts[best] else " "
 
 
 def split(line: bytes, delimiter: str, encoding: str = "utf-8-sig") -> list[str]:
-    """The cells of a line, with points for decimal commas.
+    """The cells of a line, with points for decimal commas, which stand in quotes between commas.
 
-    >>> split(b"1,5; push", ";")
-    ['1.5', 'push']
+    >>> split(b"1,5; push", ";"), split(b'"1,5",push', ",")
+    (['1.5', 'push'], ['1.5', 'push'])
     """
     text = line.decode(encoding, "replace").strip("\r\n")
     if delimiter == " ":
-        return _BLANKS.split(text.strip()) if text.strip() else []
+        return [plain(cell, delimiter) for cell in _BLANKS.split(text.strip())] if text.strip() else []
     try:
-        return [plain(cell.strip(), delimiter) for cell in next(csv.reader([text], delimiter=delimiter), [])]
+        return [plain(cell.strip(), ";") for cell in next(csv.reader([text], delimiter=delimiter), [])]
     except csv.Error:
         return [text]
 
@@ -64,7 +71,7 @@ def is_number(cell: str) -> bool:
 
 
 def plain(cell: str, delimiter: str) -> str:
-    """A cell with a point where a table with semicolons or tabs has a decimal comma, and without brackets of a row.
+    """A cell with a point where a table without commas between cells has a decimal one, and without brackets of a row.
 
     >>> plain("1,5", ";"), plain("1,5", ","), plain("( 1.5", ",")
     ('1.5', '1,5', '1.5')
@@ -72,7 +79,7 @@ def plain(cell: str, delimiter: str) -> str:
     if cell[:1] in ("(", "[") or cell[-1:] in (")", "]"):
         inner = cell.strip("()[] ")
         return inner if inner and is_number(inner) else cell
-    return _COMMA.sub(r"\1.\2", ungrouped(cell)) if delimiter in (";", "\t") and "," in cell else cell
+    return _COMMA.sub(r"\1.\2", ungrouped(cell)) if delimiter and delimiter in ";\t| " and "," in cell else cell
 
 
 def count_numbers(cells: Sequence[str]) -> int:
@@ -116,7 +123,7 @@ def units(cells: list[str]) -> list[str]:
     >>> units(["[s]", "[N]"]), units(["0", "1"])
     (['s', 'N'], [])
     """
-    bare = [cell.strip("[]() ") for cell in cells]
+    bare = [cell.strip("[]()- ") for cell in cells]
     known = [split_unit(f"x [{unit}]")[1] for unit in bare]
     numbers = any(map(is_number, filter(None, bare)))
     return bare if any(known) and not numbers and 2 * sum(map(bool, known)) >= sum(map(bool, bare)) else []

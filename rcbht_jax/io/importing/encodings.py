@@ -1,4 +1,4 @@
-"""The encoding of a text, by its bytes: UTF-8, or what spreadsheets write in Japan, China and Western Europe."""
+"""The encoding of a text, by its bytes: UTF-8, or what spreadsheets write in Japan, China and Europe."""
 
 from __future__ import annotations
 
@@ -7,8 +7,15 @@ import re
 from typing import BinaryIO
 
 BLOCK = 2**20  # bytes that are looked at together
-WORDS = {"cp1252": "Windows-1252", "cp932": "Shift-JIS", "gb18030": "GB 18030"}  # how people call them
+WORDS = {
+    "cp1252": "Windows-1252",
+    "cp932": "Shift-JIS",
+    "gb18030": "GB 18030",
+    "cp1251": "Windows-1251",
+}  # how people call them
 _PAIRS = re.compile(rb"[\x81-\x9f\xe0-\xfc][\x40-\x7e\x80-\xfc]")
+_CYRILLIC = re.compile(rb"(?<![A-Za-z\x80-\xff])[\xc0-\xff\xa8\xb8]{2,}(?![A-Za-z\x80-\xff])")  # a word of its own
+_ACCENTED = re.compile(rb"[A-Za-z][\xc0-\xff]|[\xc0-\xff][A-Za-z]")
 _HIGH = re.compile(rb"[\x80-\xff]+")
 
 
@@ -22,6 +29,8 @@ def encoding_of(file: BinaryIO) -> str:
     ...         return encoding_of(file)
     >>> of("力 [N], 時間", "utf-8"), of("力 [N], 時間", "cp932"), of("力 [N], 时间", "gb18030"), of("Fügen", "cp1252")
     ('utf-8-sig', 'cp932', 'gb18030', 'cp1252')
+    >>> of("Время, мс; Fz, Н", "cp1251")
+    'cp1251'
     """
     decoder, encoding = codecs.getincrementaldecoder("utf-8-sig")(), "utf-8-sig"
     block = b""
@@ -42,7 +51,10 @@ def _other(block: bytes) -> str:
         return "gb18030"
     leads = [pair[0] for pair in _PAIRS.findall(block)]
     rare = sum(lead <= 0x9F for lead in leads)  # dashes, quotes and the like in Windows-1252
-    return "cp932" if rare > 1 and 2 * rare >= len(leads) and _decodes(block, "cp932") else "cp1252"
+    if rare > 1 and 2 * rare >= len(leads) and _decodes(block, "cp932"):
+        return "cp932"
+    # accented letters of Western words stand beside plain ones
+    return "cp1251" if _CYRILLIC.search(block) and not _ACCENTED.search(block) else "cp1252"
 
 
 def _decodes(block: bytes, encoding: str) -> bool:

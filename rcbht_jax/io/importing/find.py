@@ -35,6 +35,7 @@ KINDS = (
     "zarr",
 )
 OWN = "rcbht-"  # beginning of the attribute "format" of what this program writes
+WORKBOOKS = (".xlsx", ".xlsm", ".xls", ".xlsb", ".ods", ".numbers")
 _OF_TEXT = ("csv", "uci", "ts", "jsonl", "json")  # which may be packed
 
 
@@ -80,6 +81,8 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
     if not source.exists():
         raise InputError(f"{source} does not exist; expected a file or a folder.")
     if not source.is_dir():
+        if source.suffix.lower() in WORKBOOKS:
+            raise InputError(f"{source} is a workbook, which is not read; save its sheets as CSV, each as a file.")
         chosen = kind_of(source.name) if kind == "auto" else kind
         if not chosen or chosen == "lerobot":
             raise InputError(
@@ -98,6 +101,8 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
         known = f" Files with these endings are read: {', '.join(SUFFIXES)}; save yours as one of them."
         text = f" Read text such as {', '.join(TEXTS)} with: rcbht import csv {source}."
         held = ", ".join(others[:5]) or "none"
+        if any(Path(name).suffix.lower() in WORKBOOKS for name in others):
+            raise InputError(f"{source} holds workbooks, which are not read; save their sheets as CSV, each as a file.")
         texts = any(Path(name).suffix.lower() in TEXTS for name in others) and kind == "auto"
         raise InputError(f"{source} holds no file {what}; it holds {held}.{text if texts else known}")
     return sorted(items, key=lambda item: _natural(item.name)), others

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import TIMES, base_and_unit, split_unit
+from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, split_unit
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
@@ -18,7 +18,7 @@ from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.numerals import two_meanings
 from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.timing import are_dates, is_clock, is_stamp, with_time
+from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, with_time
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
@@ -211,8 +211,10 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
     if wrench := names.preferred(names.wrenches(numeric)):
         return tuple(Channel(column, axis, _unit_of(table, column, axis)) for axis, column in wrench.items())
-    other = {*names.COUNTERS, *names.GROUPS, *TIMES, *names.NANOSECONDS}
+    other = {*names.COUNTERS, *names.GROUPS, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]
+    # a T that does not grow is a temperature or a torque
+    rest = [name for name in rest if base_and_unit(name)[0] not in TIMES or not grows(table, name)]
     rest = [name for name in rest if np.isfinite(table.columns[name]).any()]  # an empty column is none
     rest = [name for name in rest if not is_stamp(table, name)]
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
@@ -223,7 +225,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
         raise InputError(
             f"{table.name} has {plural(len(rest), 'column')} of numbers and none is a wrench; choose some with --map."
         )
-    short = [split_unit(name)[0] for name in rest]
+    short = [names.axis_name(name) or split_unit(name)[0] for name in rest]
     titles = short if len(set(short)) == len(rest) else rest
     return tuple(Channel(name, title, _unit_of(table, name)) for name, title in zip(rest, titles, strict=True))
 
@@ -256,7 +258,7 @@ def some(texts: Iterable[str]) -> str:
 def _unit_of(table: Table, name: str, axis: str = "") -> str:
     """The unit of a column; "" = unknown, also where a whole wrench states one that only some axes can have."""
     unit = table.units.get(name, "") or base_and_unit(name)[1]
-    return "" if unit in {"F": names.MOMENTS, "M": names.FORCES}.get(axis[:1], ()) else unit
+    return "" if unit in {"F": MOMENTS, "M": FORCES}.get(axis[:1], ()) else unit
 
 
 def _table(table: Table, mapping: Mapping) -> list[Understood]:

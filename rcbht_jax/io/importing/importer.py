@@ -5,7 +5,7 @@ that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:CO
 ``stuck:AXIS``, ``counts`` (were divided), ``other-arrays:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
 ``unordered:COUNT``, ``reversed``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples),
 ``windows:COUNT`` (of so many samples), ``lines:COUNT`` (that are no samples), ``restarts:COUNT`` (of the time),
-``cp1252``, ``cp932``, ``gb18030``, ``changes:COLUMN`` (one that should be constant),
+``cp1252``, ``cp1251``, ``cp932``, ``gb18030``, ``changes:COLUMN`` (one that should be constant),
 ``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
@@ -25,12 +25,14 @@ from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.arms import PLACE, tables_of_arms
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.blocks import read_blocks
+from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
+from rcbht_jax.io.importing.label_studio import unfolded
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
@@ -202,11 +204,12 @@ def _read(
         try:
             if source.is_dir():
                 check_inside(item.path, source)
-            wide = (widened(table, base) for table in read_item(item, base))
+            wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                named = marks.headed(table) if named_after(table.name) else table
+                named = unfolded(marks.headed(table) if named_after(table.name) else table)
                 if item.kind == "csv" and marks.is_intervals(named.columns):
                     marked.append(named)
+                    report.remarks += marks.unused(named)
                     continue
                 try:
                     for record, meaning in _understood(beside.described(table), base, rows, report):

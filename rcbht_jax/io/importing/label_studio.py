@@ -1,36 +1,91 @@
-"""Annotations that Label Studio exports in JSON: tasks, each with the name of a file and marked regions."""
+"""Annotations that Label Studio exports in JSON and CSV: tasks, each with the name of a file and marked regions."""
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import PurePosixPath
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.untrusted import parse_json
+from rcbht_jax.io.importing.table import Table
+
 _UPLOAD = re.compile(r"^[0-9a-f]{8}-")  # that it puts before the names of uploaded files
+_QUERY = re.compile(r"[?&]\w+=|#")  # of an address
+_UNFINISHED = ("predictions", "prediction", "drafts")
 DEPTH = 4  # of lists and objects in a task
 
 
 def regions_in(content: Any) -> list[dict[str, str | float]]:
-    """The regions of an export as rows of file, label, start and end; none if it is something else.
+    """The regions of an export as rows of file, track, label, start and end; none if it is something else.
 
-    Both forms are read: with all that the program knows ("JSON"), and the short one ("JSON-MIN").
+    Both forms are read: with all that the program knows ("JSON"), and the short one ("JSON-MIN"). The regions of
+    further people who annotated a file are tracks of their own; predictions and what was cancelled are no annotations.
 
     >>> mark = {"start": 0.5, "end": 1.0, "timeserieslabels": ["push"]}
     >>> task = {"data": {"csv": "/data/upload/1/0a1b2c3d-run1.csv"}, "annotations": [{"result": [{"value": mark}]}]}
     >>> regions_in([task])
-    [{'file': 'run1.csv', 'label': 'push', 'start': 0.5, 'end': 1.0}]
+    [{'file': 'run1.csv', 'track': 'label', 'label': 'push', 'start': 0.5, 'end': 1.0}]
     >>> regions_in([{"csv": "run1.csv", "label": [mark]}]) == regions_in([task])
     True
     """
     tasks = [task for task in content if isinstance(task, dict)] if isinstance(content, list) else []
     found: list[dict[str, str | float]] = []
+    people = Counter[str]()
     for task in tasks:
         data = task["data"] if isinstance(task.get("data"), dict) else task
         texts = (one for one in data.values() if isinstance(one, str))
-        file = next((PurePosixPath(text).name for text in texts if PurePosixPath(text).suffix), "")
-        found += [{"file": _UPLOAD.sub("", file), **row} for row in _regions(task) if file]
+        file = next((name for text in texts if (name := _file_in(text))), "")
+        annotations = task.get("annotations", [task])
+        for annotation in annotations if file and isinstance(annotations, list) else []:
+            if regions := list(_regions(annotation)):
+                people[file] += 1
+                track = "label" if people[file] == 1 else f"label_{people[file]}"
+                found += [{"file": file, "track": track, **row} for row in regions]
     return found
+
+
+def unfolded(table: Table) -> Table:
+    """The table with a row per region if it is an export as CSV, whose cells hold lists of regions; else itself.
+
+    >>> cells = {"csv": ["run1.csv"], "label": ['[{"start": 0.5, "end": 1, "timeserieslabels": ["push"]}]']}
+    >>> found = unfolded(Table("a.csv", {name: np.array(one) for name, one in cells.items()}))
+    >>> {name: column.tolist() for name, column in found.columns.items()}
+    {'file': ['run1.csv'], 'track': ['label'], 'label': ['push'], 'start': [0.5], 'end': [1.0]}
+    """
+    marked = [name for name, column in table.columns.items() if column.dtype.kind == "U" and _is_marked(column)]
+    if not marked:
+        return table
+    texts = {name: column.tolist() for name, column in table.columns.items() if column.dtype.kind == "U"}
+    tasks = [dict(zip(texts, row, strict=True)) for row in zip(*texts.values(), strict=True)]
+    rows = regions_in([{**task, **{name: _parsed(task[name]) for name in marked}} for task in tasks])
+    if len({type(row[time]) for row in rows for time in ("start", "end")}) != 1:  # none, or numbers beside dates
+        return table
+    return Table(table.name, {name: np.array([row[name] for row in rows]) for name in rows[0]})
+
+
+def _is_marked(column: NDArray[Any]) -> bool:
+    """Whether cells hold regions, as their first letters and a key show."""
+    first = next((text for text in column.tolist() if text), "")
+    return first.startswith("[{") and 'labels": [' in first
+
+
+def _parsed(text: str) -> Any:
+    """The value of a cell; None = it is no JSON."""
+    try:
+        return parse_json(text.encode(), finite=False)
+    except ValueError:
+        return None
+
+
+def _file_in(text: str) -> str:
+    """The name of the file that an address ends in; "" = none."""
+    paths = map(PurePosixPath, _QUERY.split(text))
+    return next((_UPLOAD.sub("", path.name) for path in paths if path.suffix), "")
 
 
 def _regions(value: Any, depth: int = 0) -> Iterator[dict[str, str | float]]:
@@ -40,12 +95,14 @@ def _regions(value: Any, depth: int = 0) -> Iterator[dict[str, str | float]]:
     if isinstance(value, list):
         for one in value:
             yield from _regions(one, depth + 1)
-    elif isinstance(value, dict):
+    elif isinstance(value, dict) and value.get("was_cancelled") is not True:
         labels = next((one for key, one in value.items() if key.endswith("labels") and isinstance(one, list)), [])
         times = [value.get("start"), value.get("end")]
-        if labels and all(isinstance(time, int | float) and not isinstance(time, bool) for time in times):
+        if labels and all(isinstance(time, int | float | str) and not isinstance(time, bool) for time in times):
+            start, end = (time if isinstance(time, str) else float(time) for time in times if time is not None)
             for label in labels:
-                yield {"label": str(label), "start": float(value["start"]), "end": float(value["end"])}
+                yield {"label": str(label), "start": start, "end": end}
             return
-        for one in value.values():
-            yield from _regions(one, depth + 1)
+        for key, one in value.items():
+            if key not in _UNFINISHED:
+                yield from _regions(one, depth + 1)

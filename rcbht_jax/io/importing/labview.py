@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import UNITS
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
+
+
+def ends_header(line: bytes) -> bool:
+    """Whether a line is the mark that ends a header.
+
+    >>> ends_header(b"***End_of_Header***"), ends_header(b"X_Value,Fz")
+    (True, False)
+    """
+    return line.startswith(b"***End_of_Header***")
 
 
 def end_of_header(lines: Sequence[bytes]) -> int:
@@ -14,7 +29,7 @@ def end_of_header(lines: Sequence[bytes]) -> int:
     >>> end_of_header([b"LabVIEW Measurement", b"***End_of_Header***", b"", b"X_Value,Fz,Comment"])
     3
     """
-    ends = [number for number, line in enumerate(lines) if line.startswith(b"***End_of_Header***")]
+    ends = [number for number, line in enumerate(lines) if ends_header(line)]
     return next((number for number in range(ends[-1] + 1, len(lines)) if lines[number].strip()), 0) if ends else 0
 
 
@@ -36,3 +51,33 @@ def units_in(lines: Iterable[bytes], names: Sequence[str]) -> dict[str, str]:
     rows = (cells.split(line, cells.delimiter_of(line)) for line in lines if line.startswith(b"Y_Unit_Label"))
     pairs = (pair for row in rows for pair in zip(names[1:], map(str.lower, row[1:]), strict=False))
     return {name: UNITS[cell] for name, cell in pairs if cell in UNITS}
+
+
+def period_in(lines: Iterable[bytes]) -> float:
+    """Seconds between samples that a header states, the same for every column; 0 = none.
+
+    >>> period_in([b"Delta_X\\t0,005\\t0,005"]), period_in([b"Delta_X\\t0.005\\t0.001"])
+    (0.005, 0.0)
+    """
+    rows = (cells.split(line, cells.delimiter_of(line))[1:] for line in lines if line.startswith(b"Delta_X"))
+    stated = {float(cell) for row in rows for cell in row if cell and cells.is_number(cell)}
+    return stated.pop() if len(stated) == 1 else 0.0
+
+
+def with_one_time(path: Path, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The columns without the times that it writes before every signal, where they are the same.
+
+    >>> times = np.arange(3.0)
+    >>> list(with_one_time(Path("a.lvm"), {"X_Value": times, "Fx": times, "X_Value.2": times, "Fz": times}))
+    ['X_Value', 'Fx', 'Fz']
+
+    Raises:
+        InputError: a signal has times of its own.
+    """
+    more = [name for name in columns if name.startswith("X_Value.")]
+    for name in more:
+        if not np.array_equal(columns[name], columns["X_Value"]):
+            raise InputError(
+                f"{path}: the times in column {name} are not those in X_Value; save the signals one by one."
+            )
+    return {name: column for name, column in columns.items() if name not in more}

@@ -15,6 +15,7 @@ from rcbht_jax._util.untrusted import MAX_JSON_BYTES, check_inside, read_bytes, 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.clock import DAY, since_epoch
 from rcbht_jax.io.importing.find import Item
+from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import LABELS, column_name, wrenches
 from rcbht_jax.io.importing.record import OUTCOMES, Row, is_outcome, text, without_arm
@@ -27,10 +28,13 @@ from rcbht_jax.types import STANDARD_COLUMNS
 HEAD = 4096  # bytes of a table in which a recording is named, if it lists them
 _NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
 _LABELS = ("label", "text", "description", *LABELS)
-_STARTS = ("start", "start_time", "begin", "begin_time", "onset", "t_start", "time_start", "starttime", "tmin", "from")
+_STARTS = (
+    "start", "start_time", "begin", "begin_time", "onset", "t_start", "time_start", "starttime", "tmin", "from",
+    "anfang",
+)  # fmt: skip
 _ENDS = (
     "end", "end_time", "stop", "stop_time", "offset", "t_end", "time_end", "endtime", "tmax", "to", "finish",
-    "finish_time",
+    "finish_time", "ende",
 )  # fmt: skip
 _ELAN = re.compile(r"\s+-\s+(ss\.msec|hh:mm:ss\.ms|msec)$")  # units of times, as that program names them
 _DURATIONS = ("duration", "dur", "length")
@@ -60,6 +64,18 @@ def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
     return {kind: place for kind, place in found.items() if place is not None}
 
 
+def unused(table: Table) -> list[str]:
+    """A remark on columns of a table of annotations that say something and are not understood; [] = all are.
+
+    >>> columns = {"label": np.array(["a", "b"]), "start": np.array([0.0, 1.0]), "quality": np.array([1.0, 2.0])}
+    >>> unused(Table("a.csv", columns))
+    ["a.csv is a table of annotations; left out of it: 'quality'."]
+    """
+    used = {name for name, _ in _fields(table.columns).values()}
+    names = [name for name, column in table.columns.items() if name not in used and len(np.unique(column)) > 1]
+    return [f"{table.name} is a table of annotations; left out of it: {some(names)}."] if names else []
+
+
 def _in_brackets(match: re.Match[str]) -> str:
     """The unit of a time as ELAN names it, in brackets."""
     return " [ms]" if match[1] == "msec" else " [s]"
@@ -75,7 +91,7 @@ def headed(table: Table) -> Table:
     columns = list(table.columns.values())
     if list(table.columns) != ["c0", "c1", "c2"] or [column.dtype.kind for column in columns] != ["f", "f", "U"]:
         return table
-    if not (columns[0] <= columns[1]).all() or len(np.unique(columns[2])) == 1 < len(columns[2]):
+    if 2 * (columns[0] <= columns[1]).sum() < len(columns[0]) or len(np.unique(columns[2])) == 1 < len(columns[2]):
         return table
     return replace(table, columns=dict(zip(("start", "end", "label"), columns, strict=True)))
 

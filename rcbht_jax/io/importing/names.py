@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 
-from rcbht_jax._util.columns import TIMES, base_and_unit, split_unit
+from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, split_unit
 from rcbht_jax.labels import AXES
 
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanoseconds")
@@ -24,7 +25,6 @@ LABELS = (
     "category", "fault", "contact", "in_contact", "event", "activity",
 )  # fmt: skip
 
-FORCES, MOMENTS = ("N", "mN", "kN", "kgf", "lbf"), ("Nm", "mNm", "Nmm", "Ncm", "kNm", "lbf in", "lbf ft")
 WHOLE = ("wrench", "force", "forces", "torque", "torques", "moment", "moments", "ft")  # of several axes in one column
 _DEMANDED = {
     "desired", "des", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "setpoint", "next", "err",
@@ -35,6 +35,7 @@ _QUALIFIERS = (
     "continuous|raw|filtered|compensated|comp|measured|meas|ext|external|data|values?|sensor|tcp|tool|ee|base|world|"
     "history|calibrated|tared|est|estimated|left|right|l|r"
 )
+_WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*(?!\{arm\})[\[({]\s*([^\W\d][^\])}]*)[\])}]$")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
 _LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
@@ -67,8 +68,7 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     """
     found: dict[tuple[str, str], dict[str, str]] = {}  # by what stands before and after an axis
     rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
-    for name in names:
-        base, unit = split_unit(name)
+    for name, (base, unit) in _parsed(names).items():
         base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(base)))
         if part := _axis_of(base, unit):
             place, kind, letter, certain = part
@@ -92,6 +92,21 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     plain_first = sorted(found.items(), key=lambda item: item[0][1] != "")  # Fx before Fx_tool
     complete = (axes for _, axes in plain_first if {"Fx", "Fy", "Fz"} <= set(axes))
     return [{axis: axes[axis] for axis in AXES if axis in axes} for axes in complete]
+
+
+def _parsed(names: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """The names without units, also without others in brackets, unless only these tell columns apart; and the units.
+
+    >>> _parsed(["Fx (kp)"]), _parsed(["Fz (raw)", "Fz (low pass)"])
+    ({'Fx (kp)': ('Fx', '')}, {'Fz (raw)': ('Fz_raw', ''), 'Fz (low pass)': ('Fz_low_pass', '')})
+    """
+    found = {name: split_unit(name) for name in names}
+    words = {name: match for name, (base, _) in found.items() if (match := _WORD_IN_BRACKETS.match(base))}
+    counts = Counter(words[name][1] if name in words else base for name, (base, _) in found.items())
+    for name, match in words.items():
+        tail = "" if counts[match[1]] == 1 else "_" + re.sub(r"\W+", "_", match[2]).strip("_")
+        found[name] = match[1] + tail, ""
+    return found
 
 
 def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | None:
@@ -121,6 +136,17 @@ def is_axis(name: str) -> bool:
     (True, True, False)
     """
     return _axis_of(snake(split_unit(name)[0]), "") is not None
+
+
+def axis_name(name: str) -> str:
+    """The axis that a column is by a name without anything else; "" = none, or a T that may be a translation.
+
+    >>> axis_name("mx [Nm]"), axis_name("force_z"), axis_name("left_fx"), axis_name("tx"), axis_name("tx [Nm]")
+    ('Mx', 'Fz', '', '', 'Mx')
+    """
+    base, unit = split_unit(name)
+    place, kind, letter, certain = _axis_of(snake(base), unit) or (("", ""), "", "", False)
+    return kind + letter if place == ("", "") and (certain or kind == "F" or unit in MOMENTS) else ""
 
 
 def preference(name: str) -> int:

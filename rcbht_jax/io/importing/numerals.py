@@ -31,14 +31,18 @@ class Numerals:
     """How the numbers of a column are written, as far as the cells show that were read."""
 
     def __init__(self, delimiter: str) -> None:
-        """Take the mark between cells: only between semicolons and tabs, a comma alone is a decimal one."""
-        self._commas = delimiter in (";", "\t")
+        """Take the mark between cells: between commas, a comma alone is a decimal one only if the table shows it."""
+        self._commas = delimiter != ","
         self._marks: set[str] = set()  # decimal ones, without doubt
 
     def assume_points(self) -> None:
         """Other columns of the table have decimal points: between commas, no comma is a decimal one then."""
         if not self._commas:
             self._marks.add(".")
+
+    def assume_commas(self) -> None:
+        """Other columns of the table have decimal commas, in quotes between commas."""
+        self._commas = True
 
     def read(self, cells: Sequence[str]) -> list[str]:
         """The cells, numbers with a point for the decimals and without marks between thousands.
@@ -97,7 +101,20 @@ def shows_points(rows: Iterable[Sequence[str]]) -> bool:
     >>> shows_points([["1,000", "0.5"]]), shows_points([["1,000", "1.500"]])
     (True, False)
     """
-    numbers = (cell for row in rows for cell in row if "." in cell and _DECIMAL.match(cell))
+    return _shows(rows, ".")
+
+
+def shows_commas(rows: Iterable[Sequence[str]]) -> bool:
+    """Whether a number in these rows has a decimal comma without doubt, as those in quotes may have.
+
+    >>> shows_commas([["1,000", "0,5"]]), shows_commas([["1,000", "1,500"]])
+    (True, False)
+    """
+    return _shows(rows, ",")
+
+
+def _shows(rows: Iterable[Sequence[str]], mark: str) -> bool:
+    numbers = (cell for row in rows for cell in row if mark in cell and _DECIMAL.match(cell))
     return any(not _may_be_thousands(cell) for cell in numbers)
 
 

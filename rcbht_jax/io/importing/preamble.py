@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from rcbht_jax._util.columns import UNITS
+from rcbht_jax._util.columns import split_unit
 from rcbht_jax.io.importing import cells, labview
 from rcbht_jax.io.importing.names import wrenches
 
@@ -18,6 +18,7 @@ _RATES = (
 _RATE = ("rate", "frequency", "fs")
 _PERIOD = ("dt", "sample time", "sampling time", "sampling period", "sample period", "sample interval", "abtastzeit")
 _IN = {"": 1.0, "hz": 1.0, "khz": 1e3, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
+_SEPARATOR = re.compile(rb'^(?:\xef\xbb\xbf)?"?sep=[^\s]?"?\s*$', re.IGNORECASE)  # that spreadsheets read
 _UNIT = r"(k?hz|[muµ]?s)"
 
 
@@ -42,6 +43,8 @@ def line_of_names(lines: list[bytes]) -> int:
     filled = [number for number, line in enumerate(lines) if line.strip()]
     if after := labview.end_of_header(lines):
         return after
+    if lines and _SEPARATOR.match(lines[0]):
+        return 1 + line_of_names(lines[1:])
     if len(filled) < 3:
         return 0
     begins = [next(iter(cells.split(lines[number], cells.delimiter_of(lines[number]))), "") for number in filled]
@@ -58,7 +61,7 @@ def line_of_names(lines: list[bytes]) -> int:
         first += 1  # a line about every column, such as its date or its number of samples
     below = row_of_numbers(rows[first + 1 :]) or []
     named = not cells.count_numbers(rows[first]) and 2 * cells.count_numbers(below) >= width
-    comments = any(lines[number].startswith((b"#", b"%")) for number in filled[:first])
+    comments = any(cells.COMMENT.match(lines[number]) for number in filled[:first])
     return filled[first] if named and not comments else 0
 
 
@@ -79,35 +82,48 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
     (500.0, 1000.0, 'N')
     """
     lines, names = list(lines), list(names)
-    said = dict(filter(None, map(_pair, lines)))
+    said = dict(pair for line in lines for pair in _pairs(line))
     rates = [number(text) for key, text in said.items() if key.endswith(_RATES) or key in _RATE]
     rates += [1 / period for key, text in said.items() if key in _PERIOD and (period := number(text)) > 0]
+    rates += [1 / period] if (period := labview.period_in(lines)) > 0 else []
     counts: dict[str, float] = {}
     units: dict[str, str] = {}
     axes = [pair for wrench in wrenches(names) for pair in wrench.items()]
     for quantity, letter in (("force", "F"), ("torque", "M")):
         per = number(said.get(f"counts per unit {quantity}", said.get(f"counts per {quantity}", "")))
-        if per > 0:
-            those = [column for axis, column in axes if axis.startswith(letter)]
-            counts |= dict.fromkeys(those, per)
-            unit = UNITS.get(re.sub(r"[ -]", "", said.get(f"{quantity} units", "").lower()), "")
-            units |= dict.fromkeys(those, unit) if unit else {}
+        those = [column for axis, column in axes if axis.startswith(letter)]
+        counts |= dict.fromkeys(those, per) if per > 0 else {}
+        unit = split_unit(f"x [{said.get(f'{quantity} units', '')}]")[1]
+        units |= dict.fromkeys(those, unit) if unit else {}
     units |= labview.units_in(lines, names)
     return Stated(next((rate for rate in rates if rate > 0), None), counts, units)
 
 
-def _pair(line: bytes) -> tuple[str, str] | None:
-    """A word and its value, in two cells or between a colon or an equals sign; None = the line is no such pair."""
-    line = line.lstrip(b"#% ")
+def _pairs(line: bytes) -> Iterator[tuple[str, str]]:
+    """Words and their values: each pair in a cell, between a colon or an equals sign, or in two successive cells.
+
+    >>> list(_pairs(b'"Rate: 7","Force Units: N"')), list(_pairs(b"Rate:,7,Force Units:,N")), list(_pairs(b"Rate;7"))
+    ([('rate', '7'), ('force units', 'N')], [('rate', '7'), ('force units', 'N')], [('rate', '7')])
+    """
+    line = cells.COMMENT.sub(b"", line)
     row = [cell for cell in cells.split(line, cells.delimiter_of(line)) if cell]
-    if len(row) != 2:
-        row = re.split(r"\s*[:=]\s*", line.decode("utf-8", "replace").strip(), maxsplit=1)
-    if len(row) != 2:
-        return None
-    key = row[0].strip(" :=").lower().replace("_", " ")
+    within = [re.split(r"\s*[:=]\s*", cell, maxsplit=1) for cell in row]
+    if row and all(len(pair) == 2 and pair[1] for pair in within):
+        yield from (_stating(*pair) for pair in within)
+    elif len(row) == 2 or (len(row) % 2 == 0 and all(cell.endswith((":", "=")) for cell in row[::2])):
+        yield from (_stating(key, value) for key, value in zip(row[::2], row[1::2], strict=True))
+    else:
+        pair = re.split(r"\s*[:=]\s*", line.decode("utf-8", "replace").strip(), maxsplit=1)
+        yield from [_stating(*pair)] if len(pair) == 2 else []
+
+
+def _stating(key: str, value: str) -> tuple[str, str]:
+    """A word in lower case and its value, with the unit that the word may have instead."""
+    key, value = key.strip(" :=").lower().replace("_", " "), value.strip()
     unit = re.search(r"\s*[\[(]?\b" + _UNIT + r"\b[\])]?\s*$", key)
-    text = row[1].strip()
-    return (key[: unit.start()], f"{text} {unit[1]}" if number(f"{text} {unit[1]}") else text) if unit else (key, text)
+    if not unit:
+        return key, value
+    return key[: unit.start()], f"{value} {unit[1]}" if number(f"{value} {unit[1]}") else value
 
 
 def number(text: str) -> float:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import cells
+from rcbht_jax.io.importing import cells, labview
 from rcbht_jax.io.importing.between import Between, Line
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
-from rcbht_jax.io.importing.numerals import Numerals, shows_points, two_meanings
+from rcbht_jax.io.importing.numerals import Numerals, shows_commas, shows_points, two_meanings
 from rcbht_jax.io.importing.preamble import stated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates
@@ -38,7 +38,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     Names are those of the first line, and a line of units may follow. Columns without one are called c0, c1, ... by
     their place. Empty cells are missing values. Lines that are no rows are left out: names that are repeated, comments,
     and words below the last row, such as "mean". A file that is neither UTF-8 nor UTF-16 is read as Shift-JIS or
-    GB 18030 if its bytes go in pairs as theirs do, else as Windows-1252.
+    GB 18030 if its bytes go in pairs as theirs do, as Windows-1251 if its words are Cyrillic, else as Windows-1252.
 
     >>> Path("a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
@@ -68,6 +68,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
         if columns[column].dtype.kind == "f":
             columns[column] = columns[column].astype(np.float64) / counts
     notes += ("counts",) if about.counts else ()
+    columns = labview.with_one_time(path, columns) if any(map(labview.ends_header, titles.before)) else columns
     yield Table(name, columns, about.rate, about.units, notes=notes, lines=tuple(between.left))
 
 
@@ -164,10 +165,14 @@ def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
         if len(row) != len(columns):
             blocks = len(columns) == 1 and len(row) == 6  # rows of a wrench below a word
             hint = "Read the blocks of a UCI file with: rcbht import uci." if blocks else "Is the line cut off?"
+            if [column.name for column in columns] == ["header:"]:
+                hint = "Messages that ros2 topic echo prints are no table; print them with --csv, or record a bag."
             raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(columns)}. {hint}")
-    if columns and not columns[0].count and shows_points(row for _, row in lines[:PROBES]):
-        for column in columns:
-            column.numerals.assume_points()
+    if columns and not columns[0].count:
+        first = [row for _, row in lines[:PROBES]]
+        points, commas = shows_points(first), shows_commas(first)
+        for column in columns if points != commas else ():
+            (column.numerals.assume_points if points else column.numerals.assume_commas)()
     numbers = [number for number, _ in lines]
     for column, some in zip(columns, zip(*(row for _, row in lines), strict=True), strict=False):
         column.add(some, numbers)
@@ -178,7 +183,7 @@ class _Column:
     """A column that grows; it is text if its first cell with content is."""
 
     def __init__(self, path: Path, name: str, delimiter: str) -> None:
-        self._path, self._name, self._where = path, name, f"{path}, column {name}"
+        self._path, self.name, self._where = path, name, f"{path}, column {name}"
         self._delimiter, self.numerals = delimiter, Numerals(delimiter)
         self._parts: list[NDArray[np.generic]] = []
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
@@ -215,7 +220,7 @@ class _Column:
         values = np.empty(len(row))
         for place, cell in enumerate(row):
             if not cells.is_number(cell):
-                where = f"{self._path}, line {lines[place]}, column {self._name}"
+                where = f"{self._path}, line {lines[place]}, column {self.name}"
                 raise InputError(f"{where}: {cell[:30]!r} is not a number.{two_meanings(cell)}")
             values[place] = np.nan if cell.lower() in cells.NAN else float(cell)
         return values

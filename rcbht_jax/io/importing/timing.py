@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit, split_unit
+from rcbht_jax._util.columns import SECONDS, TIMES, TIMES_ABROAD, base_and_unit, split_unit
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
+from rcbht_jax.io.importing.clock_parts import JOINT
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.importing.table import Table
 
 SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 _SECONDS = re.compile(r"^(|.*[./_ ])(?:secs?|seconds)$")
 _DAYS = (2e4, 8e4), (6e5, 8e5)  # days since 1900 (spreadsheets) and since the year 0 (MATLAB), of our time
-_LAST = ("time", "times", "timestamp", "timestamps", "stamp", "duration", "zeit", "zeitstempel", "datenum")
+_LAST = ("time", "times", "timestamp", "timestamps", "stamp", "duration", "datenum", *TIMES_ABROAD)
 
 
 def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
@@ -34,8 +35,10 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         mapping: names no time.
         free: columns without another meaning.
     """
+    if joint := next((name for name in free if JOINT in name and _is_joint(table, name)), ""):
+        return replace(mapping, time=joint, time_unit="s")
     parsed = {name: base_and_unit(name) for name in free}
-    bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
+    bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if grows(table, name)}
     bases |= {base: name for name, (base, _) in reversed(parsed.items())}
     whole = _with_nanoseconds(table, free)
     # The stamps of a header are better than times of receipt; else the order of the list decides.
@@ -58,7 +61,7 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         return replace(mapping, time=first, time_unit="s") if counted else mapping
     # A column in s that grows is a time in any language, such as an index that pandas wrote.
     stated = {name: table.units.get(name) or parsed[name][1] for name in free}
-    timed = (name for name in free if stated[name] in SECONDS and _grows(table, name))
+    timed = (name for name in free if stated[name] in SECONDS and grows(table, name))
     if index := next(timed, ""):
         return replace(mapping, time=index, time_unit=stated[index])
     if dated := next((name for name in free if is_clock(table.columns[name])), ""):
@@ -68,9 +71,15 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     return mapping
 
 
+def _is_joint(table: Table, name: str) -> bool:
+    """Whether several columns were joined to this time, perhaps to one that does not exist."""
+    values = table.columns[name]
+    return bool(re.search(r"\d:\d", str(values[0]))) if values.dtype.kind == "U" else table.units.get(name) == "s"
+
+
 def _likely_time(table: Table, free: list[str]) -> str:
     """A column that grows and is called like a time, lies in a group of times, or has no name; "" = there is none."""
-    growing = [name for name in free if _grows(table, name)]
+    growing = [name for name in free if grows(table, name)]
     axes = "".join(names.preferred(names.wrenches(free)).values())
     paths = {name: re.split(r"[./]", names.snake(split_unit(name)[0])) for name in growing}
     called = [
@@ -91,7 +100,7 @@ def is_stamp(table: Table, name: str) -> bool:
     [False, True]
     """
     parts = re.split(r"[./]", base_and_unit(name)[0])
-    return len(parts) > 1 and bool(set(parts) & set(TIMES)) and _grows(table, name)
+    return len(parts) > 1 and bool(set(parts) & set(TIMES)) and grows(table, name)
 
 
 def _is_called(table: Table, name: str, last: str) -> bool:
@@ -121,8 +130,12 @@ def _stamped(seconds: NDArray[Any], rest: NDArray[Any]) -> bool:
     return bool(whole and seconds.min() > 1e9 and seconds.max() < 1e10 and rest.min() >= 0 and 1e8 < rest.max() < 1e9)
 
 
-def _grows(table: Table, name: str) -> bool:
-    """Whether numbers grow, but where a recording ends and another begins."""
+def grows(table: Table, name: str) -> bool:
+    """Whether numbers grow, but where a recording ends and another begins.
+
+    >>> [grows(Table("a.csv", {"t": np.array(times)}), "t") for times in ([0.0, 1.0, 1.0], [1.0, 0.0])]
+    [True, False]
+    """
     values = table.columns[name]
     steps = np.diff(values) if values.dtype.kind != "U" else np.zeros(1)
     return bool((steps > 0).any() and (steps >= 0).mean() > 0.9)

@@ -52,10 +52,13 @@ def read_titles(file: BinaryIO, path: Path, encoding: str) -> Titles:
     """
     before = _preamble(file)
     head, comment, comments = _head(file, path)
-    delimiter = cells.delimiter_of(head)
-    titles, start = cells.split(head, delimiter, encoding), file.tell()
+    start = file.tell()
+    delimiter = _delimiter(head, file.readline(MAX_TABLE_LINE))
+    file.seek(start)
+    titles = cells.split(head, delimiter, encoding)
     following = _following(file, delimiter, encoding)
-    below = [row for row, _ in following]
+    # a delimiter at the end of every row makes an empty cell more than there are names
+    below = [row[:-1] if len(row) == len(titles) + 1 and not row[-1] else row for row, _ in following]
     titles = labview.without_comment(titles, below[0] if below else []) if before else titles
     if not (comment or cells.is_title(titles, below[0] if below else [])):
         names = _checked([f"c{number}" for number in range(len(titles))], path)
@@ -88,8 +91,8 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
     while line := file.readline(MAX_TABLE_LINE):
         if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
             raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
-        if line.startswith((b"#", b"%")) and not line.startswith(b"%time"):
-            comment = line.lstrip(b"#% ")
+        if (mark := cells.COMMENT.match(line)) and not line.startswith(b"%time"):
+            comment = line[mark.end() :]
             comments = [*comments, line][:PREAMBLE]
         elif line.strip():
             # A comment is the line of names if it has as many of them as the first row has cells.
@@ -100,6 +103,16 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
                 return comment, True, comments
             return line, False, comments
     raise InputError(f"{path} is empty; expected a table.")
+
+
+def _delimiter(head: bytes, below: bytes) -> str:
+    """The mark between the cells of a line, that of the next one if both have as many cells then: names have commas.
+
+    >>> _delimiter(b"t, s;Fz, N", b"0,5;1,5"), _delimiter(b"t,Fz", b"0.5,1.5")
+    (';', ',')
+    """
+    own, other = cells.delimiter_of(head), cells.delimiter_of(below)
+    return other if 1 < len(cells.split(head, other)) == len(cells.split(below, other)) else own
 
 
 def _following(file: BinaryIO, delimiter: str, encoding: str) -> list[tuple[list[str], int]]:
@@ -174,5 +187,7 @@ def _checked(titles: list[str], path: Path) -> list[str]:
     if len(titles) > MAX_COLUMNS:
         raise InputError(f"{path} has {len(titles)} columns; expected at most {MAX_COLUMNS}.")
     if any(not cell.isprintable() for cell in titles):
-        raise InputError(f"{path} is not a table: its first line is not text. Unpack it if it is compressed.")
+        raise InputError(
+            f"{path} is not a table: its first line is not text. Unpack it if it is compressed, or save it as UTF-8."
+        )
     return titles

@@ -219,7 +219,7 @@ def test_names_that_count_the_columns_are_no_row(first: str, tmp_path: Path) -> 
     np.testing.assert_allclose(recordings.wrench[0], WRENCH, atol=1e-6)
 
 
-@pytest.mark.parametrize(("name", "said"), [("lp1.data", "rcbht import csv"), ("a.xlsx", "save yours as one of them")])
+@pytest.mark.parametrize(("name", "said"), [("lp1.data", "rcbht import csv"), ("a.xlsx", "save their sheets as CSV")])
 def test_what_to_do_with_files_of_another_kind(name: str, said: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text("x")
     with pytest.raises(InputError, match=said):

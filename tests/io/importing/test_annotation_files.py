@@ -1,0 +1,131 @@
+"""Annotations as programs for labelling export them, and what is wrong in them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcbht_jax.io.importing.importer import Imported, read_source
+from rcbht_jax.io.importing.label_studio import regions_in, unfolded
+from rcbht_jax.io.importing.table import Table
+
+N = 40
+LABELS = [("push", 0.1, 0.2), ("pull", 0.2, 0.35)]
+DATED = [f"2026-05-01 12:00:00.{round(1000 * time):03}" for time in np.arange(N) * 0.01]
+
+
+def write(folder: Path, times: list[str] | None = None) -> None:
+    for number in (1, 2):
+        rows = [f"{times[k] if times else k / 100},{k % 7 + number}" for k in range(N)]
+        (folder / f"run{number}.csv").write_text("\n".join(["t,Fz", *rows]))
+
+
+def marks(dated: bool = False) -> list[dict[str, Any]]:
+    times = [
+        (DATED[round(100 * start)], DATED[round(100 * end)]) if dated else (start, end) for _, start, end in LABELS
+    ]
+    return [
+        {"start": start, "end": end, "instant": False, "timeserieslabels": [label]}
+        for (label, _, _), (start, end) in zip(LABELS, times, strict=True)
+    ]
+
+
+def table_of(regions: object, file: str, column: str) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(["csv", "id", column, "annotator", "annotation_id", "created_at", "lead_time"])
+    writer.writerow([file, 1, json.dumps(regions), 1, 5, "2026-05-01T12:00:00.0Z", 12.5])
+    return text.getvalue()
+
+
+def found(imported: Imported, tracks: list[str]) -> list[tuple[str, float, float]]:
+    recordings, annotations = imported.recordings, imported.recordings.annotations
+    assert set(recordings.trial[annotations.recording].tolist()) == {"run2"}
+    assert imported.report.warnings == imported.report.skipped == []
+    assert sorted(set(np.array(annotations.tracks)[annotations.track].tolist())) == tracks
+    rows = zip(annotations.names().tolist(), annotations.start, annotations.end, strict=True)
+    return [(name, round(start, 6), round(end, 6)) for name, start, end in rows]
+
+
+@pytest.mark.parametrize("dated", [False, True])
+@pytest.mark.parametrize("column", ["label", "phases"])
+def test_label_studio_as_csv(column: str, dated: bool, tmp_path: Path) -> None:
+    write(tmp_path, DATED if dated else None)
+    text = table_of(marks(dated), "/data/upload/1/0a1b2c3d-run2.csv", column)
+    (tmp_path / "project-1-at-2026-05-01.csv").write_text(text)
+    assert found(read_source(tmp_path), ["label"]) == LABELS
+
+
+@pytest.mark.parametrize("file", ["s3://bucket/runs/run2.csv?versionId=1.2", "/data/local-files/?d=runs/run2.csv"])
+@pytest.mark.parametrize("dated", [False, True])
+def test_label_studio_as_json(file: str, dated: bool, tmp_path: Path) -> None:
+    write(tmp_path, DATED if dated else None)
+    task = {"data": {"ts": file}, "annotations": [{"result": [{"value": mark} for mark in marks(dated)]}]}
+    (tmp_path / "project.json").write_text(json.dumps([task]))
+    assert found(read_source(tmp_path), ["label"]) == LABELS
+
+
+def test_two_people_who_labelled_one_file_have_tracks_of_their_own(tmp_path: Path) -> None:
+    write(tmp_path)
+    one = {"result": [{"value": mark} for mark in marks()]}
+    rest = {"predictions": [one], "drafts": [one]}
+    annotations = [one, {**one, "was_cancelled": True}, one]
+    task = {"data": {"ts": "run2.csv"}, "annotations": annotations, **rest}
+    (tmp_path / "project.json").write_text(json.dumps([task]))
+    assert found(read_source(tmp_path), ["label", "label_2"]) == LABELS * 2
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("run2_labels.csv", "label,start,end\npush,0.3,0.2\n"),
+        ("run2_labels.csv", "label,start,duration\npush,0.3,-0.1\n"),
+        ("run2_labels.csv", "label,start,end\npush,00:00:00.300,00:00:00.200\n"),
+        ("run2_labels.csv", "0.3\t0.2\tpush\n0.3\t0.35\tpull\n"),
+        ("run2.json", '{"phases": [{"label": "push", "start": 0.3, "end": 0.2}]}'),
+        ("all.json", '[{"csv": "run2.csv", "label": [{"start": 0.3, "end": 0.2, "timeserieslabels": ["push"]}]}]'),
+    ],
+)
+def test_an_annotation_that_ends_before_it_begins_is_told(name: str, text: str, tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / name).write_text(text)
+    imported = read_source(tmp_path)
+    [(recording, problem)] = imported.report.warnings
+    assert (recording, "'push' ends before it begins (0.2 < 0.3 s); its end is unknown." in problem) == (
+        "run2.csv",
+        True,
+    )
+    assert np.isnan(imported.recordings.annotations.end[0])
+
+
+def test_columns_of_annotations_that_are_not_understood_are_told(tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "run2_labels.csv").write_text("label;start;bis\npush;0,1;0,2\npull;0,2;0,35\n")
+    remarks = read_source(tmp_path).report.remarks
+    assert "run2_labels.csv is a table of annotations; left out of it: 'bis'." in remarks
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from(["start", "end", "timeserieslabels", "result", "value", "csv"]), inner)
+    ),
+)
+
+
+@given(st.lists(anything, max_size=3))
+def test_other_json_is_no_export_or_has_whole_rows(tasks: list[Any]) -> None:
+    for row in regions_in(tasks):
+        assert set(row) == {"file", "track", "label", "start", "end"}
+    cells = np.array(['[{"labels": [' + json.dumps(tasks), json.dumps(tasks)])
+    table = Table("a.csv", {"csv": np.array(["a.csv", "b.csv"]), "label": cells})
+    assert unfolded(table) is table
