@@ -306,7 +306,7 @@ class Recordings(ByValue):
         parts, named = read_parts(wrenches, period(rate))
         if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
             shapes = sorted({part.shape for part in parts})
-            raise InputError(f"Recordings have shapes {shapes}; expected [time, axis], at least one, of the same axes.")
+            raise InputError(f"Recordings have shapes {shapes}; expected a list of [time, axis] of the same axes.")
         wrench, length = padded(parts)
         if axes is None:
             warn_if_turned(wrenches, wrench.shape[1], wrench.shape[2], named)

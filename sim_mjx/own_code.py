@@ -53,6 +53,18 @@ def finite(values: Any, *shape: int) -> bool:
     return fits and array.dtype.kind in "iuf" and bool(np.isfinite(array).all())
 
 
+def whole(value: Any, least: int) -> bool:
+    """Whether a value that a user gave is a whole number, no truth value, and large enough.
+
+    Args:
+        value: anything. least: the smallest number that is large enough.
+
+    >>> whole(5, 1), whole(np.int64(5), 1), whole(0, 1), whole(5.0, 1), whole(True, 1)
+    (True, True, False, False, False)
+    """
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= least)
+
+
 def two_numbers(name: str, value: Any) -> tuple[float, float]:
     """The two numbers of a range that a user gave.
 

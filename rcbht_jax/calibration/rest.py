@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.choices import check_choices
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
 from rcbht_jax.errors import InputError
@@ -51,7 +52,7 @@ def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
         window: samples per straight-line fit, as the encoder will have it.
 
     Raises:
-        InputError: no recording is as long as two windows, or no encoder has such a window.
+        InputError: no ``Recordings``, none is as long as two windows, or no encoder has such a window.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -158,8 +159,10 @@ def window_slopes(
     """Slopes of the straight-line fits of the encoder's windows, unit/s, and which windows are complete.
 
     Raises:
-        InputError: a window that no encoder can have.
+        InputError: no recordings, or a window that no encoder can have.
     """
+    expect("The data set", recordings, Recordings)
+    expect("The window", window, int, np.integer)
     check_choices(window, recordings.dt)
     rows, samples, axes = recordings.wrench.shape
     count = samples // window

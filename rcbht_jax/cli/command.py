@@ -271,7 +271,7 @@ class EncodingCommand(Command):
     robot: Annotated[
         Literal["auto", "hiro", "baxter", "pa10"] | None,
         option(
-            "Robot whose preset gives the gradient thresholds; auto = from rest and contacts in these recordings.",
+            "Robot whose preset gives the gradient thresholds; auto = from rest and contacts in what is encoded.",
             "hiro for recordings of HIRO and simulated ones, else auto",
         ),
     ] = None

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_fields
+from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import pairs, vote
@@ -140,7 +141,8 @@ def classify(
         facts: facts about the wrenches, if the recordings have no samples.
 
     Raises:
-        InputError: no sentence passes the filters, or the labels give other features than the model reads.
+        InputError: an argument of another class, no sentence passes the filters, or the labels give other features than
+            the model reads.
 
     Example:
         >>> import rcbht_jax as rj
@@ -150,6 +152,7 @@ def classify(
         >>> classify(model, recordings, {"": tracks}, task_of(model)).predicted[[0, -1]].tolist()
         ['failure', 'success']
     """
+    expect("The model", model, TrainedModel)
     items = unlabelled_intervals(recordings, spec, whole=model.task.get("whole") is True)
     if not len(items.row):
         why = (

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.task import CONTROL_PERIOD
-from sim_mjx.own_code import finite, with_tuples
+from sim_mjx.own_code import finite, whole, with_tuples
 
 ACTIONS = ("set-points", "joint", "cartesian")
 CONTROLLERS = ("recorded", "none")
@@ -53,16 +53,18 @@ class EnvConfig:
         _check_choice("action", self.action, ACTIONS)
         _check_choice("controller", self.controller, CONTROLLERS)
         observe = self.observe
-        if not isinstance(observe, tuple) or not observe or len(set(observe)) < len(observe):
+        if not isinstance(observe, tuple) or not observe:
             raise InputError(f"observe is {observe!r}; expected a tuple of one part or more, each once.")
         for part in observe:
             _check_choice("observation", part, OBSERVATIONS)
+        if len(set(observe)) < len(observe):
+            raise InputError(f"observe is {observe!r}; expected a tuple of one part or more, each once.")
         if self.action == "set-points" and self.controller == "none":
             raise InputError(
                 'action="set-points" needs controller="recorded"; use that, or action="joint" or action="cartesian".'
             )
-        if not isinstance(self.periods, int) or self.periods < 1:
-            raise InputError(f"periods is {self.periods}; expected 1 control period per step or more.")
+        if not whole(self.periods, 1):
+            raise InputError(f"periods is {self.periods!r}; expected a whole number of control periods, 1 or more.")
         for name in ("hold", "force", "moment", "angle", "shift", "turn"):
             value = getattr(self, name)
             if not finite(value) or value <= 0:
@@ -79,6 +81,6 @@ class EnvConfig:
         return bool({"words", "beliefs"} & set(self.observe))
 
 
-def _check_choice(what: str, value: str, known: tuple[str, ...]) -> None:
+def _check_choice(what: str, value: object, known: tuple[str, ...]) -> None:
     if value not in known:
         raise InputError(f"There is no {what} {value!r}; expected one of {', '.join(known)}.")

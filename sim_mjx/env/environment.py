@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, Int
 
 from rcbht_jax.errors import InputError
@@ -164,10 +165,15 @@ class Environment:
             seed: key of the sensor's noise, uint32 [2]; None = the trial's own.
 
         Raises:
-            InputError: there is no such row. Compiled or mapped functions cannot ask: they begin another one.
+            InputError: no row or no seed, or there is no such row. Compiled or mapped functions cannot ask for the
+                latter: they begin another one.
         """
+        if not _scalar(row):
+            raise InputError(f"The row of a trial is {row!r}; expected one whole number (jax.vmap takes several).")
         if not isinstance(row, jax.core.Tracer) and not 0 <= int(row) < self.trial_count:
             raise InputError(f"There is no trial {int(row)}; expected 0 to {self.trial_count - 1}.")
+        if seed is not None and (np.shape(seed), getattr(seed, "dtype", None)) != ((2,), np.uint32):
+            raise InputError("The seed of the noise is no array of two uint32; expected one as of jax.random.PRNGKey.")
         return self.begin(jax.tree.map(lambda leaf: jnp.asarray(leaf)[row], self.trials), row, seed)
 
     @single
@@ -201,6 +207,8 @@ class Environment:
         Raises:
             InputError: the action has the wrong shape.
         """
+        if isinstance(action, list | tuple):  # a pytree of numbers where it is compiled
+            action = jnp.asarray(action, jnp.float32)
         if jnp.shape(action) != (self.action_size,):
             raise InputError(f"An action has shape {jnp.shape(action)}; expected ({self.action_size},).")
         action = jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
@@ -274,6 +282,11 @@ class Environment:
 
         carry, _ = jax.lax.scan(substep, (body, glance), shares, unroll=self.physics.unroll)
         return carry
+
+
+def _scalar(row: Any) -> bool:
+    """Whether a value is one whole number, also in a compiled function."""
+    return isinstance(row, int) or (getattr(row, "shape", None) == () and jnp.issubdtype(row.dtype, jnp.integer))
 
 
 def _share(glance: Glance) -> Array:

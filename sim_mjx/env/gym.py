@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NoReturn
 
 import jax
 import numpy as np
@@ -17,6 +17,7 @@ from rcbht_jax.errors import InputError
 from sim_mjx.engines.common import select_lanes
 from sim_mjx.env.environment import Environment, State
 from sim_mjx.env.loading import jit
+from sim_mjx.own_code import whole
 
 with needs_extra("gym"):
     import gymnasium
@@ -43,15 +44,15 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         seed: seed of the first episodes, unless :meth:`reset` is given another.
 
     Raises:
-        InputError: fewer than one environment, or a negative seed.
+        InputError: ``env`` is none, fewer than one environment, or a negative seed.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  # Gymnasium wants a plain class attribute
 
     def __init__(self, env: Environment, num_envs: int, seed: int = 0) -> None:
-        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise InputError(f"num_envs is {num_envs}; expected 1 or more.")
-        self.env, self.num_envs, self._key = env, int(num_envs), _key(seed)
+        if not whole(num_envs, 1):
+            raise InputError(f"num_envs is {num_envs!r}; expected a whole number, 1 or more.")
+        self.env, self.num_envs, self._key = _environment(env), int(num_envs), _key(seed)
         self.single_observation_space, self.single_action_space = spaces(env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -81,6 +82,14 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             _host(self._state.obs), _host(self._state.reward), ended & ~truncated, truncated, _infos(self._state)
         )  # fmt: skip
 
+    def render(self) -> NoReturn:
+        """Refused: there are no pictures.
+
+        Raises:
+            InputError: always.
+        """
+        _refuse_pictures()
+
 
 class SingleEnv(gymnasium.Env):
     """One environment.
@@ -90,13 +99,13 @@ class SingleEnv(gymnasium.Env):
         seed: seed of the first episode, unless :meth:`reset` is given another.
 
     Raises:
-        InputError: a negative seed.
+        InputError: ``env`` is none, or a negative seed.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # Gymnasium wants a plain class attribute
 
     def __init__(self, env: Environment, seed: int = 0) -> None:
-        self.env, self._key = env, _key(seed)
+        self.env, self._key = _environment(env), _key(seed)
         self.observation_space, self.action_space = spaces(env)
         self._reset, self._step = jit(env.reset), jit(env.step)
         self._state: State | None = None
@@ -121,6 +130,14 @@ class SingleEnv(gymnasium.Env):
         ended = bool(self._state.done > 0.5) and not truncated
         return _host(self._state.obs), float(self._state.reward), ended, truncated, _infos(self._state)
 
+    def render(self) -> NoReturn:
+        """Refused: there are no pictures.
+
+        Raises:
+            InputError: always.
+        """
+        _refuse_pictures()
+
 
 def _reset(env: Environment, count: int, key: Any) -> State:
     return jax.vmap(env.reset)(jax.random.split(key, count))
@@ -138,7 +155,7 @@ def _key(seed: int) -> Any:
     Raises:
         InputError: it is negative or no whole number.
     """
-    if not isinstance(seed, int | np.integer) or seed < 0:
+    if not whole(seed, 0):
         raise InputError(f"seed is {seed!r}; expected a whole number, zero or more.")
     rest, low = divmod(int(seed), 2**32)
     key = jax.random.key(low)
@@ -146,6 +163,16 @@ def _key(seed: int) -> Any:
         rest, low = divmod(rest, 2**32)
         key = jax.random.fold_in(key, np.uint32(low))
     return key
+
+
+def _environment(env: Any) -> Environment:
+    if not isinstance(env, Environment):
+        raise InputError(f"The environment is {env!r}; expected what sim_mjx.env.load returns.")
+    return env
+
+
+def _refuse_pictures() -> NoReturn:
+    raise InputError('Environments draw no pictures; "rcbht view" shows trials of a store.')
 
 
 def _started(state: State | None) -> State:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from typing import Any
 
 import jax
@@ -20,6 +21,7 @@ from sim_mjx.env.config import EnvConfig
 from sim_mjx.env.environment import Environment, Trials
 from sim_mjx.env.physics import new_physics, settled
 from sim_mjx.env.senses import new_senses
+from sim_mjx.own_code import whole
 from sim_mjx.presets import DEFAULT, PRESETS
 from sim_mjx.registry import SNAP, get_scenario
 
@@ -67,8 +69,10 @@ def load(
         raise InputError(
             f"An environment cannot use the engine {engine!r}; expected {' or '.join(engines.IMPLEMENTATIONS)}."
         )
-    if not all(isinstance(count, int | np.integer) and count >= 1 for count in (trials, parallel)):
-        raise InputError(f"trials is {trials} and parallel {parallel}; expected 1 or more of each.")
+    if not all(whole(count, 1) for count in (trials, parallel)):
+        raise InputError(f"trials is {trials!r} and parallel {parallel!r}; expected whole numbers, 1 or more.")
+    if not isinstance(model, IntrospectionModel | None):
+        raise InputError(f"model is {model!r}; expected what rcbht_jax.introspection.model.load returns.")
     if not isinstance(name, str) or (name not in (*ALIASES, *PRESETS) and "@" not in name):
         raise InputError(
             f"There is no environment {name!r}; expected one of {', '.join([*ALIASES, *PRESETS])}, or ASSEMBLY@ROBOT."
@@ -76,7 +80,9 @@ def load(
     scenario = get_scenario(ALIASES.get(name, name))
     scene = scenario.scene()
     if params is None:
-        spec = spec or scenario.spec(nominal_share=1.0)
+        spec = scenario.spec(nominal_share=1.0) if spec is None else spec
+        if not is_dataclass(spec):
+            raise InputError(f"spec is {spec!r}; expected distributions, such as get_scenario({name!r}).spec().")
         params, _ = scenario.draw_batch(seed, range(trials), spec)
     if len(counts := {np.shape(leaf)[:1] for leaf in jax.tree.leaves(params)}) != 1 or counts <= {(), (0,)}:
         raise InputError("params is no batch of trials; expected that of a scenario's draw_batch, one trial or more.")

@@ -35,8 +35,8 @@ def check(physical: Physical) -> None:
     """Check names and values of physical parameters.
 
     Raises:
-        InputError: an unknown name, a value that is not finite or too large, or a delay or a step of quantisation that
-            the sensor cannot have.
+        InputError: an unknown name, a value that is not finite or too large, or noise, a delay or a step of
+            quantisation that the sensor cannot have.
     """
     for name, value in physical:
         match = NAME.fullmatch(name)
@@ -50,6 +50,8 @@ def check(physical: Physical) -> None:
                 f"The physical parameter {name} is {value:g}; expected more than zero, since readings are rounded to "
                 "its multiples."
             )
+        if match[2] == "noise" and value < 0:
+            raise InputError(f"The physical parameter {name} is {value:g}; expected zero or more.")
         if match[2] == "delay" and not 0 <= round(value) < LONGEST_DELAY:  # others would be clipped silently
             raise InputError(
                 f"The physical parameter {name} is {value:g}; expected 0 to {LONGEST_DELAY - 1} control periods."

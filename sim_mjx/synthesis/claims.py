@@ -146,9 +146,9 @@ def take(folder: Path, task: str) -> Claim | None:
 
 @contextmanager
 def wait_for(folder: Path, task: str) -> Iterator[bool]:
-    """Hold a task, once other holders have ended; yields False if the work folder is deleted meanwhile."""
+    """Hold a task, once other holders have ended; yields False if the work folder is deleted or moved meanwhile."""
     while (claim := take(folder, task)) is None:
-        if not folder.is_dir():
+        if not (folder / FOLDER).is_dir():  # a shard written after that makes the work folder anew, without claims
             yield False
             return
         time.sleep(POLL)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import inspect
 from pathlib import Path
 
 import jax
@@ -123,6 +124,14 @@ def test_what_cannot_be_calibrated() -> None:
     for window in (0, -5, 1):
         with pytest.raises(InputError, match=f"The window is {window} samples; a line needs at least 2"):
             auto_thresholds(short, window)
+    unchecked = inspect.unwrap(window_slopes)  # the annotations of the tests' run refuse it first
+    for recordings, window, sentence in (
+        (short.wrench, 5, "The data set is .*, ndarray; expected Recordings"),
+        (short, 5.0, r"The window is '5\.0', float; expected int"),
+        (short, None, "The window is 'None', NoneType; expected int"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            unchecked(recordings, window)
 
 
 def test_rest_of_human_demonstrations(external_dir: Path) -> None:

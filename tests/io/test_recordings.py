@@ -57,6 +57,8 @@ def test_tables_and_named_arrays_are_read_by_their_names() -> None:
         np.testing.assert_array_equal(recordings.wrench, values)
         assert recordings.axes == ("grip", "Fz")
         assert recordings.units == ("", "N")
+    with pytest.raises(InputError, match=r"expected a list of \[time, axis\] of the same axes"):
+        Recordings.from_arrays(values[0], rate=100)  # one recording is no list
     assert Recordings.from_arrays(frames, rate=100, axes=["a", "b"]).axes == ("a", "b")
     assert np.isnan(Recordings.from_arrays([np.ma.masked_greater(values[0], 0)]).wrench).any()
     for wrenches, rate, why in ((frames, 200, "100 samples per second"), (values, 0, "rate is 0"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -49,6 +50,12 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
     capsys.readouterr()
     assert main(["classify", *map(str, words), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
+
+
+def test_the_path_of_a_model_is_no_model() -> None:
+    unchecked = inspect.unwrap(classify)  # the annotations of the tests' run refuse it first
+    with pytest.raises(InputError, match=r"The model is 'one\.model', str; expected TrainedModel"):
+        unchecked("one.model", Recordings.example(), {}, TaskSpec("outcome"))
 
 
 @pytest.mark.parametrize("name", ["one", "two"])

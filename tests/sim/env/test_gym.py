@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+
 import jax
 import numpy as np
 import pytest
@@ -99,3 +101,9 @@ def test_misuse_is_refused(many: VectorEnv) -> None:
     many.step(np.full((3, 6), np.inf))  # as 1, the largest
     with pytest.raises(InputError, match="num_envs is 0"):
         VectorEnv(many.env, 0)
+    for adaptor in (SingleEnv(many.env), many):
+        with pytest.raises(InputError, match="draw no pictures"):
+            adaptor.render()
+        unchecked = inspect.unwrap(type(adaptor).__init__)  # the annotations of the tests' run refuse it first
+        with pytest.raises(InputError, match=r"The environment is 'clip'; expected what sim_mjx\.env\.load returns"):
+            unchecked(adaptor, "clip", 2)

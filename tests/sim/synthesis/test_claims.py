@@ -163,3 +163,12 @@ def test_in_a_folder_that_is_gone_there_is_nothing_to_claim(tmp_path: Path) -> N
     assert claims.board(tmp_path / "gone") == {}
     with claims.wait_for(tmp_path / "gone", "join") as ours:
         assert not ours
+
+
+def test_nobody_waits_for_a_folder_moved_away_while_a_shard_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "work" / "store.zarr").mkdir(parents=True)
+    monkeypatch.setattr(claims.time, "sleep", lambda _: pytest.fail("it waits for ever"))
+    with claims.wait_for(tmp_path / "work", "join") as ours:
+        assert not ours

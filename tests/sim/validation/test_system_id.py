@@ -157,6 +157,7 @@ def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
         (("parts.friction", 1e300), "friction is 1e\\+300; expected a finite number up to 1e\\+30"),
         (("sensor.bias", -3.4e38), "bias is -3.4e\\+38; expected a finite number"),
         (("parts.friction", -1.0), "friction must be positive"),
+        (("sensor.noise[1]", -1.0), "expected zero or more"),
         (("sensor.delay", 1e18), "expected 0 to 11 control periods"),
         (("sensor.delay", 12.0), "expected 0 to 11 control periods"),
         (("sensor.delay", -1.0), "expected 0 to 11 control periods"),
