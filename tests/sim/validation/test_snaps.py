@@ -38,6 +38,12 @@ def test_a_snap_is_found_with_its_numbers() -> None:
     assert snaps.as_recorded(snap)
 
 
+def test_a_slower_fall_is_counted_to_its_end() -> None:
+    force = held(17.0, 1.0) - np.interp(TIMES, [8.0, 8.1, 8.2], [0.0, 11.0, 0.0])
+    (snap,) = snaps.find(force, touch=1.0)
+    assert (snap.release, snap.drop) == pytest.approx((17.0, 11.0))
+
+
 def test_overshoot_and_first_touch_are_no_snaps() -> None:
     push = held(10.7, 1.0) + 15.0 * (TIMES >= 6.0) + ringing(6.0, 14.0)  # session A's mating: 39.5 N, then 19 N
     assert push.max() > 35
