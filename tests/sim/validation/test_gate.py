@@ -75,6 +75,15 @@ def test_limits_are_within_themselves(value: float | None, holds: bool) -> None:
     assert gate.Check(value, low=1.0, high=2.0).holds == holds
 
 
+def test_measures_of_sets_that_differ_by_a_factor() -> None:
+    reference = trials(0)
+    mean = reference.mean(0)
+    assert gate.spread(reference, mean + 2 * (reference - mean)) == pytest.approx(2.0)
+    assert not gate.wrong_signs(reference, 4 * reference).any()  # far away, but of the same sign
+    assert 0 <= gate.separability(reference[:3], reference[3:6]) <= 1  # as few as there may be
+    assert not gate.Check(np.inf, low=1.0).holds
+
+
 def test_quick_events_are_compared_where_there_are_any() -> None:
     ring, none = Ring(2.3, 40.0, 0.05), Dynamics(np.zeros(0), None)
     recorded = Dynamics(np.full(3, 20.0), ring)
