@@ -14,8 +14,8 @@ import rcbht_jax as rj
 from rcbht_jax.encoding import fit
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.fit_line import Line, join, span_line
+from rcbht_jax.encoding.fit import SHORTEST, FitConfig
+from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
 from rcbht_jax.encoding.rules import config_fields, config_from
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.thresholds import preset
@@ -179,6 +179,33 @@ def test_joined_lines_are_those_of_all_samples(seed: int, cuts: tuple[int, int])
                  zip(parts, (ma, mb), (sa, sb), strict=True)]  # fmt: skip
         line = jax.device_get(jax.jit(join)(*lines))
     np.testing.assert_allclose([line.mean, line.slope], least_squares(y)[:2], atol=1e-9)
+
+
+@jax.jit
+def broken(line: Line, samples: jax.Array, start: jax.Array, stop: jax.Array) -> tuple[jax.Array, jax.Array]:
+    found, saved = best_break(line, samples, residuals_after(samples, stop), start, stop, SHORTEST)
+    return found[0], saved[0]
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10**6), st.integers(0, 6), st.integers(0, 4), st.integers(5, 9), st.sampled_from([0.0, 1.0]))
+def test_a_break_is_the_best_of_all_pairs_of_lines(seed: int, held: int, start: int, stop: int, size: float) -> None:
+    """Also where all are equally good, of which it is the first, and beside samples that are not of the run."""
+    rng = np.random.default_rng(seed)
+    past, samples = size * rng.normal(size=held), size * rng.normal(size=9)
+    mean, slope, _ = least_squares(past) if held else (0.0, 0.0, 0.0)
+    with jax.enable_x64(True):
+        line = Line(jnp.full(1, held, jnp.int32), jnp.full(1, mean), jnp.full(1, slope))
+        ends = (jnp.full(1, end, jnp.int32) for end in (start, stop))
+        found, saved = jax.device_get(broken(line, jnp.asarray(samples[:, None]), *ends))
+    run = np.concatenate([past, samples[start:stop]])
+    apart = {
+        place: least_squares(run[: held + place - start])[2] + least_squares(samples[place:stop])[2]
+        for place in range(start, stop - 1) if held + place - start >= 2
+    }  # fmt: skip
+    np.testing.assert_allclose(saved, max([0.0, *(least_squares(run)[2] - rest for rest in apart.values())]), atol=1e-9)
+    if apart:
+        assert found == min(apart, key=apart.__getitem__)
 
 
 def test_single_precision_suffices_for_an_hour_beside_a_large_constant() -> None:

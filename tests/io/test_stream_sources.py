@@ -180,6 +180,13 @@ def test_a_stream_is_tared_as_a_store_is():
     np.testing.assert_array_equal(np.concatenate(Tare(150).tared(wrench)), stored)
 
 
+def test_a_recording_shorter_than_its_tare_is_tared_by_all_of_itself():
+    recordings = Recordings.from_arrays([np.full((length, 6), 7.0) for length in (300, 100)], rate=200)
+    assert not tare_of(recordings, 150).wrench.any()
+    with pytest.raises(InputError, match="expected at least one"):
+        tare_of(recordings, 0)
+
+
 def test_the_tare_of_a_minute_is_exact():
     tare, level = Tare(60_000), np.float32(100.03)
     (rest,) = tare.tared(np.full((60_000, 2), level, np.float32))

@@ -130,6 +130,68 @@ def test_sessions_b_and_c_rotate_for_one_period() -> None:
         assert np.asarray(state.entered)[:3].tolist() == [0, 1, 2]
 
 
+@pytest.mark.parametrize(("bent", "turned", "shortest", "leaves"), [(20, 0, 0, 20), (0, 30, 0, 30), (0, 0, 40, 42)])
+def test_insertion_ends_by_pitch_with_a_moment_after_its_time(
+    bent: int, turned: int, shortest: int, leaves: int
+) -> None:
+    """All three are needed: the hand points down, the moment presses, and the shortest stay (from tick 2) is over."""
+    task_b = preset("B").task
+    times, moments = np.zeros(4), np.full(4, task.NEVER)
+    times[1], moments[1] = shortest * CONTROL_PERIOD, 0.9
+    params = as_float32(replace(task_b, leave_after=times, leave_moment=moments))
+    position = kinematics.fk(task_b.home)[2]
+    level, down = (
+        kinematics.ik(position, kinematics.rotation_from_rpy(np.array([0.0, pitch, 0.0])), task_b.home)
+        for pitch in (-1.5, -1.56)
+    )
+
+    def wrench(tick: int, state: task.TaskState) -> np.ndarray:
+        return np.array([0.0, 0.0, 30.0, 0.0, 1.0 if tick >= turned else 0.8, 0.0])
+
+    state = run(params, wrench, lambda tick, s: down if tick >= bent else level, 50)
+    assert np.asarray(state.entered)[[task.INSERTION, task.MATING]].tolist() == [2, leaves]
+
+
+def test_nothing_follows_the_end() -> None:
+    params = replace(single("B"), leave_wrist=jnp.full(4, jnp.inf), mating_time=jnp.float32(0.05))
+    up = np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0])
+    ended, later = (run(params, lambda tick, s: up, lambda tick, s: params.home, ticks) for ticks in (15, 40))
+    assert int(ended.phase) == int(later.phase) == task.ENDED
+    np.testing.assert_array_equal(ended.command, later.command)
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_each_phase_has_its_own_set_points_and_gain(row: int) -> None:
+    rng, never, task_b = np.random.default_rng(row), np.full(4, task.NEVER), preset("B").task
+    force, moment, wrench = rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), rng.normal(size=6)
+    gains = np.array([1e-3, 2e-3, 3e-3, 4e-3])
+    params = as_float32(
+        replace(task_b, force=force, moment=moment, moment_gain=gains, leave_wrist=never, leave_pitch=never)
+    )
+    state = task.TaskState(jnp.int32(9), jnp.int32(task.ROTATION + row), jnp.zeros(6, jnp.int32), params.home)
+    found = advance(params, state, params.home, jnp.asarray(wrench, jnp.float32)).command
+    velocity, angular = kinematics.jacobian(task_b.home)
+    turns = np.concatenate(
+        [
+            task_b.force_gain * (wrench[:3] - force[row]) @ velocity[:, :3],
+            gains[row] * (wrench[3:] - moment[row]) @ angular[:, 3:],
+        ]
+    )
+    np.testing.assert_allclose(found - task_b.home, turns, atol=1e-6)
+
+
+def test_an_approach_is_where_its_plan_is_at_the_end_of_a_period() -> None:
+    params = replace(single("B"), way_time=jnp.array([0.1, 0.2]))
+    halfway = run(params, lambda tick, s: np.zeros(6), lambda tick, s: s.command, 10).command
+    home, way = kinematics.fk(params.home)[2], params.way_position[0]
+    np.testing.assert_allclose(kinematics.fk(halfway)[2], (home + way) / 2, atol=1e-4)
+
+
+def test_times_are_whole_periods_although_single_precision_is_not() -> None:
+    ticks = np.arange(12_000)  # a minute
+    np.testing.assert_array_equal(task.periods(jnp.asarray(ticks * CONTROL_PERIOD, jnp.float32)), ticks)
+
+
 def test_openhrp_waits_for_its_time_before_it_believes_a_contact() -> None:
     params = single("openhrp")
     up = np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0])

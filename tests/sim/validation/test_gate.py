@@ -11,7 +11,7 @@ from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.presets.session import GateLimits
 from sim_mjx.validation import gate, sessions
-from sim_mjx.validation.dynamics import Dynamics, Ring, dynamics
+from sim_mjx.validation.dynamics import Dynamics, Ring, dynamics, ringing
 
 LIMITS = GateLimits(coverage=0.75, w1_over_sd=0.4, dtw_over_sd=0.4, auc=0.85)
 TRIALS = 14
@@ -75,6 +75,15 @@ def test_limits_are_within_themselves(value: float | None, holds: bool) -> None:
     assert gate.Check(value, low=1.0, high=2.0).holds == holds
 
 
+def test_measures_of_sets_that_differ_by_a_factor() -> None:
+    reference = trials(0)
+    mean = reference.mean(0)
+    assert gate.spread(reference, mean + 2 * (reference - mean)) == pytest.approx(2.0)
+    assert not gate.wrong_signs(reference, 4 * reference).any()  # far away, but of the same sign
+    assert 0 <= gate.separability(reference[:3], reference[3:6]) <= 1  # as few as there may be
+    assert not gate.Check(np.inf, low=1.0).holds
+
+
 def test_quick_events_are_compared_where_there_are_any() -> None:
     ring, none = Ring(2.3, 40.0, 0.05), Dynamics(np.zeros(0), None)
     recorded = Dynamics(np.full(3, 20.0), ring)
@@ -102,6 +111,28 @@ def test_impact_and_ringing_are_measured() -> None:
     np.testing.assert_allclose(found.impact, [20.0], rtol=1e-3)
     assert found.ring is not None
     np.testing.assert_allclose(found.ring, (2.5, force[600:800].max(), 0.06), rtol=0.05)
+
+
+def test_only_what_is_in_time_and_in_the_record_is_measured() -> None:
+    times = np.arange(1600) * CONTROL_PERIOD
+    force = np.interp(times, [1.0, 1.2, 1.3, 1.4, 1.7, 2.0], [0.0, 5.0, 0.0, 7.0, 9.0, 0.0])
+    impact = dynamics(np.stack([force, force]), np.array([1600, 270]), np.ones(2), np.full(2, np.nan)).impact
+    np.testing.assert_allclose(impact, [np.interp(0.495, [0.4, 0.7], [7.0, 9.0]), 5.0])
+    after = np.maximum(times - 3.0, 0.0)
+    swing = 12 * np.exp(-after) * np.sin(2 * np.pi * 2.34 * after) + 20 * np.sin(2 * np.pi * 0.5 * after)
+    ring = ringing(swing[None], np.array([1400]), np.array([3.0]))  # a trial that ends with the four seconds
+    assert ring is not None
+    assert ring.hertz == pytest.approx(2.34, abs=0.1)  # a slower and larger swing is none of it
+    assert ringing(swing[None], np.array([1399]), np.array([3.0])) is None
+
+
+def test_rings_on_a_slope_are_those_of_the_middle_trial() -> None:
+    after = np.maximum(np.arange(1600) * CONTROL_PERIOD - 3.0, 0.0)
+    ring = np.exp(-after) * np.sin(2 * np.pi * 2.34 * after)
+    found = ringing(np.array([6.0, 12.0, 30.0])[:, None] * ring + 5 * after, np.full(3, 1600), np.full(3, 3.0))
+    assert found is not None
+    assert found.peak == pytest.approx((12 * ring + 5 * after)[600:800].max())  # the slope is higher later
+    assert found.damping == pytest.approx(1 / (2 * np.pi * 2.34), rel=0.1)
 
 
 def test_recordings_pass_their_own_gate(hiro_recordings: Recordings) -> None:

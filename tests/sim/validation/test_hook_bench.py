@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import product
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -70,6 +71,23 @@ def test_wear_and_breakage_are_geometry() -> None:
     assert gone.peak < 0.01 < old.peak < 0.6 * new.peak
     np.testing.assert_allclose(old.peak, mating_force(worn(TAB, 0.3e-3)), rtol=0.05)
     assert np.abs(gone.deflection).max() < 1e-9
+    slope = np.tan(np.radians(35))
+    bent = 0.5e-3 - 0.7e-3 * (1 - np.cos(np.radians(35)))  # m, by a tip of 0.7 mm that reaches 0.5 mm under the lip
+    assert mating_force(worn(TAB, 0.3e-3)) == pytest.approx(8540 * bent * (0.3 + slope) / (1 - 0.3 * slope))
+    assert mating_force(broken(TAB)) == separation_force(broken(TAB)) == 0.0
+
+
+def test_a_tab_that_is_let_go_comes_back_fast_and_does_not_ring() -> None:
+    """A critically damped spring: x = x0 (1 + w t) exp(-w t), without a change of sign."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.gravity = 1e-5, (0.0, 0.0, 0.0)
+    hooks.add_tab(spec.worldbody.add_body(), "0", TAB, np.zeros(3))
+    model = spec.compile()
+    data, rate = mujoco.MjData(model), np.sqrt(TAB.stiffness / hooks.ARMATURE)
+    data.qpos[0] = 1e-3
+    mujoco.mj_step(model, data, 1000)
+    phase = rate * data.time
+    assert data.qpos[0] == pytest.approx(1e-3 * (1 + phase) * np.exp(-phase), abs=1e-5)
 
 
 def test_the_bench_notices_a_wrong_lip(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,6 +99,7 @@ def test_the_bench_notices_a_wrong_lip(monkeypatch: pytest.MonkeyPatch) -> None:
     ("values", "said"),
     [
         ({"stiffness": -1.0}, "stiffness is -1.0"),
+        ({"stiffness": 0.0}, "stiffness is 0.0"),
         ({"friction": np.nan}, "friction is nan"),
         ({"lead_angle": 35.0}, "radians"),
         ({"retention_angle": np.pi / 2}, "edge is 0.1 mm; .* need 0.2 mm"),

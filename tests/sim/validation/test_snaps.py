@@ -38,6 +38,19 @@ def test_a_snap_is_found_with_its_numbers() -> None:
     assert snaps.as_recorded(snap)
 
 
+def test_a_slower_fall_is_counted_to_its_end() -> None:
+    force = held(17.0, 1.0) - np.interp(TIMES, [8.0, 8.1, 8.2], [0.0, 11.0, 0.0])
+    (snap,) = snaps.find(force, touch=1.0)
+    assert (snap.release, snap.drop) == pytest.approx((17.0, 11.0))
+
+
+def test_snaps_are_in_time_order_and_fall_well_below_their_level() -> None:
+    falls = [(TIMES - since >= 0) & (TIMES - since < 0.1) for since in (8.0, 11.0)]
+    found = snaps.find(held(17.0, 1.0) - 9.0 * falls[0] - 12.0 * falls[1], touch=1.0)
+    assert [round(snap.drop) for snap in found] == [9, 12]
+    assert snaps.find(held(40.0, 1.0) - 8.0 * falls[0], touch=1.0) == []  # to 0.8 of the level
+
+
 def test_overshoot_and_first_touch_are_no_snaps() -> None:
     push = held(10.7, 1.0) + 15.0 * (TIMES >= 6.0) + ringing(6.0, 14.0)  # session A's mating: 39.5 N, then 19 N
     assert push.max() > 35
@@ -77,6 +90,9 @@ def test_summary_counts() -> None:
     assert found["trials_with_0_1_2_more"] == [1, 1, 1, 1]
     assert found["trials_with_a_snap_as_recorded"] == 3
     assert found["drop_N_5_50_95_percent"] == [11.0, 11.0, 11.0]
+    assert snaps.share(snaps.summary([])) == 0.0
+    many = snaps.summary([[few._replace(drop=float(drop))] for drop in range(101)])
+    assert many["drop_N_5_50_95_percent"] == [5.0, 50.0, 95.0]
     assert snaps.summary([[]])["release_N_5_50_95_percent"] == []
 
 
