@@ -145,7 +145,7 @@ def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None]
     from sim_mjx.engines.lanes import Lanes  # which imports this module
 
     count = batch_size(params)
-    ((_, out),) = Lanes(scene, impl, count, at_once=count, spare=0).run([(0, params)], progress=progress)
+    ((_, out, _),) = Lanes(scene, impl, count, at_once=count, spare=0).run([(0, params)], progress=progress)
     return out
 
 

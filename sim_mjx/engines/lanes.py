@@ -64,8 +64,8 @@ class Lanes:
         progress: Callable[[int], None] | None = None,
         ready: Callable[[], bool] = lambda: True,
         room: Callable[[], bool] = lambda: True,
-    ) -> Iterator[tuple[list[Trial], Outcome]]:
-        """Simulate batches of trials; yields finished trials, at most ``at_once`` at a time.
+    ) -> Iterator[tuple[list[Trial], Outcome, int]]:
+        """Simulate batches of trials; yields finished ones, at most ``at_once`` at a time, and a bound of their length.
 
         Finished trials stay on the device until all trials of their batch have ended and ``at_once`` trials can be
         yielded, unless lanes wait for their slots. Each outcome has ``at_once`` rows, so that the functions that read
@@ -123,14 +123,15 @@ class Lanes:
                 yield self._taken_out(whole, logs)
                 table.free += [one.slot for one in whole]
 
-    def _taken_out(self, ready: list[_Ended], logs: Log) -> tuple[list[Trial], Outcome]:
+    def _taken_out(self, ready: list[_Ended], logs: Log) -> tuple[list[Trial], Outcome, int]:
         trials, slots, ages = zip(*ready, strict=True)
         spare = self.at_once - len(ready)
         padded = (np.array([*values, *[values[-1]] * spare]) for values in (slots, ages))
         settling = -(-SETTLING // self.scene.substeps)
         # of a queue always the longest: every other length would compile one more program in the functions that read it
         blocks = max(ages) if self.spare == 0 else logs.phase.shape[1]
-        return list(trials), _outcome(settling, blocks, self.scene.program, logs, *padded)
+        out = _outcome(settling, blocks, self.scene.program, logs, *padded)
+        return list(trials), out, max(ages) * device.STRETCH - settling
 
 
 class _Ended(NamedTuple):

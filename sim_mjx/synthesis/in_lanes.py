@@ -30,6 +30,7 @@ from sim_mjx.synthesis.records import Arrays
 from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
 
 COPIES = 2  # batches whose copies to the host overlap
+LENGTHS = 16  # to which trials are cut before they are copied: each is a program to compile
 BLOCK = 4096  # angles: whole blocks, since a compiler may round the last lanes differently
 
 
@@ -110,8 +111,8 @@ def simulate_in_lanes(
 
         # Labels are requested when trials have ended and fetched when the next ones have, so that the host never waits.
         labelled = (
-            (trials, measure(out, recorded), begun(out))
-            for trials, out in machine.run(expected(), ready=ready, room=more)
+            (trials, cut(measure(out, recorded), samples), begun(out))
+            for trials, out, samples in machine.run(expected(), ready=ready, room=more)
         )
         for trials, there, ended in one_later(labelled):
             waiting.append(host.submit(onto_host, trials, there, ended()))
@@ -162,6 +163,23 @@ def measure(out: Outcome, recorded: bool) -> Measured:
     past = jnp.packbits(out.past, axis=2, bitorder="little")
     tilt = _tilt(out.joints) if recorded else None
     return Measured(wrench, length, entered, out.seated & ~diverged[:, None], past, diverged, tilt)
+
+
+def cut(there: Measured, samples: int) -> Measured:
+    """The trials without what is beyond all of them, which may be most: a few trials last to the limit.
+
+    Args:
+        there: the trials. samples: that the longest of them may have.
+    """
+    whole = there.wrench.shape[1]
+    step = -(-whole // LENGTHS)
+    return _first(there, min(-(-samples // step) * step, whole))
+
+
+@partial(jax.jit, static_argnums=1)
+def _first(there: Measured, samples: int) -> Measured:
+    tilt = None if there.tilt is None else there.tilt[:, :samples]
+    return there._replace(wrench=there.wrench[:, :samples], past=there.past[:, :samples], tilt=tilt)
 
 
 def _tilt(joints: Float[Array, "trial time joint"]) -> Float[Array, "trial time"]:

@@ -61,8 +61,10 @@ class Regroup:
             together = places[-1] - places[0] == len(at) - 1
             which = slice(int(places[0]), int(places[-1]) + 1) if together else places  # a view where it can be
             labels = _labels_taken(tracks, which, len(rows["length"]))
-            self._pieces[key].append(_Piece(at, _taken(rows, which), labels))
+            piece = _Piece(at, _taken(rows, which), labels)
             self._missing[key] -= len(at)
+            # a view would keep the arrays of all trials in memory for as long as the shard waits
+            self._pieces[key].append(jax.tree.map(np.copy, piece) if self._missing[key] else piece)
             if not self._missing[key]:
                 del self._missing[key]
                 complete.append(_joined(key, self._pieces.pop(key)))

@@ -50,8 +50,9 @@ def queued(params: PlungerParams, sizes: list[int], lanes: Lanes) -> list[tuple[
     starts = np.cumsum([0, *sizes]).tolist()
     batches = [(start, some(params, range(start, start + size))) for start, size in zip(starts, sizes, strict=False)]
     found = {}
-    for trials, out in lanes.run(iter(batches)):
+    for trials, out, samples in lanes.run(iter(batches)):
         assert 0 < len(trials) <= lanes.at_once == len(out.length)
+        assert 0 <= samples - np.asarray(out.length)[: len(trials)].max() <= 2 * device.STRETCH
         for (start, row), rollout in zip(trials, each(device.to_host(out)), strict=False):
             assert start + row not in found
             found[start + row] = rollout
@@ -148,7 +149,7 @@ def test_lanes_do_not_wait_for_those_who_take_what_has_ended() -> None:
             begun.append(start)
             yield start, some(params, range(start, start + 8))
 
-    for trials, _ in lanes.run(batches(), room=lambda: False):
+    for trials, _, _ in lanes.run(batches(), room=lambda: False):
         assert begun == [0, 8, 16]
         seen += [key + row for key, row in trials]
     assert sorted(seen) == list(range(24))

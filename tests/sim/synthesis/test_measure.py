@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from sim_mjx.assembly.rollout import ONE_ARM
 from sim_mjx.engines import device
 from sim_mjx.engines.device import Outcome
 from sim_mjx.synthesis import records
-from sim_mjx.synthesis.in_lanes import measure, to_host
+from sim_mjx.synthesis.in_lanes import LENGTHS, cut, measure, to_host
 
 TRIALS, SAMPLES = 12, 60
 
@@ -47,3 +49,17 @@ def test_a_device_stores_what_the_host_would(seed: int, recorded: bool) -> None:
     for name in expected:
         np.testing.assert_array_equal(found[name][kept], expected[name][kept], err_msg=name)
     assert not found["wrench"][~kept].any()
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+@pytest.mark.parametrize("used", [1, 13, 41, SAMPLES])
+def test_trials_are_cut_behind_all_of_them(used: int, recorded: bool) -> None:
+    """What is stored is the same, and few lengths are compiled."""
+    logs = outcome(used)
+    there = measure(replace(logs, phase=logs.phase.at[:, used:].set(ONE_ARM.ended)), recorded)
+    short = cut(there, used)
+    assert used <= short.wrench.shape[1] <= used + SAMPLES / LENGTHS + 1
+    assert short.past.shape[1] == short.wrench.shape[1]
+    for name, expected in to_host(there, ONE_ARM).items():
+        np.testing.assert_array_equal(to_host(short, ONE_ARM)[name], expected)
+    assert len({cut(there, samples).wrench.shape for samples in range(1, SAMPLES + 1)}) <= LENGTHS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -63,3 +64,16 @@ def test_shards_are_those_of_trials_in_order(seed: int, labelled: bool) -> None:
                 np.testing.assert_array_equal(again[name], expected)
         else:
             assert found[key].tracks is None
+
+
+def test_trials_that_wait_for_their_shard_keep_no_others_in_memory() -> None:
+    group = Regroup()
+    for key, size in SIZES.items():
+        group.expect(key, size)
+    out, tracks = trials_of(ALL[:10])  # all of "a" and three of "b"
+    (whole,) = group.add(ALL[:10], out, tracks)
+    assert whole.key == "a"
+    assert np.shares_memory(whole.rows["wrench"], out["wrench"])  # it is written at once
+    (waiting,) = group._pieces["b"]
+    for leaf in jax.tree.leaves((waiting.rows, waiting.tracks)):
+        assert leaf.base is None or leaf.base.nbytes == leaf.nbytes
