@@ -90,6 +90,10 @@ EXPERIMENTS = (
         shorter_minutes=3,
     ),
     Experiment(
+        "simulated_draws", "classification.simulated_draws", 35, (SETS,), ("data",), shorter_minutes=2,
+        shorter=("--only", "zero shot | draw 0"),
+    ),
+    Experiment(
         "snaps", "words.snaps", 15, needs=("data",), shorter=("--trials", "20"), shorter_minutes=1.5
     ),
     Experiment("rate_distortion", "words.rate_distortion", 6, needs=("data", "external", "peers")),

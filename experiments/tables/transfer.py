@@ -22,6 +22,18 @@ def _transfers(result: Result, groups: tuple[str, ...]) -> Lines:
         yield (title, str(rows[name]["merged"]["trials"]), *cells)
 
 
+@table("simulated-draws", "simulated_draws")
+def simulated_draws(result: dict[str, Any]) -> Lines:
+    """Scores on recorded trials of learners that saw one draw of the simulated trials each."""
+    names = dict.fromkeys(name.split(" | ")[0] for name in result["rows"])
+    draws = dict.fromkeys(name.split(" | ")[1] for name in result["rows"])
+    yield ("learner", "states", *draws)
+    for name in names:
+        for states in result["rows"][f"{name} | {next(iter(draws))}"]:
+            scores = (result["rows"][f"{name} | {draw}"][states] for draw in draws)
+            yield (name, states, *(f"{score:.3f}" for score in scores))
+
+
 @table("zero-shot", "zero_shot")
 def zero_shot(result: Result) -> Lines:
     """States of recorded trials by simulated ones that were fitted to none of them."""

@@ -70,7 +70,7 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: A
     """
     if len(items.intervals) != 1:
         raise InputError(
-            f"The sentences are of {len(items.intervals)} arms; thresholds are calibrated on one: choose arm R or L."
+            f"The sentences are of {len(items.intervals)} arms; thresholds are calibrated on one; choose it (--arm)."
         )
     if len(recordings.axes) != AXES:
         raise InputError(

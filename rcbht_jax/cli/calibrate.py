@@ -101,7 +101,7 @@ class Calibrate(RuleCommand):
     task: Task = ""
     """Task whose classes the labels should separate."""
     boundaries: Boundaries = "harmonised"
-    arm: Arm = "R"
+    arm: Arm = ""
     source: Sources = ()
     session: Sessions = ()
     own_axes: Flag = False

@@ -108,7 +108,7 @@ Sessions = Annotated[tuple[str, ...], option("Recording sessions to use, for exa
 Outcomes = Annotated[
     tuple[str, ...], option("Outcomes to use.", "for a track, successes if there are any; for a column, all")
 ]
-Arm = Annotated[str, option("Arm whose wrench to use, if the store has several.")]
+Arm = Annotated[str, option("Arm whose wrench to use, if the store has several.", "the last by name, as the right one")]
 ONLY_TRACK = "the only track of the store, else states"
 Task = Annotated[str, option("Track of annotations, or column, whose classes to distinguish.", ONLY_TRACK)]
 Boundaries = Annotated[

@@ -60,8 +60,13 @@ class _Learning(Command):
     tracks: Annotated[tuple[str, ...], unset()] = ()
     """Label tracks to use; A+B concatenates their features. Cross-validation selects one of several choices."""
     boundaries: Boundaries = "harmonised"
-    arm: str = "R"
-    """Arm whose labels to use, if the store has several; both = side by side."""
+    arm: Annotated[
+        str,
+        option(
+            "Arm whose labels to use, if the store has several; both = side by side.",
+            "the last by name, as the right one",
+        ),
+    ] = ""
     source: Sources = ()
     session: Sessions = ()
     outcome: Outcomes = ()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.arms import chosen_arm, title_of
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     Arm,
@@ -81,7 +82,8 @@ class PlotTrial(Command):
     def text(self, result: dict[str, Any]) -> str:
         missing = f'no labels; make them with "rcbht encode {self.store}"'
         labels = missing if result["tracks"] is None else f"labels {result['tracks']}"
-        return f"{result['figure']}: {result['source']} {result['trial']} arm {result['arm']}, {labels}"
+        what = ", ".join(filter(None, (f"{result['source']} {result['trial']}", title_of(result["arm"]))))
+        return f"{result['figure']}: {what}, {labels}"
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class PlotBeliefs(Command):
     trial: Trial
     out: OutFigure
     model: Model = Path("online.model")
-    arm: Arm = "R"
+    arm: Arm = ""
     source: SourcePrefix = ""
     starts: Annotated[
         str,
@@ -162,19 +164,20 @@ class PlotBeliefs(Command):
         detect = self.starts == "detected"
         model, recordings = load(self.model), read_recordings(self.store)
         model.check_axes(recordings.axes, recordings.units, str(self.store))
-        arm = self.arm if len(set(recordings.arm.tolist())) > 1 else None
+        arm = chosen_arm(recordings.arm.tolist(), self.arm)
         recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
         session = Session(Introspector(model, belief_rate(self.rate), detect=detect))
         starts = NONE if detect else self.starts
-        events = list(session.run(play(recordings, (), self.arm, starts, str(self.store))))
+        events = list(session.run(play(recordings, (), arm, starts, str(self.store))))
         beliefs = sum(isinstance(event, Belief) for event in events)
         track = "" if starts == NONE else recordings.annotations.choose(track_of_starts(recordings.annotations, starts))
         how = f"beginnings of the track {track}" if track else "beginnings detected" if detect else "no beginnings"
-        save(belief_map(events, f"{self.trial}, arm {self.arm}, {how}"), self.out)
-        return {"figure": str(self.out), "trial": self.trial, "arm": self.arm, "beliefs": beliefs}
+        save(belief_map(events, ", ".join(filter(None, (self.trial, title_of(arm), how)))), self.out)
+        return {"figure": str(self.out), "trial": self.trial, "arm": arm, "beliefs": beliefs}
 
     def text(self, result: dict[str, Any]) -> str:
-        return f"{result['figure']}: {result['beliefs']} beliefs about {result['trial']} arm {result['arm']}"
+        arm = f", {title_of(result['arm'])}" if result["arm"] else ""
+        return f"{result['figure']}: {result['beliefs']} beliefs about {result['trial']}{arm}"
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:

@@ -58,7 +58,7 @@ class Source(RuleCommand):
     """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
     model: OnlineModel = None
     trial: Annotated[tuple[str, ...], option("Trials of a store; default all, one after the other.", "")] = ()
-    arm: Arm = "R"
+    arm: Arm = ""
     starts: Annotated[
         str,
         option(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 import tyro
 
+from rcbht_jax._util.arms import arms_in, title_of
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_number
 from rcbht_jax.cli.command import Command, Flag, Folder, OutStore, Store, Stores, option, progress_bar
@@ -195,9 +196,8 @@ def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, An
     from rcbht_jax.learning.rare_classes import learnable
     from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 
-    arm = max(recordings.arm.tolist())  # R before L
     try:
-        items, _ = learnable(labelled_intervals(recordings, TaskSpec(name, arms=arm)))
+        items, _ = learnable(labelled_intervals(recordings, TaskSpec(name)))
     except InputError as error:
         return {"classes": {}, "sentences": [str(error)]}
     trials = groups_of_classes(items.y, items.trial, range(len(items.classes)))
@@ -207,8 +207,8 @@ def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, An
         return {"classes": {}, "sentences": [text]}
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
     left = [f"{count} left out: {reason}." for reason, count in items.dropped.items()]
-    if len(set(recordings.arm.tolist())) > 1:
-        left.append(f"Counted is arm {arm} alone.")
+    if len(arms := arms_in(recordings.arm.tolist())) > 1:
+        left.append(f"Counted is the {title_of(arms[0])} alone.")
     sentences = [*confounds(items, facts), *left]
     return {"classes": dict(zip(items.classes, counts, strict=True)), "sentences": sentences}
 

@@ -24,13 +24,14 @@ class Intervals:
     start: Int[np.ndarray, " interval"]  # first sample
     end: Int[np.ndarray, " interval"]  # one past the last sample
     dt: float  # seconds between samples
+    arm: str = ""  # of the recordings; "" = has no name
 
     def __len__(self) -> int:
         return int(self.start.shape[0])
 
     def take(self, rows: slice | Int[np.ndarray, " chosen"] | Bool[np.ndarray, " interval"]) -> Intervals:
         """The chosen intervals, in the order given."""
-        return Intervals(self.recording[rows], self.start[rows], self.end[rows], self.dt)
+        return Intervals(self.recording[rows], self.start[rows], self.end[rows], self.dt, self.arm)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
+from rcbht_jax._util.arms import title_of
 from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
@@ -185,18 +186,19 @@ def interval_features(
     return _side_by_side(blocks)
 
 
-def concatenate_arms(right: Features, left: Features) -> Features:
-    """Features of two arms in one row per trial; names get the prefix ``R`` or ``L``.
+def concatenate_arms(arms: Mapping[str, Features]) -> Features:
+    """Features of arms, by name, in one row per trial; if there are several, names begin with that of their arm.
 
     Raises:
         InputError: different numbers of intervals.
     """
-    if right.values.shape[0] != left.values.shape[0]:
-        raise InputError(
-            f"the right arm has {right.values.shape[0]} intervals and the left arm "
-            f"{left.values.shape[0]}; both need one per trial, in the same order."
-        )
-    return _side_by_side([_prefixed(right, "R", "right arm"), _prefixed(left, "L", "left arm")])
+    counts = {title_of(name): len(part.values) for name, part in arms.items()}
+    if len(set(counts.values())) > 1:
+        found = " and ".join(f"the {name} has {count} intervals" for name, count in counts.items())
+        raise InputError(f"{found}; all arms need one per trial, in the same order.")
+    if len(arms) == 1:
+        return next(iter(arms.values()))
+    return _side_by_side([_prefixed(part, name, title_of(name)) for name, part in arms.items()])
 
 
 def longest(tracks: LabelTracks, intervals: Intervals) -> tuple[int, int, int]:

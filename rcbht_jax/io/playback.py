@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from rcbht_jax._util.arms import arms_in, chosen_arm, title_of
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
@@ -21,7 +22,7 @@ NONE, RECORDED = "none", "recorded"
 def play(
     recordings: Recordings,
     trials: tuple[str, ...] = (),
-    arm: str = "R",
+    arm: str = "",
     starts: str = "harmonised",
     name: str = "the data set",
 ) -> Iterator[Message]:
@@ -30,7 +31,7 @@ def play(
     Args:
         recordings: the data set.
         trials: names; default all.
-        arm: for example "R"; where the data set has one only, that one.
+        arm: for example "left"; "" = the last by name, as the right one; where the data set has one only, that one.
         starts: a sub-task begins with each interval of a track of annotations: of the one of this name; "recorded" =
             of the first; "harmonised" = of its corrected variant where there is one; "none" = never.
         name: of the data set, for errors.
@@ -41,12 +42,10 @@ def play(
     unknown = set(trials) - set(recordings.trial.tolist())
     if unknown:
         raise InputError(f"{name} has no trial {', '.join(sorted(unknown))}.")
-    arms = sorted(set(recordings.arm.tolist()))
-    chosen = (recordings.arm == (arms[0] if len(arms) == 1 else arm)) & (
-        np.isin(recordings.trial, trials) if trials else True
-    )
+    arm = chosen_arm(recordings.arm.tolist(), arm)
+    chosen = (recordings.arm == arm) & (np.isin(recordings.trial, trials) if trials else True)
     if not chosen.any():
-        raise InputError(f"{name} has no recording of arm {arm} among the chosen trials; there are {', '.join(arms)}.")
+        raise InputError(f"{name} has no recording of {title_of(arm)} among the chosen trials.")
     track = track_of_starts(recordings.annotations, starts)
     for row in np.flatnonzero(chosen).tolist():
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
@@ -63,7 +62,7 @@ def track_of_starts(annotations: Annotations, starts: str) -> str:
     return "" if starts in ("harmonised", NONE) else annotations.choose(starts)
 
 
-def read_folder(path: Path, arm: str = "R", starts: str = "harmonised") -> Iterator[Message]:
+def read_folder(path: Path, arm: str = "", starts: str = "harmonised") -> Iterator[Message]:
     """One trial folder in HIRO's layout (``R_Torques.dat`` and so on).
 
     Raises:
@@ -74,7 +73,8 @@ def read_folder(path: Path, arm: str = "R", starts: str = "harmonised") -> Itera
     def report(where: Path, text: str) -> None:
         problems.append(f"{where}: {text}")
 
-    records = [record for record in read_trial(path, path.parent.name, report, report) if record.arm == arm]
+    found = read_trial(path, path.parent.name, report, report)
+    records = [record for record in found if record.arm == (arm or arms_in(one.arm for one in found)[0])]
     if not records:
         raise InputError(problems[0] if problems else f"{path} has no arm {arm}.")
     record = records[0]

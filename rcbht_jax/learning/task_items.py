@@ -23,10 +23,10 @@ class Found:
     start: NDArray[np.int64]  # [item, arm]
     end: NDArray[np.int64]  # [item, arm]
 
-    def intervals(self, dt: float) -> tuple[Intervals, ...]:
+    def intervals(self, recordings: Recordings) -> tuple[Intervals, ...]:
         """The intervals of each arm."""
         return tuple(
-            Intervals(recording=rows, start=start, end=end, dt=dt)
+            Intervals(rows, start, end, recordings.dt, str(recordings.arm[rows[0]]) if len(rows) else "")
             for rows, start, end in zip(self.rows.T, self.start.T, self.end.T, strict=True)
         )
 

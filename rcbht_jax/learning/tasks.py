@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.arms import chosen_arms
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.choices import make_plain
@@ -29,7 +30,6 @@ from rcbht_jax.learning.task_items import leave_out, track_items, whole_items
 from rcbht_jax.types import LabelTracks, Recordings
 
 SUCCESS, FAILURE, UNKNOWN = "success", "failure", "unknown"  # outcomes; unknown: the trial was not judged
-BOTH = "both"  # arms, side by side
 USUAL, PLAIN = "harmonised", "recorded"  # boundaries: corrected ones where there are some; those of the track itself
 
 
@@ -40,7 +40,7 @@ class TaskSpec:
     Attributes:
         task: track of annotations, or column.
         boundaries: variant of the track: "harmonised" = TASK-harmonised if there is one, else TASK; "recorded" = TASK.
-        arms: one arm, or "both" side by side; if there is only one arm, that one.
+        arms: one arm, or "both" side by side; "" = the last by name, as the right one; of one arm alone, that one.
         sources: data sets.
         sessions: recording sessions.
         outcomes: None = for a track, the successes if there are any (the others are counted as left out); for a
@@ -59,7 +59,7 @@ class TaskSpec:
 
     task: str = "states"
     boundaries: str = USUAL
-    arms: str = "R"
+    arms: str = ""
     sources: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ()
     outcomes: tuple[str, ...] | None = None
@@ -87,7 +87,7 @@ class LabelledIntervals:
     y: NDArray[np.int64]  # [item] index into classes
     trial: NDArray[np.str_]  # [item] the group that no split may divide; with its source where others share the name
     session: NDArray[np.str_]  # [item]
-    intervals: tuple[Intervals, ...]  # one per arm (R before L), each of all items
+    intervals: tuple[Intervals, ...]  # one per arm (right before left), each of all items
     dropped: dict[str, int]  # reason -> trials left out
 
     @property
@@ -102,7 +102,7 @@ class UnlabelledIntervals:
 
     row: NDArray[np.int64]  # [item] recording, of the first arm
     name: NDArray[np.str_]  # [item] class as the data set has it; "" = not known
-    intervals: tuple[Intervals, ...]  # one per arm (R before L), each of all items
+    intervals: tuple[Intervals, ...]  # one per arm (right before left), each of all items
     dropped: dict[str, int]  # reason -> trials left out
 
 
@@ -135,7 +135,7 @@ def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = F
         else:
             values, known, _ = _known(recordings, rows, spec)
             found = whole_items(recordings, rows, np.where(known, values, ""), spec.seconds, dropped)
-    return UnlabelledIntervals(found.rows[:, 0], found.label, found.intervals(recordings.dt), dict(dropped))
+    return UnlabelledIntervals(found.rows[:, 0], found.label, found.intervals(recordings), dict(dropped))
 
 
 def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledIntervals:
@@ -175,7 +175,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
     y = np.array([classes.index(name) for name in found.label.tolist()], np.int64)
     first = found.rows[:, 0]
     trial, session = _trials(recordings, first), recordings.session[first]
-    return LabelledIntervals(classes, y, trial, session, found.intervals(recordings.dt), dict(dropped))
+    return LabelledIntervals(classes, y, trial, session, found.intervals(recordings), dict(dropped))
 
 
 def _check(recordings: Recordings, spec: TaskSpec) -> None:
@@ -288,13 +288,13 @@ def extract_batched_features(
     last = max((int(intervals.recording.max(initial=-1)) for intervals in items.intervals), default=-1)
     if first <= last or first != (first if count is None else count):
         raise InputError(f"The labels are of {first} recordings, the intervals of {count or last + 1}; take the same.")
-    by_name: dict[str, list[Features]] = {}
+    names, by_name = [one.arm for one in items.intervals], dict[str, list[Features]]()
     for (name, _), (places, features) in found.items():
         order = np.argsort(np.concatenate(places), kind="stable")
         values = np.concatenate([part.values for part in features])[order]
         by_name.setdefault(name, []).append(replace(features[0], values=values))
     return concatenate_features(
-        {name: arms[0] if len(arms) == 1 else concatenate_arms(arms[0], arms[1]) for name, arms in by_name.items()}
+        {name: concatenate_arms(dict(zip(names, arms, strict=True))) for name, arms in by_name.items()}
     )
 
 
@@ -368,7 +368,7 @@ def _rows(recordings: Recordings, spec: TaskSpec, dropped: Counter[str], unknown
     """Rows of the chosen recordings ``[trial, arm]``; trials of another outcome, or that lack an arm, are dropped.
 
     Raises:
-        InputError: two recordings have the same source, trial and arm.
+        InputError: two recordings have the same source, trial and arm, or there is no such arm.
     """
     chosen = chosen_recordings(recordings, spec, unknown)
     outcomes = dict.fromkeys([*_outcomes(recordings, spec), *[UNKNOWN] * unknown])
@@ -376,8 +376,7 @@ def _rows(recordings: Recordings, spec: TaskSpec, dropped: Counter[str], unknown
         others = np.flatnonzero(chosen_recordings(recordings, replace(spec, outcomes=())) & ~chosen)
         trials = {(recordings.source[row], recordings.trial[row]) for row in others.tolist()}
         leave_out(dropped, f"outcome not {' or '.join(outcomes)}", len(trials))
-    there = sorted(set(recordings.arm[chosen].tolist()), reverse=True)  # R before L
-    wanted = tuple(there) if spec.arms == BOTH or len(there) == 1 else (spec.arms,)
+    wanted = chosen_arms(recordings.arm[chosen].tolist(), spec.arms)
     by_trial: dict[tuple[str, str], dict[str, int]] = {}
     for row in np.flatnonzero(chosen).tolist():
         key, arm = (str(recordings.source[row]), str(recordings.trial[row])), str(recordings.arm[row])

@@ -15,6 +15,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from rcbht_jax._util.arms import title_of
 from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, name
@@ -294,8 +295,7 @@ def _name_marks(ax: Axes, names: list[tuple[Mark, bool, int]]) -> None:
 
 
 def _title(recordings: Recordings, index: int, window: int | None, rule: str) -> str:
-    name = str(recordings.arm[index])
-    arm = {"R": "right arm", "L": "left arm"}.get(name, f"arm {name}" if name else "")
+    arm = title_of(str(recordings.arm[index]))
     facts = [f"session {recordings.session[index]}", outcome_of(recordings, index), arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")

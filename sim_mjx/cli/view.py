@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
+from rcbht_jax._util.arms import chosen_arm
 from rcbht_jax.cli.command import (
     Arm,
     Command,
@@ -58,7 +59,7 @@ class View(Command):
     ] = None
     data: Annotated[Path | None, unset(metavar="DIR")] = None
     """Folder that a recorded trial was imported from, which has the joint angles."""
-    arm: Arm = "R"
+    arm: Arm = ""
     source: SourcePrefix = ""
     tracks: Tracks = ""
     speed: float = 1.0
@@ -82,7 +83,8 @@ class View(Command):
         self._check(out)
         motion = self._motion()
         recordings = recordings_with_faults(self.store)
-        row = find_recording(recordings, self.trial, self.arm, self.source)
+        arm = chosen_arm(recordings.arm.tolist(), self.arm)
+        row = find_recording(recordings, self.trial, arm, self.source)
         film = out is not None and out.suffix.lower() in animation.SUFFIXES
         drawn = None if out is None or film else self._labelled(recordings, row)  # refused before the simulation
         replay = motion(recordings, row)

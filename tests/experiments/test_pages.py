@@ -143,6 +143,7 @@ CELLS = [
      ".3f detected_starts > rows > SIM1 | fit, tolerance / 4 > macro step accuracy, detected > mean"),
     ("fit-transfer", "fit, weighed", "4 states, B",
      ".3f fit_sim_to_real > rows > fit, weighed > harmonised > B > accuracy"),
+    ("simulated-draws", "fit | four states", "draw 2", ".3f simulated_draws > rows > fit | draw 2 > four states"),
     ("detected", "the detected state itself", "SIM one arm",
      ".3f detected_starts > rows > SIM1 | paper > macro step accuracy, filter alone > mean"),
     ("abnormal", "successes of a session not trained on", "at the end",

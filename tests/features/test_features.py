@@ -296,12 +296,12 @@ def test_two_arms_stand_side_by_side():
     tracks = make_tracks(2)
     spec = FeatureSpec(families=("histogram",))
     right, left = (interval_features(tracks, intervals((arm, 0, 40)), spec) for arm in (0, 1))
-    both = concatenate_arms(right, left)
+    both = concatenate_arms({"R": right, "L": left})
     np.testing.assert_array_equal(both.values, np.concatenate([right.values, left.values], 1))
     assert both.names[0] == "R." + right.names[0]
     assert both.meaning(len(right.names)) == "left arm, " + left.meaning(0)
     with pytest.raises(InputError, match="one per trial"):
-        concatenate_arms(right, interval_features(tracks, intervals((0, 0, 40), (1, 0, 40)), spec))
+        concatenate_arms({"R": right, "L": interval_features(tracks, intervals((0, 0, 40), (1, 0, 40)), spec)})
 
 
 def test_longest_counts_labels_inside_the_sentences_only():

@@ -280,7 +280,7 @@ def test_sessions_can_be_held_out(recordings):
     tool = with_columns(third, tool=np.where(third.session == "C", "clip", np.where(np.arange(28) % 2, "peg", "hole")))
     protocol = EvaluationProtocol(grid=QUICK, train_on=("A",), test_on=("C",))
     new = evaluate(tool, tracks, TaskSpec("tool"), FeatureSpec(("histogram",)), protocol)
-    assert new.untrained == ("clip",)
+    assert (new.untrained, new.tested) == (("clip",), 1)
     assert new.trials == sum(new.items.values()) == 11  # one has two names; none of session B
     json.dumps(same.to_json(), allow_nan=False)
 

@@ -13,11 +13,11 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, GroupShuffleSplit
 
 from rcbht_jax import StateClassifier, SvmClassifier, encode
 from rcbht_jax.errors import InputError
-from rcbht_jax.features import FeatureSpec
-from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
+from rcbht_jax.features import FeatureSpec, Intervals
+from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score
 from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.svm import Grid, grouped_folds
-from rcbht_jax.learning.tasks import TaskSpec
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec
 from rcbht_jax.learning.validation import CrossValidation, cross_validate, majority, repeated_folds
 from rcbht_jax.types import Recordings
 
@@ -42,12 +42,25 @@ def test_no_fold_divides_what_the_group_names():
     found = scored(folds=2, group="operator")
     assert found.fold_accuracy == [[0.0, 0.0]]
     assert (found.trials, found.tested, found.protocol["group"]) == (8, 2, "operator")
+    assert scored(group="operator").protocol["folds"] == 2  # of four trials of each class
     with pytest.raises(InputError, match="has 2 operators, so choose 2 folds"):
         scored(folds=3, group="operator")
     with pytest.raises(InputError, match="no column 'day'; there are"):
         scored(group="day")
     with pytest.raises(InputError, match="grouped by operator, but sessions"):
         scored(group="operator", train_on=("A",), test_on=("B",))
+
+
+def test_no_session_may_teach_the_trial_that_another_tests():
+    """Items of other origins than a store, in which a trial has one session."""
+    rows = np.arange(8)
+    items = LabelledIntervals(
+        ("a", "b"), rows % 2, np.array(["both", *"abc", "both", *"def"]), np.repeat(["A", "B"], 4),
+        (Intervals(rows, np.zeros_like(rows), rows + 10, 0.005),), {},
+    )  # fmt: skip
+    protocol = EvaluationProtocol(grid=QUICK, train_on=("A",), test_on=("B",))
+    with pytest.raises(InputError, match="the trial both is on both sides"):
+        score(items, {"": np.ones((8, 2))}, protocol, {}, {})
 
 
 def test_repetitions_of_the_same_folds_are_counted_once():

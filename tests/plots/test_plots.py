@@ -329,7 +329,7 @@ def store(recordings: Recordings, tracks: LabelTracks, tmp_path: Path) -> Path:
 def test_commands_write_figures(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = store.with_name("t.png")
     assert main.main(["plot", "trial", str(store), "t2", "-o", str(out)]) == 0
-    assert capsys.readouterr().out == f"{out}: GOOD t2 arm R, labels online-W5-fit\n"
+    assert capsys.readouterr().out == f"{out}: GOOD t2, right arm, labels online-W5-fit\n"
     assert out.is_file()
     out = store.with_name("m.svg")
     assert main.main(["plot", "map", str(store), "-o", str(out), "--source", "GOOD", "--layer", "mc", "--json"]) == 0

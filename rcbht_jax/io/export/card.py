@@ -96,9 +96,8 @@ def _axes(recordings: Recordings) -> str:
 def confounds(data: DataSet) -> Sequence[str]:
     """Confounds: what may be mistaken for a result on this data, one sentence each, derived from the data."""
     recordings, sentences = data.recordings, list[str]()
-    arm = max(recordings.arm.tolist())  # R before L
-    tasks = [TaskSpec("outcome", arms=arm)]
-    tasks += [TaskSpec(track, "recorded", arm, outcomes=()) for track in recordings.annotations.tracks[:1]]
+    tasks = [TaskSpec("outcome")]
+    tasks += [TaskSpec(track, "recorded", outcomes=()) for track in recordings.annotations.tracks[:1]]
     for task in tasks:
         with suppress(InputError):  # the data has no two classes of this task
             items = labelled_intervals(recordings, task)

@@ -1,0 +1,58 @@
+"""Arms of a data set, which any names may have: their order, the one that is meant where none is named, titles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rcbht_jax.errors import InputError
+
+BOTH = "both"  # all arms, side by side
+_TITLES = {"R": "right arm", "L": "left arm", "right": "right arm", "left": "left arm"}
+
+
+def arms_in(names: Iterable[str]) -> tuple[str, ...]:
+    """The arms of recordings, the last name first, so that right is before left.
+
+    >>> arms_in(["L", "R", "L"]), arms_in(["left", "right"]), arms_in([""])
+    (('R', 'L'), ('right', 'left'), ('',))
+    """
+    return tuple(sorted(map(str, set(names)), reverse=True))
+
+
+def chosen_arms(names: Iterable[str], wanted: str) -> tuple[str, ...]:
+    """The arms that a task is about: one as of :func:`chosen_arm`, or all if both are wanted.
+
+    >>> chosen_arms(["left", "right"], ""), chosen_arms(["left", "right"], "both")
+    (('right',), ('right', 'left'))
+    """
+    arms = arms_in(names)
+    return arms if wanted == BOTH or not arms else (chosen_arm(arms, wanted),)
+
+
+def chosen_arm(names: Iterable[str], wanted: str) -> str:
+    """The arm whose wrench is meant.
+
+    Args:
+        names: of the arms of recordings, at least one.
+        wanted: one of them; "" = the first of :func:`arms_in`. One arm alone need not be named.
+
+    Raises:
+        InputError: there are several arms, and not this one.
+
+    Example:
+        >>> chosen_arm(["left", "right"], "left"), chosen_arm(["left", "right"], ""), chosen_arm([""], "R")
+        ('left', 'right', '')
+    """
+    arms = arms_in(names)
+    if len(arms) > 1 and wanted and wanted not in arms:
+        raise InputError(f"There is no arm {wanted!r}; choose one of {', '.join(arms)} (--arm).")
+    return wanted if wanted in arms else arms[0]
+
+
+def title_of(arm: str) -> str:
+    """How an arm is called; "" = nothing, since there is one without a name.
+
+    >>> title_of("R"), title_of("ur5"), title_of("")
+    ('right arm', 'arm ur5', '')
+    """
+    return _TITLES.get(arm, f"arm {arm}" if arm else "")
