@@ -90,8 +90,8 @@ EXPERIMENTS = (
         shorter_minutes=3,
     ),
     Experiment(
-        "simulated_draws", "classification.simulated_draws", 35, (SETS,), ("data",), shorter_minutes=2,
-        shorter=("--only", "zero shot | draw 0"),
+        "simulated_draws", "classification.simulated_draws", 35, (SETS,), ("data",), shorter_minutes=4,
+        shorter=("--only", "draw 0"),
     ),
     Experiment(
         "snaps", "words.snaps", 15, needs=("data",), shorter=("--trials", "20"), shorter_minutes=1.5

@@ -81,17 +81,20 @@ class HeadlineRow:
     method: str  # SHA-256
     flags: tuple[str, ...]
     source: str
+    draws: tuple[float, float] | None = None  # lowest and highest score with other simulated trials to learn from
 
 
-SOURCES = ("headline", "zero_shot", "causal", "zero_shot_stream", "peers")  # results that the rows come from
+SOURCES = (  # results that the rows come from
+    "headline", "zero_shot", "causal", "zero_shot_stream", "peers", "simulated_draws",
+)  # fmt: skip
 
 
 def headline_rows(
-    headline: Record, zero_shot: Record, causal: Record, simulated: Record, peers: Record
+    headline: Record, zero_shot: Record, causal: Record, simulated: Record, peers: Record, draws: Record
 ) -> Iterator[HeadlineRow]:
     """All rows: benchmarks, zero shot, streams."""
     yield from _offline(headline, peers)
-    yield from _zero_shot(zero_shot)
+    yield from _zero_shot(zero_shot, draws)
     yield from _streamed(causal, STREAMED, "causal")
     yield from _streamed(simulated, STREAMED_SIMULATED, "zero_shot_stream")
 
@@ -115,16 +118,17 @@ def _offline(headline: Record, peers: Record) -> Iterator[HeadlineRow]:
         )  # fmt: skip
 
 
-def _zero_shot(result: Record) -> Iterator[HeadlineRow]:
+def _zero_shot(result: Record, draws: Record) -> Iterator[HeadlineRow]:
     both = "A+B"
     for name, title in ZERO_SHOT.items():
         rows = {what.split(" | ")[1]: row for what, row in result["rows"].items() if what.startswith(f"{name} | ")}
         mine, other = rows["frozen"], "statistics + random forest"
         tested = mine[both]["trials"]
+        drawn = [row[name] for what, row in draws["rows"].items() if what.startswith("zero shot | ")]
         yield HeadlineRow(
             name, title, "", mine[both], rows["frozen, relative"][both], rows["duration alone"][both],
             (other, rows[other][both]), None if mine["wrong"] else rule_of_three(tested), tested, mine["method"],
-            ("lengths",), "zero_shot",
+            ("lengths",), "zero_shot", (min(drawn), max(drawn)),
         )  # fmt: skip
 
 

@@ -31,6 +31,8 @@ def _results(rows: Iterable[HeadlineRow], way: str) -> Lines:
     yield (*head, "best other method", "made by")
     for row in rows:
         seen = "" if row.allowed is None else f"; none wrong of {row.tested}, at most {row.allowed:.1%}"
+        if row.draws is not None:
+            seen += "; {:.3f} to {:.3f} with other simulated trials".format(*row.draws)
         name, peer = row.peer
         others = (score(row.relative, False), score(row.duration, False), f"{score(peer, False)} {name}")
         link = f"[{row.method[:SHORT]}]({way}{row.source}.json)"

@@ -31,7 +31,8 @@ def simulated_draws(result: dict[str, Any]) -> Lines:
     for name in names:
         for states in result["rows"][f"{name} | {next(iter(draws))}"]:
             scores = (result["rows"][f"{name} | {draw}"][states] for draw in draws)
-            yield (name, states, *(f"{score:.3f}" for score in scores))
+            title = "frozen method, zero shot" if name == "zero shot" else f"words alone: {name}"
+            yield (title, states, *(f"{score:.3f}" for score in scores))
 
 
 @table("zero-shot", "zero_shot")
