@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import re
 import shutil
 import signal
 import stat
@@ -27,6 +28,7 @@ from typing import Any, TextIO
 
 from rcbht_jax.errors import InputError
 
+_DRAFT = re.compile(r"\.([^/]*)\.partial-[0-9a-f]{12}")  # the name of one
 _FLUSHES = 16  # files that are flushed at the same time
 Identity = tuple[int, int, int, int] | None  # of what is at a path; None = nothing
 
@@ -173,6 +175,15 @@ def atomic_folder(path: Path, near: Path | None = None, *, replace: bool = False
 def draft_of(path: Path) -> Path:
     """A new hidden name beside ``path`` with the same suffix."""
     return path.with_name(f".{path.stem[:64]}.partial-{uuid.uuid4().hex[:12]}{path.suffix}")
+
+
+def without_draft(path: str) -> str:
+    """A path as the user knows it: the target in place of its draft.
+
+    >>> without_draft("runs/.trials.partial-0123456789ab.zarr/zarr.json"), without_draft("runs/a.csv")
+    ('runs/trials.zarr/zarr.json', 'runs/a.csv')
+    """
+    return _DRAFT.sub(r"\1", path)
 
 
 def is_stream(path: Path) -> bool:

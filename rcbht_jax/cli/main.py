@@ -25,7 +25,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import rcbht_jax
-from rcbht_jax._util.atomic import DISK_FULL, targets
+from rcbht_jax._util.atomic import DISK_FULL, targets, without_draft
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import printable
 from rcbht_jax.cli import commands
@@ -143,7 +143,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "events of a stream end where it filled up.",
                 1,
             )
-        return _fail(f"{error.filename or 'A file'} cannot be used: {error.strerror or error}.", 2)
+        name = without_draft(str(error.filename or "A file"))
+        return _fail(f"{name} cannot be used: {error.strerror or error}.", 2)
 
 
 def _dispatch(words: list[str]) -> int:

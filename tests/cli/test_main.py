@@ -136,6 +136,11 @@ def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.Capture
         (MemoryError("Unable to allocate 7 TiB"), 2, "does not suffice (Unable to allocate 7 TiB); use"),
         (OSError(errno.EDQUOT, "Disk quota exceeded"), 1, "disk is full"),
         (PermissionError(errno.EACCES, "Permission denied", "x.zarr"), 2, "x.zarr cannot be used"),
+        (
+            PermissionError(errno.EACCES, "Permission denied", ".x.partial-0123456789ab.zarr"),
+            2,
+            "x.zarr cannot be used",
+        ),
         (InputError("a\nb.zarr is damaged."), 2, "rcbht: a\\nb.zarr is damaged."),
     ],
 )
