@@ -54,7 +54,7 @@ def test_every_line_has_the_name_of_what_begins_there(tmp_path: Path, monkeypatc
     monkeypatch.setattr("rcbht_jax.plots.save", lambda figure, _: figures.append(figure))
     words = ["plot", "beliefs", str(tmp_path / "s.zarr"), "t", "--arm", "L", "-m", str(tmp_path / "m"), "-o", "b.png"]
     assert main(words) == 0
-    assert figures[0].get_suptitle() == "t, arm L, beginnings of the track s"
+    assert figures[0].get_suptitle() == "t, left arm, beginnings of the track s"
     assert [(text.get_text(), round(text.xy[0], 2)) for text in figures[0].axes[0].texts] == [
         ("late", pytest.approx(0.3, abs=0.03)), ("last", pytest.approx(0.9, abs=0.03)),
     ]  # fmt: skip
