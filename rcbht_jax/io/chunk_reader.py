@@ -80,12 +80,17 @@ def read(chunks: Chunks, rows: NDArray[np.int64], stops: tuple[int, ...]) -> NDA
     """
     out = np.zeros((len(rows), *stops), chunks.dtype)
     shard = chunks.shard or chunks.chunk
-    for number in np.unique(rows // shard[0]).tolist():
-        mine = np.flatnonzero(rows // shard[0] == number)
-        within = rows[mine] - number * shard[0]
+    for number, mine, within in _grouped(rows, shard[0]):
         for place in _grid(stops, shard[1:]):
             _read_file(chunks, (number, *place), within, mine, _window(out, place, shard[1:]))
     return out
+
+
+def _grouped(rows: NDArray[np.int64], size: int) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.int64]]]:
+    """Blocks of so many rows that hold any of the rows: number, places of these rows, and rows within the block."""
+    for number in np.unique(rows // size).tolist():
+        mine = np.flatnonzero(rows // size == number)
+        yield number, mine, rows[mine] - number * size
 
 
 def _grid(stops: tuple[int, ...], sizes: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
@@ -108,9 +113,7 @@ def _read_file(
     size = check_file(file)
     with file.open("rb", buffering=0) as source:
         index = _index(source.fileno(), size, chunks)
-        for number in np.unique(within // chunks.chunk[0]).tolist():
-            mine = within // chunks.chunk[0] == number
-            taken = within[mine] - number * chunks.chunk[0]
+        for number, mine, taken in _grouped(within, chunks.chunk[0]):
             for inner in _grid(out.shape[1:], chunks.chunk[1:]):
                 offset, length = map(int, index[(number, *inner)])
                 if (offset, length) != (NONE, NONE):
@@ -138,10 +141,10 @@ def _bytes(file: int, offset: int, length: int, size: int) -> bytes:
     return data
 
 
-def _verified(data: bytes) -> memoryview:
+def _verified(data: bytes) -> bytes:
     """What is before a checksum."""
-    content = memoryview(data)[:-_CHECKSUM]
-    if google_crc32c.value(bytes(content)) != int.from_bytes(data[-_CHECKSUM:], "little"):
+    content = data[:-_CHECKSUM]
+    if google_crc32c.value(content) != int.from_bytes(data[-_CHECKSUM:], "little"):
         raise ValueError("a chunk does not match its checksum")
     return content
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rcbht_jax._util.arms import arms_in, chosen_arm, title_of
+from rcbht_jax._util.arms import chosen_arm, title_of
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
@@ -73,8 +73,8 @@ def read_folder(path: Path, arm: str = "", starts: str = "harmonised") -> Iterat
     def report(where: Path, text: str) -> None:
         problems.append(f"{where}: {text}")
 
-    found = read_trial(path, path.parent.name, report, report)
-    records = [record for record in found if record.arm == (arm or arms_in(one.arm for one in found)[0])]
+    found = read_trial(path, path.parent.name, report, report)  # the right arm first
+    records = [record for record in found if arm in ("", record.arm)]
     if not records:
         raise InputError(problems[0] if problems else f"{path} has no arm {arm}.")
     record = records[0]
