@@ -1,9 +1,9 @@
 """Trials in lanes: a lane whose trial has ended takes the next one, so that none waits for the longest.
 
 A lane is a place in the batch that the device steps together. After each stretch of control periods the host learns
-which trials have ended; new ones begin in their lanes. What a lane logs goes to its trial's slot of a buffer on the
-device, from where finished trials are taken out together. What becomes of a trial does not depend on its lane or its
-neighbours.
+which trials have ended; new ones begin in their lanes. What a lane logs in a stretch goes to a free page of a buffer on
+the device, so that a trial takes as much room as it lasts; finished trials are taken out together. What becomes of a
+trial does not depend on its lane or its neighbours.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int32
 from numpy.typing import NDArray
 
 from rcbht_jax._util.compiling import compiler_options
@@ -29,6 +29,7 @@ from sim_mjx.engines.common import SETTLING, select_lanes, single
 from sim_mjx.engines.device import Fixed, Layout, Log, Outcome, State
 
 Trial = tuple[Hashable, int]  # key of its batch, and number in it
+NOWHERE = np.iinfo(np.int32).max  # the page of what is discarded
 
 
 @dataclass
@@ -40,8 +41,8 @@ class Lanes:
         impl: "jax" or "warp".
         count: lanes; rounded up to full vectors.
         at_once: finished trials that are taken out together.
-        spare: slots for finished trials, in addition to one per lane; default the larger of ``count`` and ``at_once``.
-            With 0 a lane begins its next trial only when a finished one has been taken out.
+        spare: room for finished trials, in the longest ones that there can be, in addition to what all lanes may need;
+            default ``at_once``.
     """
 
     scene: Scene
@@ -68,87 +69,127 @@ class Lanes:
         """Simulate batches of trials; yields finished ones, at most ``at_once`` at a time, and a bound of their length.
 
         Finished trials stay on the device until all trials of their batch have ended and ``at_once`` trials can be
-        yielded, unless lanes wait for their slots. Each outcome has ``at_once`` rows, so that the functions that read
+        yielded, unless lanes wait for their room. Each outcome has ``at_once`` rows, so that the functions that read
         it are compiled once; rows beyond the listed trials are undefined.
 
         Args:
             batches: (key, parameters of the scene's program); asked for when lanes are free.
             progress: called with the number of control periods done since the last call, summed over trials.
             ready: whether the next batch is available without waiting; busy lanes do not wait for it.
-            room: whether the caller takes finished trials now; otherwise they stay on the device while slots are free.
+            room: whether the caller takes finished trials now; otherwise they stay on the device while it has room.
         """
         layout, programs = device.layout_of(self.scene), _programs(jax.default_backend())
         lanes = -(-self.count // device.LANES) * device.LANES
         queue = _Queue(self.scene, iter(batches), ready, self.at_once)
         if not queue.begun(lanes):
             return
-        slots = lanes + (max(self.at_once, lanes) if self.spare is None else self.spare)
-        table, done = _Table(lanes, slots), _Done(self.at_once)
+        most = lanes + (self.at_once if self.spare is None else self.spare)  # trials that there is room for at least
+        pages, table, done = _Pages(), _Table(lanes), _Done(self.at_once)
         model, empty = device.put_scene(self.scene, lanes, self.impl)
         fields, params = queue.pool
         fixed = Fixed(model, fields, params, empty)  # lanes begin with the first trials; a spare one repeats the last
         state = programs.start(layout, fixed)
         table.begin(*queue.take(queue.left))
-        logs: Log | None = None  # [slot, block, time ...]: blocks of one stretch; the last slot is discarded
+        logs: Log | None = None  # [page, time ...]
         while True:
-            while len(idle := table.idle()) and table.free and queue.refilled(wait=len(idle) == lanes):
-                rows, trials = queue.take(min(len(idle), len(table.free), queue.left))
+            while len(idle := table.idle()) and (free := most * queue.blocks - pages.used - table.running) > 0:
+                if not queue.refilled(wait=len(idle) == lanes):
+                    break
+                rows, trials = queue.take(min(len(idle), free, queue.left))
                 chosen, begin = idle[: len(rows)], np.full(lanes, -1, np.int32)
                 begin[chosen] = rows
                 table.begin(chosen, trials)
                 fixed, state = programs.refill(layout, fixed, state, queue.pool, begin)
-            if not table.busy.any():
+            if not table.running:
                 break
             state, log = programs.stretch(layout, fixed, state)
-            if logs is None:
-                logs = _empty(log, slots + 1, queue.blocks)
-            elif logs.phase.shape[1] < queue.blocks:
-                logs = _longer(logs, queue.blocks)
-            logs = programs.write(logs, log, table.slot, np.minimum(table.age, logs.phase.shape[1] - 1))
+            if pages.count < most * queue.blocks:
+                pages.grow(most * queue.blocks)
+                logs = _empty(log, pages.count) if logs is None else _longer(logs, pages.count)
+            assert logs is not None
+            logs = programs.write(logs, log, table.turn(pages, queue.blocks))
             ended, running = jax.device_get(programs.ended(layout.program, log))  # explicit: the only copy to the host
             moved = int(running[table.busy].sum())
             self._busy += moved
             self._offered += lanes * device.STRETCH
             if progress is not None:
                 progress(moved)
-            for one in table.end(ended, queue.blocks):
+            for one in table.end(ended):
                 done.add(one)
             waiting = len(table.idle())
             more = waiting > 0 and queue.refilled(wait=False)  # asks for trials only when lanes wait for them
             while True:
-                short, last = more and len(table.free) < waiting, not table.busy.any()
-                wanted = short or last or room()
-                if not wanted or not (whole := done.take(queue.sizes, short, last and not more)):
+                wanted = table.running + (waiting if more else 0)  # pages of the next stretch
+                short, last = most * queue.blocks - pages.used < wanted, not table.running
+                takes = short or last or room()
+                if not takes or not (whole := done.take(queue.sizes, short, last and not more)):
                     break
-                yield self._taken_out(whole, logs)
-                table.free += [one.slot for one in whole]
+                yield self._taken_out(whole, logs, table.blocks)
+                for one in whole:
+                    pages.give(one.pages)
 
-    def _taken_out(self, ready: list[_Ended], logs: Log) -> tuple[list[Trial], Outcome, int]:
-        trials, slots, ages = zip(*ready, strict=True)
-        spare = self.at_once - len(ready)
-        padded = (np.array([*values, *[values[-1]] * spare]) for values in (slots, ages))
+    def _taken_out(self, whole: list[_Ended], logs: Log, blocks: int) -> tuple[list[Trial], Outcome, int]:
+        ages = np.array([len(one.pages) for one in whole])
+        if self.spare == 0:  # else always the longest: every other length compiles one more program in what reads it
+            blocks = int(ages.max())
+        pages = np.zeros((self.at_once, blocks), np.int32)
+        for row, one in enumerate(whole):
+            pages[row, : len(one.pages)] = one.pages
+        pages[len(whole) :] = pages[len(whole) - 1]
         settling = -(-SETTLING // self.scene.substeps)
-        # of a queue always the longest: every other length would compile one more program in the functions that read it
-        blocks = max(ages) if self.spare == 0 else logs.phase.shape[1]
-        out = _outcome(settling, blocks, self.scene.program, logs, *padded)
-        return list(trials), out, max(ages) * device.STRETCH - settling
+        padded = np.pad(ages, (0, self.at_once - len(ages)), mode="edge")
+        out = _outcome(settling, self.scene.program, logs, pages, padded)
+        return [one.trial for one in whole], out, int(ages.max()) * device.STRETCH - settling
 
 
 class _Ended(NamedTuple):
     trial: Trial
-    slot: int
-    blocks: int  # that it has written
+    pages: Int32[np.ndarray, " block"]  # that it has written
+
+
+class _Pages:
+    """The pages of the logs, each of which holds a stretch of one lane."""
+
+    def __init__(self) -> None:
+        self.count, self._free = 0, list[Int32[np.ndarray, " page"]]()
+        self.used = 0
+
+    def grow(self, count: int) -> None:
+        """There are ``count`` pages from now on."""
+        self._free.append(np.arange(self.count, count, dtype=np.int32))
+        self.count = count
+
+    def take(self, count: int) -> Int32[np.ndarray, " page"]:
+        """Free pages; there are enough."""
+        free = np.concatenate(self._free)
+        assert len(free) >= count
+        self._free, self.used = [free[count:]], self.used + count
+        return free[:count]
+
+    def give(self, pages: Int32[np.ndarray, " page"]) -> None:
+        """These are free again."""
+        self._free.append(pages)
+        self.used -= len(pages)
 
 
 class _Table:
     """The host's record of the lanes."""
 
-    def __init__(self, lanes: int, slots: int) -> None:
+    def __init__(self, lanes: int) -> None:
         self.busy = np.zeros(lanes, np.bool_)
-        self.slot = np.full(lanes, slots)  # where a lane's log goes; ``slots`` = discarded
-        self.age = np.zeros(lanes, np.int64)  # blocks that it has written
-        self.free = list(range(slots))[::-1]
-        self._trial, self._nowhere = list[Trial | None]([None] * lanes), slots
+        self._age = np.zeros(lanes, np.int64)  # pages that it has written
+        self._pages = np.zeros((lanes, 0), np.int32)  # which
+        self._trial = list[Trial | None]([None] * lanes)
+
+    @property
+    def blocks(self) -> int:
+        """Pages that a trial can write."""
+        return self._pages.shape[1]
+
+    @property
+    def running(self) -> int:
+        """Lanes with a trial."""
+        return int(self.busy.sum())
 
     def idle(self) -> NDArray[np.intp]:
         """Lanes without a trial."""
@@ -157,17 +198,24 @@ class _Table:
     def begin(self, lanes: NDArray[np.integer], trials: list[Trial]) -> None:
         """Trials begin in these lanes."""
         for lane, trial in zip(lanes.tolist(), trials, strict=True):
-            self._trial[lane], self.slot[lane] = trial, self.free.pop()
-        self.busy[lanes], self.age[lanes] = True, 0
+            self._trial[lane] = trial
+        self.busy[lanes], self._age[lanes] = True, 0
 
-    def end(self, ended: Bool[np.ndarray, " lane"], blocks: int) -> Iterator[_Ended]:
-        """One more block is written; the trials that have ended, or filled all blocks, leave their lanes."""
-        self.age += 1
-        for lane in np.flatnonzero(self.busy & (ended | (self.age >= blocks))).tolist():
+    def turn(self, pages: _Pages, blocks: int) -> Int32[np.ndarray, " lane"]:
+        """A page for each lane's stretch; trials can write ``blocks`` of them."""
+        self._pages = np.pad(self._pages, ((0, 0), (0, blocks - self.blocks)))
+        where, lanes = np.full(len(self.busy), NOWHERE, np.int32), np.flatnonzero(self.busy)
+        where[lanes] = self._pages[lanes, self._age[lanes]] = pages.take(len(lanes))
+        self._age += 1
+        return where
+
+    def end(self, ended: Bool[np.ndarray, " lane"]) -> Iterator[_Ended]:
+        """The trials that have ended, or written all pages, leave their lanes."""
+        for lane in np.flatnonzero(self.busy & (ended | (self._age >= self.blocks))).tolist():
             trial = self._trial[lane]
             assert trial is not None
-            yield _Ended(trial, int(self.slot[lane]), int(self.age[lane]))
-            self._trial[lane], self.slot[lane], self.busy[lane] = None, self._nowhere, False
+            yield _Ended(trial, self._pages[lane, : self._age[lane]].copy())
+            self._trial[lane], self.busy[lane] = None, False
 
 
 class _Done:
@@ -182,8 +230,8 @@ class _Done:
     def take(self, sizes: dict[Hashable, int], short: bool, last: bool) -> list[_Ended]:
         """Up to ``at_once`` trials to take out, of complete batches.
 
-        There are none while fewer than ``at_once`` are complete, unless slots are ``short`` or these are the ``last``.
-        If slots are short and no batch is complete, they are those of the fullest batch.
+        There are none while fewer than ``at_once`` are complete, unless room is ``short`` or these are the ``last``.
+        If room is short and no batch is complete, they are those of the fullest batch.
         """
         complete = [key for key, ended in self._ended.items() if len(ended) == sizes[key]]
         if not complete and short and self._ended:
@@ -305,9 +353,9 @@ def _refill(layout: Layout, fixed: Fixed, state: State, pool: Any, rows: Array) 
     return fixed, State(body, loop, tick)
 
 
-def _write(logs: Log, log: Log, slot: Array, block: Array) -> Log:
+def _write(logs: Log, log: Log, page: Array) -> Log:
     """The logs with one more stretch of every lane."""
-    return jax.tree.map(lambda old, rows: old.at[slot, block].set(jnp.swapaxes(rows, 0, 1)), logs, log)
+    return jax.tree.map(lambda old, rows: old.at[page].set(jnp.swapaxes(rows, 0, 1), mode="drop"), logs, log)
 
 
 def _ended(program: Program, log: Log) -> tuple[Array, Array]:
@@ -315,27 +363,22 @@ def _ended(program: Program, log: Log) -> tuple[Array, Array]:
     return log.phase[-1] == program.ended, (log.phase < program.ended).sum(0, dtype=jnp.int32)
 
 
-def _empty(log: Log, slots: int, blocks: int) -> Log:
-    return jax.tree.map(lambda leaf: jnp.zeros((slots, blocks, device.STRETCH, *leaf.shape[2:]), leaf.dtype), log)
+def _empty(log: Log, pages: int) -> Log:
+    return jax.tree.map(lambda leaf: jnp.zeros((pages, device.STRETCH, *leaf.shape[2:]), leaf.dtype), log)
 
 
-def _longer(logs: Log, blocks: int) -> Log:
+def _longer(logs: Log, pages: int) -> Log:
     """The logs with room for longer trials."""
-
-    def grown(leaf: Array) -> Array:
-        return jnp.pad(leaf, [(0, 0), (0, blocks - leaf.shape[1]), *[(0, 0)] * (leaf.ndim - 2)])
-
-    return jax.tree.map(grown, logs)
+    return jax.tree.map(lambda leaf: jnp.pad(leaf, [(0, pages - len(leaf)), *[(0, 0)] * (leaf.ndim - 1)]), logs)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _outcome(settling: int, blocks: int, program: Program, logs: Log, slots: Array, ages: Array) -> Outcome:
-    """The outcome of some slots, from time zero on; ``ages`` are the blocks that each has written."""
+@partial(jax.jit, static_argnums=(0, 1))
+def _outcome(settling: int, program: Program, logs: Log, pages: Array, ages: Array) -> Outcome:
+    """The outcome of some trials, from time zero on, by their pages; ``ages`` says how many each has written."""
 
     def whole(leaf: Array) -> Array:
-        there = leaf[slots, :blocks]
-        return there.reshape(len(slots), -1, *leaf.shape[3:])[:, settling:]
+        return leaf[pages].reshape(len(pages), -1, *leaf.shape[2:])[:, settling:]
 
-    there = jnp.repeat(jnp.arange(blocks)[None] < ages[:, None], device.STRETCH, axis=1)[:, settling:]
+    there = jnp.repeat(jnp.arange(pages.shape[1])[None] < ages[:, None], device.STRETCH, axis=1)[:, settling:]
     phase = jnp.where(there, whole(logs.phase), program.ended)
     return Outcome(whole(logs.wrench), whole(logs.joints), phase, whole(logs.past), program)

@@ -48,7 +48,7 @@ Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 Helpers = Callable[[Callable[[], None]], None]
 LANES = {"mjx": 8192, "warp": 32768}  # most trials that a device steps together, of as many shards as it takes
 GROUP = 256  # trials that leave a device together, with half a megabyte each that waits on the host
-LANE = 2 << 20  # bytes of a device's memory: logs of two trials of 25 s, and what the physics keeps
+LANE = 2 << 20  # bytes of a device's memory, of which the logs of 60 s and the physics need half
 
 
 @dataclass(frozen=True)

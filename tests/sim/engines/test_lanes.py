@@ -121,6 +121,23 @@ def test_trials_longer_than_all_before_fit() -> None:
         jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
+def test_a_trial_takes_as_much_room_as_it_lasts() -> None:
+    """There is room for nine of the longest trial, hence for all 24, most of which are short."""
+    params = plunger_trials(np.array([4.0, *[0.2] * 23]))
+    lanes, begun = Lanes(SCENE, "jax", 8, 8, spare=1), list[int]()
+
+    def batches() -> Iterator[tuple[int, PlungerParams]]:
+        for start in range(0, 24, 8):
+            begun.append(start)
+            yield start, some(params, range(start, start + 8))
+
+    for _ in lanes.run(batches(), room=lambda: False):
+        assert begun == [0, 8, 16]  # none had to leave before the last one had begun
+    found = queued(params, [8, 8, 8], Lanes(SCENE, "jax", 8, 8, spare=1))
+    for one, other in zip(found, waiting(params), strict=True):
+        jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
 def test_shards_that_share_lanes_are_those_that_have_them_alone() -> None:
     """Trials, labels and the order of the trials within a shard."""
     params, config, limits = plunger_trials(TIMEOUT[:20]), EncoderConfig(window=5), np.asarray(preset().limits)
