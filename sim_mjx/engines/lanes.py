@@ -9,6 +9,7 @@ trial does not depend on its lane or its neighbours.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Int32
 from numpy.typing import NDArray
 
+from rcbht_jax._util.atomic import uninterrupted
 from rcbht_jax._util.compiling import compiler_options
 from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import Program, as_float32, batch_size
@@ -102,13 +104,16 @@ class Lanes:
                 fixed, state = programs.refill(layout, fixed, state, queue.pool, begin)
             if not table.running:
                 break
-            state, log = programs.stretch(layout, fixed, state)
-            if pages.count < most * queue.blocks:
-                pages.grow(most * queue.blocks)
-                logs = _empty(log, pages.count) if logs is None else _longer(logs, pages.count)
-            assert logs is not None
-            logs = programs.write(logs, log, table.turn(pages, queue.blocks))
-            ended, running = jax.device_get(programs.ended(layout.program, log))  # explicit: the only copy to the host
+            # An exception in a callback of Warp's would end the process; compiling takes a minute and may be stopped.
+            with uninterrupted() if logs is not None else nullcontext():
+                state, log = programs.stretch(layout, fixed, state)
+                if pages.count < most * queue.blocks:
+                    pages.grow(most * queue.blocks)
+                    logs = _empty(log, pages.count) if logs is None else _longer(logs, pages.count)
+                assert logs is not None
+                logs = programs.write(logs, log, table.turn(pages, queue.blocks))
+                # explicit: the only copy to the host
+                ended, running = jax.device_get(programs.ended(layout.program, log))
             moved = int(running[table.busy].sum())
             self._busy += moved
             self._offered += lanes * device.STRETCH

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import signal
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,6 +15,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.engines import device
+from sim_mjx.engines import lanes as lanes_module
 from sim_mjx.engines.lanes import Lanes
 from sim_mjx.synthesis import records
 from sim_mjx.synthesis.in_lanes import simulate_in_lanes
@@ -174,3 +177,23 @@ def test_lanes_do_not_wait_for_those_who_take_what_has_ended() -> None:
     found = queued(params, sizes, Lanes(SCENE, "jax", 8, 8, spare=16))
     for one, other in zip(found, expected, strict=True):
         jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_a_signal_waits_for_the_stretch_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Raised within a callback of Warp's kernels, an exception would end the process."""
+    programs, done = lanes_module._programs("cpu"), list[int]()
+
+    def stretch(*args: Any) -> Any:
+        if done:
+            signal.raise_signal(signal.SIGINT)
+        done.append(len(done))
+        return programs.stretch(*args)
+
+    monkeypatch.setattr(lanes_module, "_programs", lambda _: dataclasses.replace(programs, stretch=stretch))
+    former = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            queued(plunger_trials(TIMEOUT[:8]), [8], Lanes(SCENE, "jax", 8, 8))
+    finally:
+        signal.signal(signal.SIGINT, former)
+    assert done == [0, 1]
