@@ -57,7 +57,7 @@ from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
 
 SIMULATED = {"simulated B": "hooked-B", "simulated A": "hooked-A", "simulated two-arm": "two"}  # set -> preset
-TRIALS, SHARE, LONGEST = 200, 0.5, 40.0  # of each preset; without a fault; s
+TRIALS, SHARE = 200, 0.5  # of each preset; without a fault
 OUTCOME = TaskSpec("outcome", outcomes=())
 WORDS = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scalings=(True,))
 LABELS = ("offline", "online")
@@ -106,7 +106,7 @@ class Data:
             return of_sources(self.authors(), sources)
         target = self.folder / f"table1-{SIMULATED[sources[0]]}.zarr"
         if not target.exists():
-            spec = DomainRandomization(nominal_share=SHARE, longest=LONGEST)
+            spec = DomainRandomization(nominal_share=SHARE)
             self.folder.mkdir(parents=True, exist_ok=True)
             pipeline.synthesise(target, SynthesisConfig(SIMULATED[sources[0]], TRIALS, self.seed, shard=64, spec=spec))
         return read_recordings(target)
@@ -177,7 +177,7 @@ def main(folder: tyro.conf.Positional[Path], repeats: int = 10, seed: int = 0, o
         "what": "Table I on our labels; see the module's text for the protocols",
         "repeats": repeats,
         "folds": FOLDS,
-        "simulated": {"presets": SIMULATED, "trials": TRIALS, "share without a fault": SHARE, "longest, s": LONGEST},
+        "simulated": {"presets": SIMULATED, "trials": TRIALS, "share without a fault": SHARE},
         "labels": {"offline": "authors' taxonomy", "online": "streaming encoder, window 5, preset thresholds"},
     }
     command = f"python -m experiments.classification.table1_ours FOLDER --repeats {repeats} --seed {seed}"

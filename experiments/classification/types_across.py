@@ -39,7 +39,7 @@ from experiments._lib.tasks import failure_types
 from experiments.classification.grammar import AT_REST, LOADED, by_batch, of_both
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning.metrics import confusion
-from rcbht_jax.learning.tasks import FAILURE, labelled_intervals
+from rcbht_jax.learning.tasks import SUCCESS, labelled_intervals
 from rcbht_jax.learning.validation import repeated_folds
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis.pipeline import synthesise
@@ -142,7 +142,7 @@ def simulated(folder: Path, name: str) -> Batch:
         synthesise(path, SynthesisConfig("openhrp", trials, seed, shard=128, spec=spec))
     data, classes = read_recordings(path), authors()[0]
     kind = data.column("failure_type")
-    rows = np.flatnonzero((data.outcome == FAILURE) & np.isin(kind, classes)).tolist()
+    rows = np.flatnonzero((data.outcome != SUCCESS) & np.isin(kind, classes)).tolist()
     y = np.array([classes.index(str(kind[row])) for row in rows], np.int64)
     return Batch([data.wrench[row, : data.length[row]] for row in rows], y, data.dt)
 

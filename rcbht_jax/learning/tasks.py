@@ -29,7 +29,7 @@ from rcbht_jax.features import (
 from rcbht_jax.learning.task_items import leave_out, track_items, whole_items
 from rcbht_jax.types import LabelTracks, Recordings
 
-SUCCESS, FAILURE, UNKNOWN = "success", "failure", "unknown"  # outcomes; unknown: the trial was not judged
+SUCCESS, FAILURE, UNKNOWN, UNFINISHED = "success", "failure", "unknown", "unfinished"  # the last two: not judged
 USUAL, PLAIN = "harmonised", "recorded"  # boundaries: corrected ones where there are some; those of the track itself
 
 
@@ -109,8 +109,8 @@ class UnlabelledIntervals:
 def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = False) -> UnlabelledIntervals:
     """The intervals that a trained model can classify: as :func:`labelled_intervals`, but without known classes.
 
-    Trials of unknown outcome are included if ``spec.outcomes`` is None or names "unknown"; other outcomes that it then
-    names may be absent from the data set. A whole trial of unknown class is included.
+    Trials of unknown outcome, and unfinished ones, are included if ``spec.outcomes`` is None or names "unknown"; other
+    outcomes that it then names may be absent from the data set. A whole trial of unknown class is included.
 
     Args:
         recordings: the data set.
@@ -341,7 +341,7 @@ def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = Fa
     Args:
         recordings: the data set.
         spec: names them.
-        unknown: recordings of unknown outcome are chosen as well, and outcomes of the task may be absent.
+        unknown: recordings that were not judged are chosen as well, and outcomes of the task may be absent.
 
     Raises:
         InputError: a filter names a source, session or outcome that does not occur in the data set.
@@ -354,7 +354,7 @@ def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = Fa
     chosen = np.ones(len(recordings), bool)
     for what, values, wanted in filters:
         lenient = unknown and what == "outcome"
-        passing = values == UNKNOWN if lenient else np.zeros(len(values), bool)
+        passing = np.isin(values, (UNKNOWN, UNFINISHED)) if lenient else np.zeros(len(values), bool)
         missing = set(wanted) - set(values.tolist())
         if missing and not lenient:
             known = ", ".join(sorted(set(values.tolist())))
@@ -393,7 +393,8 @@ def _known(
     """Class of each whole trial, whether it is one of the task's, and whether the same record has two names."""
     first, column = rows[:, 0], _column(recordings, spec)
     values = recordings.column(column)[first]
-    known = np.isin(values, spec.classes) if spec.classes else ~np.isin(values, ("", UNKNOWN))
+    unjudged = (UNKNOWN, UNFINISHED) if column == "outcome" else (UNKNOWN,)
+    known = np.isin(values, spec.classes) if spec.classes else ~np.isin(values, ("", *unjudged))
     copies = np.char.find(recordings.note[first], "contradictory-duplicate") >= 0
     doubtful = copies & (column != "outcome")
     return values, known & ~doubtful, doubtful

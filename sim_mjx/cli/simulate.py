@@ -70,7 +70,12 @@ class Simulate(Command):
     shard: int = 256
     """Trials that are saved together; an interruption loses unsaved ones."""
     max_seconds: Annotated[
-        float | None, option("Longest duration of a trial, s; default the limit of the session.", "")
+        float | None,
+        option(
+            "Longest duration of a trial, s; default the controller's own limit. A trial that is ended sooner, with "
+            "parts not yet assembled, has the outcome unfinished.",
+            "",
+        ),
     ] = None
     engine: Literal["native", "mjx", "warp"] = "native"
     """Physics engine: MuJoCo on all cores; MJX, or MJX with Warp, for GPUs."""

@@ -34,13 +34,14 @@ def recordings_of(
     wrench: NDArray[np.float32],
     index: NDArray[np.int64],
     faults: list[Fault],
+    outcome: NDArray[np.str_],
 ) -> Recordings:
     """The recordings of trials, as a store holds them.
 
     Args:
         preset: name of what was simulated. scenario: likewise.
         rows: arrays of ``records.of_trials``, of the stored trials. wrench: theirs ``[trial, time, 6K]``.
-        index: of the trials. faults: of the trials.
+        index: of the trials. faults: of the trials. outcome: of the trials, of :func:`outcomes`.
     """
     count, samples = wrench.shape[:2]
     arms, name = scenario.arms, preset if scenario.recorded else f"{scenario.assembly}-{scenario.robot}"
@@ -56,7 +57,7 @@ def recordings_of(
         "arm": np.tile(np.array(arms), count),
         "source": np.full(count * len(arms), f"SIM_MJX_{name}"),
         "session": np.full(count * len(arms), f"sim-{name}"),
-        "outcome": each(np.where(rows["seated"].all(1), "success", "failure")),
+        "outcome": each(outcome),
         "note": each(rows["note"]),
     }
     deviation = each(np.stack([fault.deviation for fault in faults]))
@@ -77,10 +78,28 @@ def recordings_of(
     return Recordings(**trials, annotations=Annotations.join([marks, *tracks]), columns=columns)
 
 
+def outcomes(scenario: Scenario, rows: Arrays, longest: float | None) -> NDArray[np.str_]:
+    """The outcome of each trial: "success" if all its tabs are seated, else "failure" or "unfinished".
+
+    A trial that the controller's own limit ends has failed. One that ``longest`` (s) ends sooner is unfinished: tabs
+    might have been seated later.
+    """
+    found = np.where(rows["seated"].all(1), "success", "failure")
+    if longest is None or longest >= scenario.timeout:
+        return found
+    ended = rows["length"] >= round(longest / CONTROL_PERIOD)
+    return np.where((found == "failure") & ended, "unfinished", found)
+
+
 def simulation_of(
-    scenario: Scenario, rows: Arrays, index: NDArray[np.int64], params: Any, faults: list[Fault]
+    scenario: Scenario,
+    rows: Arrays,
+    index: NDArray[np.int64],
+    params: Any,
+    faults: list[Fault],
+    outcome: NDArray[np.str_],
 ) -> Arrays:
-    """The arrays of the group ``simulation/``."""
+    """The arrays of the group ``simulation/``; arguments as of :func:`recordings_of`."""
     last = np.array(scenario.states)[np.isfinite(rows["onset"]).sum(1) - 1]
     drawn = {}
     for group, name in scenario.parameters:
@@ -90,7 +109,7 @@ def simulation_of(
     trials = {
         "index": index,
         "fault": np.array([fault.kind for fault in faults], np.str_),
-        "failed_in": np.where(rows["seated"].all(1), "", last),
+        "failed_in": np.where(outcome == "failure", last, ""),
         "seated": rows["seated"],
         "command_delay": params.command_delay,
         "noise_key": params.seed,

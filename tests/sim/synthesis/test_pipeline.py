@@ -21,6 +21,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_attrs, read_recordings, read_simulation, write_recordings
 from rcbht_jax.labels import LAYERS
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals, unlabelled_intervals
 from rcbht_jax.robots import kinematics
 from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from sim_mjx import engines
@@ -28,6 +29,7 @@ from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
+from sim_mjx.synthesis import tables
 from sim_mjx.synthesis.pipeline import LANE, SynthesisProgress, balanced, synthesise
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, short
 from tests.support.snaps import deviation
@@ -246,3 +248,31 @@ def test_waves_are_equally_large_and_fit_into_the_memory(
     trials: int, most: int, memory: int | None, expected: int
 ) -> None:
     assert balanced(trials, most, memory) == expected
+
+
+@pytest.mark.parametrize(
+    ("longest", "ended"), [(None, "failure"), (0.3, "unfinished"), (39.9, "unfinished"), (40.0, "failure")]
+)
+def test_a_trial_that_is_ended_before_the_controllers_limit_is_unfinished(longest: float | None, ended: str) -> None:
+    """It is 40 s in session A. A trial that ended by itself, or is seated, is not affected."""
+    last = round((longest or 40.0) / 0.005) + 1
+    rows = {
+        "seated": np.array([[False, True], [False, True], [True, True]]),
+        "length": np.array([last, last - 2, last]),
+    }
+    assert tables.outcomes(get_scenario("hooked-A"), rows, longest).tolist() == [ended, "failure", "success"]
+
+
+def test_an_unfinished_trial_has_not_failed_in_a_state_and_has_no_class(tmp_path: Path) -> None:
+    def stop(out: Rollouts) -> None:
+        out.seated[:9] = False
+
+    synthesise(tmp_path / "t.zarr", replace(SMALL, shard=12, spec=short()), simulate=changed(stop))
+    recordings, simulation = read_recordings(tmp_path / "t.zarr"), read_simulation(tmp_path / "t.zarr")
+    cut = (recordings.length >= 20) & ~simulation["seated"].all(1)
+    assert np.array_equal(recordings.outcome == "unfinished", cut)
+    assert 0 < cut[:9].sum() < 9
+    assert np.array_equal(simulation["failed_in"] != "", recordings.outcome == "failure")
+    items = labelled_intervals(recordings, TaskSpec("outcome"))
+    assert (items.classes, items.dropped) == (("failure", "success"), {"class unknown": int(cut.sum())})
+    assert len(unlabelled_intervals(recordings, TaskSpec("outcome")).row) == 12
