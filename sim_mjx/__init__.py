@@ -1,1 +1,1 @@
-"""HIRO's snap assembly in simulation: robot, parts, controllers, sensor and engines; trials with their ground truth."""
+"""Assemblies in simulation, HIRO's first: robots, parts, controllers, sensor and engines; trials with ground truth."""

@@ -27,6 +27,7 @@ ABLATIONS = {
     ("Words and other", "failure types: richer words + SVM, all"): "the same: all families, durations too",
     ("Trained on sim", "without presets A and B, harm"):
         "four states, real trials: cross-session transfer after identification (hooks fitted to both, A's sensor)",
+    ("Trained on sim", "without presets A and B, merged"): "the same: three states",
     ("Online", "REAL at 10 Hz, full-sequence"): "states, real trials, streamed, at their end; beginnings given",
     ("Online", "REAL at 10 Hz, macro step"): "the same, every tenth of a second; beginnings given",
     ("Online", "SIM1 at 10 Hz, macro step"): "the same, the authors' simulated trials; beginnings given",

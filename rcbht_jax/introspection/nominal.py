@@ -6,7 +6,7 @@ from those of nominal recordings around t; it uses no later sample. The threshol
 from, so false alarms are counted per recording and not per sample.
 
 :class:`NominalMonitor` compares with the nearest nominal recordings, channel by channel; see
-:mod:`rcbht_jax.introspection.nominal_peers` for a band of quantiles and an isolation forest with the same interface.
+:mod:`rcbht_jax.introspection.nominal_peers` for other monitors with the same interface.
 """
 
 from __future__ import annotations

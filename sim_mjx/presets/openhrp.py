@@ -1,6 +1,6 @@
 """The authors' one-arm simulation in OpenHRP: the same arm, rigid contact, an ideal sensor.
 
-``openhrp`` is the preset with which most results were made. ``rigid-openhrp`` has what that one lacks: contacts nearly
+``openhrp`` is the preset of the results that name OpenHRP. ``rigid-openhrp`` has what that one lacks: contacts nearly
 as hard as OpenHRP's, its sensor's reading without a load, and what its solver adds to the wrench of a contact.
 """
 

@@ -3,7 +3,7 @@
 Waypoints are half-cosine fits to the recorded approach (0.02 mm rms after the first waypoint). Set-points and gains
 come from the recorded joint increments, solved for the force and moment that the law must have seen: they follow
 the logged wrench with slope 0.98 to 1.00 in the wrist's frame, and what remains is the set-point, equal in all 15
-trials to 0.01 N and 0.01 Nm. Thresholds are the joint angles at which the recorded set-points change.
+trials to 0.02 N and 0.01 Nm. Thresholds are the joint angles at which the recorded set-points change.
 """
 
 from __future__ import annotations

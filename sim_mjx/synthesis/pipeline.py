@@ -2,11 +2,11 @@
 
 The store grows in a work folder beside the target (``sim_mjx.synthesis.shards``); each shard is a part of the store.
 When all shards are there, the store is completed and moved to the target. A trial depends on seed and index alone, so
-the shard size decides only how much an interruption costs and how the files of the store are divided. (On a GPU,
-engines do not give the same bytes twice.) The store holds no date. Its group ``simulation/`` has one row per recording:
-index, fault, failed_in, seated [4], noise_key [2] and the drawn parameters (``Scenario.parameters``). Passes of tabs
-are a track of annotations (``sim_mjx.synthesis.passes``). A two-arm trial is two recordings, right arm and left arm,
-as the importer stores them.
+the shard size decides only how much an interruption costs and how the files of the store are divided. (Processors of
+another kind give other bytes, and a GPU does so each time.) The store holds no date. Its group ``simulation/`` has one
+row per recording: index, fault, failed_in, seated [4], noise_key [2] and the drawn parameters
+(``Scenario.parameters``). Passes of tabs are a track of annotations (``sim_mjx.synthesis.passes``). A two-arm trial is
+two recordings, right arm and left arm, as the importer stores them.
 
 Processes with the same job and target share the work (``sim_mjx.synthesis.workers``), on one machine or on several that
 see the same folder. The last one completes the store.
