@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -274,3 +275,116 @@ def test_a_checkpoint_belongs_to_one_penalty_of_rest(made, tmp_path):
     for other in (None, RestSlopes(steep, 5.0), RestSlopes(2 * steep, 1.0)):
         with pytest.raises(InputError, match="other data or options"):
             search(made, CONFIG, SMALL, checkpoint=checkpoint, rest=other)
+
+
+class Judge:
+    """Scores candidates by a function in place of the encoder, and notes on which trials it was asked for which."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, value: Callable[[np.ndarray], np.ndarray]) -> None:
+        self.value, self.asked = value, list[tuple[np.ndarray, np.ndarray]]()
+        monkeypatch.setattr("rcbht_jax.calibration.search.score_candidates", self.scored)
+
+    def scored(self, part, config, thresholds, *, progress, **_) -> np.ndarray:
+        self.asked.append((part.trial, thresholds.limits))
+        found = np.zeros((len(thresholds.limits), len(SCORES)), np.float32)
+        found[:, SCORES.index("accuracy")] = self.value(thresholds.limits)
+        found[:, SCORES.index("fisher")] = np.arange(len(found))  # weighs nothing
+        progress(0, found)
+        return found
+
+
+def test_a_round_keeps_the_best_of_the_round_before_and_the_base(made, monkeypatch):
+    options = replace(SMALL, candidates=12, rungs=(0.1, 0.5, 1.0), keep=0.25, generations=0)
+    everyone = options.space.thresholds(options.points()).limits
+    np.testing.assert_allclose(everyone[0], options.space.base_limits)
+    height = lambda limits: np.abs(np.log(limits / options.space.base_limits)).mean((1, 2))  # noqa: E731
+    judge = Judge(monkeypatch, height)  # the base is the worst
+    found = search(made.take(np.arange(12) % 4), CONFIG, options)
+    order = np.argsort(-height(everyone))
+    rounds = [np.arange(12), np.sort([0, *order[:3]]), np.sort([0, order[0]])]
+    assert [len(trial) for trial, _ in judge.asked] == [2, 6, 12]  # of so few as 0.1 x 12 a round takes two
+    for (_, limits), rows in zip(judge.asked, rounds, strict=True):
+        np.testing.assert_array_equal(limits, everyone[rows])
+    best = everyone[order[0]]
+    np.testing.assert_array_equal(found.thresholds.limits, best)
+    np.testing.assert_allclose([found.value, found.start_value], [height(best[None])[0], 0], atol=1e-6)
+    assert found.start_scores["fisher"] == 0  # scores of the base, not of the best
+    drawn = np.random.default_rng(options.seed).permutation(12)
+    rows = np.sort(drawn[:6])
+    np.testing.assert_array_equal(judge.asked[1][0], made.trial[rows % 4])
+
+
+def test_the_first_of_candidates_that_differ_by_rounding_alone_is_chosen(made, monkeypatch):
+    """Also the first of all generations; the history holds the best so far."""
+    calls = iter([0.5, 0.5 + 1e-7, 0.25, 0.75])
+    judge = Judge(monkeypatch, lambda limits: next(calls) + 6e-8 * np.arange(len(limits)))
+    found = search(made, CONFIG, SMALL)  # two generations
+    np.testing.assert_array_equal(found.thresholds.limits, judge.asked[0][1][0])
+    np.testing.assert_allclose([(number, best) for number, _, best in found.history], [(6, 0.5), (10, 0.5), (14, 0.5)])
+    calls = iter([0.5, 0.75, 0.25])
+    found = search(made, CONFIG, SMALL)
+    np.testing.assert_array_equal(found.thresholds.limits, judge.asked[4][1][0])
+    np.testing.assert_allclose(
+        [(number, best) for number, _, best in found.history], [(6, 0.5), (10, 0.75), (14, 0.75)]
+    )
+
+
+def test_the_ends_of_a_space_and_the_mean_of_a_group():
+    space = SearchSpace(groups=(0, 0, 0, 1, 1, 1), low=0.1, high=3.0)
+    lowest, highest = space.thresholds(np.array([[0.0] * 8, [1.0] * 8])).limits
+    np.testing.assert_allclose(lowest, np.repeat(0.1 * space.base_limits[:, 3:], 4, 1))
+    np.testing.assert_allclose(highest, np.repeat(3.0 * space.base_limits[:, :1], 4, 1))
+    place = np.random.default_rng(0).random((6, 4))
+    place = -np.sort(-place, axis=-1)
+    each = replace(space, groups=(0, 1, 2, 3, 4, 5))
+    limits = GradientThresholds(each.thresholds(place.reshape(1, -1)).limits[0])
+    np.testing.assert_allclose(space.point(limits), place.reshape(2, 3, 4).mean(1).ravel())
+    for wrong in ({"low": 0.0}, {"low": 3.0}):
+        with pytest.raises(InputError, match="0 < low < high"):
+            replace(space, **wrong)
+    with pytest.raises(InputError, match="population 3"):
+        replace(SMALL, population=3)
+    assert [len(SearchOptions(candidates=count).points()) for count in (1, 5, 8)] == [1, 5, 8]
+
+
+def test_sentences_follow_the_recordings_they_are_of():
+    """Recordings without sentences, and of other lengths, do not matter; neither does what is behind their end."""
+    rng, lengths = np.random.default_rng(0), np.array([120, 300, 203])
+    signals = [rng.normal(size=(length, 6)).astype(np.float32) for length in lengths]
+    recordings = Recordings.from_arrays(signals, rate=200)
+    marks = [(2, 0, 90, "a"), (2, 90, 203, "b"), (1, 10, 100, "b"), (1, 100, 200, "a")]
+    rows = [(row, "t", name, start / 200, end / 200) for row, start, end, name in marks]
+    recordings = replace(recordings, annotations=Annotations.from_rows(rows))
+    items = labelled_intervals(recordings, TaskSpec("t"))
+    for order in (np.arange(4), np.array([2, 3, 0, 1])):
+        (spans,) = items.intervals
+        data = calibration_data(recordings, replace(items, y=items.y[order], intervals=(spans.take(order),)), CONFIG)
+        which = spans.recording[order][::2]
+        assert data.edges.tolist() == [{1: [10, 100, 200], 2: [0, 90, 203]}[row] for row in which]
+        assert [[data.classes[y] for y in line] for line in data.y] == [
+            {1: ["b", "a"], 2: ["a", "b"]}[row] for row in which
+        ]
+        np.testing.assert_array_equal(data.trial, recordings.trial[which])
+        np.testing.assert_array_equal(data.windows.length, lengths[which])
+        for row, recording in enumerate(which):
+            np.testing.assert_array_equal(data.wrench[row, : lengths[recording]], signals[recording])
+            alone = fit_windows(CONFIG, signals[recording][None], lengths[[recording]])
+            for leaf, other in zip(
+                jax.tree.leaves(data.windows.take(np.array([row]))), jax.tree.leaves(alone), strict=True
+            ):
+                if leaf.ndim == 3:
+                    np.testing.assert_array_equal(leaf[:, : other.shape[1]], other)
+    for dt in (0.004, 0.006):
+        with pytest.raises(InputError, match="sampling period"):
+            calibration_data(recordings, items, replace(CONFIG, dt=dt))
+
+
+def test_a_fingerprint_tells_all_that_a_calibration_reads(made):
+    windows = made.windows
+    others = [replace(made, **{name: np.asarray(getattr(made, name)) + 1}) for name in ("wrench", "edges", "y")]
+    for name in ("slope", "vmax", "vmin", "length"):
+        others.append(replace(made, windows=replace(windows, **{name: np.asarray(getattr(windows, name)) + 1})))
+    assert len({made.fingerprint(), *(other.fingerprint() for other in others)}) == 8
+    chosen = made.take(np.array([2, 0]))
+    np.testing.assert_array_equal(chosen.windows.length, LENGTHS[[2, 0]])
+    np.testing.assert_array_equal(chosen.windows.slope, np.asarray(windows.slope)[[2, 0]])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -156,3 +158,36 @@ def test_every_pair_of_compositions(first: int, second: int, amps: tuple[float, 
     (expected,) = slow.push(oracle.It(second, duration, duration + 5, amps[1], 0.0, 0.0, 0.0))
     _, out = composition.push_composition(one(first, duration, amps[0]), one(second, 5, amps[1]), short=20)
     assert int(out.label) == expected.label
+
+
+@pytest.mark.parametrize("first", [1, 4, 7, 8])  # bpos, bneg, cons, pimp
+@pytest.mark.parametrize("lead", [None, 4])
+@pytest.mark.parametrize("gate", [True, False])
+def test_which_primitives_pair_at_the_limits_of_the_gate(first: int, lead: int | None, gate: bool) -> None:
+    """Ratios of exactly 2 and 5, and a lead of exactly its limit, are still allowed, whichever of two is the larger."""
+    amps, durations = (1.0, 1.75, 2.0, 2.25), (4, 5, 20, 24, 25, 26)
+    cases = [
+        (x, y, seconds, second)
+        for second in (2, 9)
+        for x, y in itertools.product(amps, repeat=2)
+        for seconds in itertools.product(durations, repeat=2)
+    ]
+    expected = []
+    for x, y, (before, after), second in cases:
+        slow = oracle.ComposeMC(gate, lead=lead, H=oracle.It(first, 0, before, x, 0.0, 0.0, 0.0))
+        (out,) = slow.push(oracle.It(second, before, before + after, y, 0.0, 0.0, 0.0))
+        expected.append((out.label, out.t1))
+    x, y, seconds, second = (np.array(column) for column in zip(*cases, strict=True))
+    held = several(np.full(len(cases), first), np.zeros(len(cases)), seconds[:, 0], x)
+    _, out = composition.push_primitive(held, several(second, seconds[:, 0], seconds[:, 1], y), gate=gate, lead=lead)
+    np.testing.assert_array_equal(np.stack([out.label, out.t1], 1), expected)
+
+
+def several(label: np.ndarray, t0: np.ndarray, duration: np.ndarray, amp: np.ndarray) -> Segment:
+    times = [jnp.asarray(v, jnp.int32) for v in (label, t0, t0 + duration)]
+    return Segment(*times, *(jnp.asarray(v, jnp.float32) for v in (amp, 0 * amp, 0 * amp, 0 * amp)))
+
+
+def test_nothing_alone_at_the_end_stays_nothing() -> None:
+    assert int(composition.single_composition(one(0, 0, 0.0)).label) == 0
+    assert int(composition.single_behaviour(one(0, 0, 0.0), short=20).label) == 0

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rcbht_jax.calibration import gradient
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.gradient import GradientOptions, _orders, calibrate
 from rcbht_jax.calibration.label_durations import fit_windows, label_durations
@@ -200,3 +201,38 @@ def test_training_needs_a_strictly_ordered_start():
     flat[2, 1] = flat[2, 0]
     with pytest.raises(InputError, match="strictly ordered"):
         calibrate(two_class_corpus(2, 0), CONFIG, GradientThresholds(flat), GradientOptions(steps=1))
+
+
+def test_the_first_step_of_training_is_that_of_its_definition():
+    """Losses of both corpora before it, by NumPy from the soft shares; Adam's first step is a rate, down the slope."""
+    data, held_out = two_class_corpus(2, 0), two_class_corpus(3, 1)
+    options = GradientOptions(1, 0.02, 0.07, temperature=(0.8, 0.3), decay=1e6, seed=3)
+    start = gradient._first(np.asarray(gradient._free(preset()), np.float32), 2, options)
+    start_limits = gradient.limits_from(start.free)
+    expected = []
+    for corpus in (data, held_out):
+        batch = gradient.batch_of(corpus, CONFIG)
+        assert batch.weights.shape[2] == -(-corpus.wrench.shape[1] // CONFIG.window)
+        labels = soft(CONFIG, start_limits, batch.wrench, batch.length, jnp.float32(0.8), False)
+        logits = 4 * np.asarray(soft_shares(labels, batch.weights), np.float64) @ np.asarray(start.weights, np.float64)
+        right = np.take_along_axis(logits, corpus.y[..., None], -1)[..., 0]
+        wrong = np.take_along_axis(logits, 1 - corpus.y[..., None], -1)[..., 0]
+        expected.append(np.log1p(np.exp(wrong - right)).mean())
+    trained = calibrate(data, CONFIG, preset(), options, held_out=held_out)
+    np.testing.assert_allclose(trained.history[0][1:], expected, rtol=1e-4)  # without the penalty
+    moved = np.abs(np.asarray(trained.parameters.free) - start.free)
+    assert moved.max() == pytest.approx(0.02, rel=1e-2)
+    # the penalty is larger than all else, so that all weights get smaller
+    np.testing.assert_allclose(trained.parameters.weights, start.weights - 0.07 * np.sign(start.weights), atol=1e-4)
+
+
+def test_a_margin_counts_up_to_one(monkeypatch):
+    """Crammer and Singer (2001) for three classes, by hand."""
+    logits = np.array([[[3.0, 1.0, 1.5], [0.2, 0.0, 0.5]], [[1.0, 2.0, 0.0], [0.0, 4.0, 0.5]]], np.float32)
+    y = np.array([[0, 0], [2, 1]], np.int32)
+    monkeypatch.setattr(gradient, "soft_encode", lambda *_, **__: None)
+    monkeypatch.setattr(gradient, "soft_shares", lambda *_: jnp.asarray(logits / 4))
+    parameters = gradient.Parameters(jnp.zeros((6, 4)), jnp.eye(3), jnp.zeros(3))
+    batch = gradient.Batch(jnp.zeros((2, 5, 6)), jnp.full(2, 5, jnp.int32), jnp.zeros((2, 2, 1)), jnp.asarray(y))
+    found = gradient.loss(CONFIG, GradientOptions(loss="hinge"), parameters, batch, 1.0)
+    assert float(found) == pytest.approx(np.mean([0, 1.3, 3.0, 0]))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import heapq
+import itertools
 import signal
 from collections.abc import Iterator
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -197,3 +200,128 @@ def test_a_signal_waits_for_the_stretch_to_end(monkeypatch: pytest.MonkeyPatch) 
     finally:
         signal.signal(signal.SIGINT, former)
     assert done == [0, 1]
+
+
+class Clockwork:
+    """Lanes without physics: trials log their number and the time, so that every page can be told from all others."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.stretches, self.ended, self.pages = 0, set[int](), 0
+        monkeypatch.setattr(device, "STRETCH", 4)
+        monkeypatch.setattr(lanes_module, "SETTLING", 3)
+        monkeypatch.setattr(device, "put_scene", lambda *_: (None, None))
+        monkeypatch.setattr(device, "fields_of", lambda *_: {})
+        monkeypatch.setattr(lanes_module, "Fixed", lambda *parts: parts)
+        programs = lanes_module._Programs(self.start, self.stretch, self.refill, self.write, lanes_module._ended)
+        monkeypatch.setattr(lanes_module, "_programs", lambda _: programs)
+
+    def start(self, _: Any, fixed: Any) -> np.ndarray:
+        """Number, length and time of the trials ``[3, lane]``."""
+        params = jax.tree.map(np.asarray, fixed[2])
+        return np.stack([params.speed, np.rint(params.timeout / 0.005) + 1, np.full_like(params.speed, -3)]).astype(int)
+
+    def refill(self, _: Any, fixed: Any, state: np.ndarray, pool: Any, begin: np.ndarray) -> tuple[Any, np.ndarray]:
+        return fixed, np.where(begin >= 0, self.start(None, (None, *pool))[:, begin], state)
+
+    def stretch(self, _: Any, fixed: Any, state: np.ndarray) -> tuple[np.ndarray, device.Log]:
+        number, length, tick = state
+        self.stretches += 1
+        ticks = tick + np.arange(4)[:, None]
+        wrench = np.stack([np.broadcast_to(number, ticks.shape), ticks], -1).astype(np.float32)
+        phase = np.where(ticks < length, 0, SCENE.program.ended)
+        self.ended |= set(number[tick + 4 >= length].tolist())
+        log = device.Log(*map(jnp.asarray, (wrench, wrench, phase, wrench > 0)))
+        return np.stack([number, length, tick + 4]), log
+
+    def write(self, logs: device.Log, log: device.Log, page: np.ndarray) -> device.Log:
+        used = page[page != lanes_module.NOWHERE]
+        assert len(set(used.tolist())) == len(used)
+        self.pages = len(logs.phase)
+        return lanes_module._write(logs, log, page)
+
+
+def numbered(timeouts: np.ndarray) -> PlungerParams:
+    return dataclasses.replace(plunger_trials(timeouts), speed=np.arange(len(timeouts)).astype(float))
+
+
+@pytest.mark.parametrize(("seed", "crowded"), [*((seed, False) for seed in range(4)), (4, True)])
+def test_every_trial_keeps_its_own_pages_whatever_waits_for_what(
+    seed: int, crowded: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Batches come late, nobody takes what has ended, there is little room; trials also end with their last page."""
+    rng, clock = np.random.default_rng(seed), Clockwork(monkeypatch)
+    sizes, spare = rng.integers(1, 14, 5).tolist(), int(rng.integers(0, 3))
+    steps = rng.choice([1, 3, 4, 8, 11, 12, 32 - 4], sum(sizes))  # with settling and its first period: whole pages too
+    if crowded:  # the first trial makes the room, and short ones fill it again and again
+        sizes, spare, steps = [8] * 12, 0, np.array([28] + [1] * 95)
+    params, starts = numbered(steps * 0.005), np.cumsum([0, *sizes]).tolist()
+    lanes = Lanes(SCENE, "jax", 8, 8 if crowded else int(rng.integers(1, 9)), spare)
+    available, periods, found = [True], list[int](), dict[int, np.ndarray]()
+
+    def ready() -> bool:
+        available.append(bool(rng.random() < 0.5))
+        return available[-1]
+
+    def batches() -> Iterator[tuple[int, PlungerParams]]:
+        for index, (start, size) in enumerate(zip(starts, sizes, strict=False)):
+            # the first pool waits; later ones only if nothing else could be done
+            assert index == 0 or start < 8 or available[-1] or clock.ended >= set(range(start))
+            yield start, some(params, range(start, start + size))
+
+    made = lanes.run(
+        batches(), progress=periods.append, ready=ready, room=lambda: not crowded and bool(rng.random() < 0.3)
+    )
+    for trials, out, samples in made:
+        assert 0 < len(trials) <= lanes.at_once
+        assert all(one < other for one, other in itertools.pairwise(trials) if one[0] == other[0])
+        for (start, row), length, wrench in zip(trials, np.asarray(out.length), np.asarray(out.wrench), strict=False):
+            assert start + row not in found
+            found[start + row] = wrench[:length]
+            assert samples >= length
+    for number, step in enumerate(steps.tolist()):
+        expected = np.stack([np.full(step + 1, number), np.arange(step + 1)], 1)
+        np.testing.assert_array_equal(found.pop(number), expected)
+    assert not found
+    assert clock.pages <= (8 + spare) * -(-(3 + steps.max() + 2) // 4)
+    assert sum(periods) == (3 + steps + 1).sum()  # settling counts, lanes without a trial do not
+    assert lanes.utilisation == pytest.approx(sum(periods) / (clock.stretches * 8 * 4))
+
+
+def test_no_lane_waits_while_a_batch_has_trials_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also when no other batch is ready: as many stretches as when each lane takes the next trial at once."""
+    steps, clock = np.random.default_rng(0).integers(1, 40, 50), Clockwork(monkeypatch)
+    lanes = Lanes(SCENE, "jax", 8, 3, spare=50)
+    taken = [len(trials) for trials, *_ in lanes.run(iter([(0, numbered(steps * 0.005))]), ready=lambda: False)]
+    assert sum(taken) == 50
+    free = [0] * 8
+    for step in steps.tolist():
+        heapq.heappush(free, heapq.heappop(free) + -(-(3 + step + 2) // 4))  # ended in its last row
+    assert clock.stretches == max(free)
+
+
+def test_complete_batches_leave_together_and_the_fullest_one_if_room_is_short() -> None:
+    def ended(*trials: tuple[str, int]) -> Any:
+        done = lanes_module._Done(3)
+        for trial in trials:
+            done.add(lanes_module._Ended(trial, np.zeros(1, np.int32)))
+        return lambda sizes, short=False, last=False: [one.trial for one in done.take(sizes, short, last)]
+
+    two, three = [("a", 1), ("b", 4), ("a", 0)], [("b", 2), ("a", 1), ("b", 0), ("a", 2), ("a", 0)]
+    assert ended(*two)({"a": 2, "b": 5}) == []  # of fewer than three
+    assert ended(*two)({"a": 2, "b": 5}, last=True) == [("a", 0), ("a", 1)]
+    assert ended(*two)({"a": 2, "b": 5}, short=True) == [("a", 0), ("a", 1)]
+    assert ended(*three)({"a": 3, "b": 3}) == [("a", 0), ("a", 1), ("a", 2)]
+    assert ended(*three)({"a": 4, "b": 3}) == []
+    assert ended(*three)({"a": 4, "b": 3}, short=True) == [("a", 0), ("a", 1), ("a", 2)]
+
+
+def test_a_trial_that_does_not_end_leaves_with_its_last_page() -> None:
+    table, pages, never = lanes_module._Table(2), lanes_module._Pages(), np.zeros(2, np.bool_)
+    pages.grow(5)
+    table.begin(np.array([1]), [("a", 0)])
+    np.testing.assert_array_equal(table.turn(pages, 2), [lanes_module.NOWHERE, 0])
+    assert not list(table.end(never))
+    table.turn(pages, 2)
+    (one,) = table.end(never)
+    np.testing.assert_array_equal(one.pages, [0, 1])
+    assert (table.running, pages.used) == (0, 2)
