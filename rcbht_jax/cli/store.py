@@ -110,7 +110,7 @@ class Info(Command):
     store: Store
     """Store to describe."""
     check: Flag = False
-    """Read all of a large store too and compare it with its checksums."""
+    """Read all of the store, of any size, and compare it with its checksums."""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.cli.learning import table_and_facts
@@ -120,16 +120,15 @@ class Info(Command):
         from rcbht_jax.learning.tasks import task_names
 
         there, expected, axes, size = progress_of(self.store)
-        attrs, tasks, verified = read_attrs(self.store), dict[str, Any](), False
+        attrs, tasks, verified = read_attrs(self.store), dict[str, Any](), self.check
+        if self.check:
+            verify(self.store)
         if there == expected and size <= SMALL_BYTES:
             recordings, facts = table_and_facts(self.store)
             summary, verified = summary_of(recordings), True
             tasks = {name: _task(recordings, name, facts) for name in task_names(recordings)}
         else:
             summary = read_summary(self.store)
-            if self.check:
-                verify(self.store)
-                verified = True
         dt = checked_number(f"{self.store}: dt", attrs["dt"])
         return {
             "store": str(self.store),
@@ -157,6 +156,8 @@ class Info(Command):
             head += f"\n{result['recordings']} of {plural(result['expected'], 'recording')}; still being written"
         elif not result["verified"]:
             head += "\nlarge: checksums not compared, tasks not examined; --check compares the checksums"
+        elif self.check:
+            head += "\nevery checksum is right"
         lines = [head, f"created: {result['created']}, by rcbht-jax {result['rcbht_jax_version']}", ""]
         keys = ("source", "session", "outcome", "arm")
         rows = [keys, *(tuple(str(group[key]) for key in keys) for group in result["groups"])]

@@ -134,6 +134,8 @@ def put(path: Path, parts: Sequence[Part]) -> None:
     Raises:
         InputError: an array has another shape or dtype than its table.
     """
+    for part in parts:  # all before any is written: a refused part must not change one that is there
+        check(part)
     for part in parts:
         write(part)
     for number in {part.number for part in parts}:
@@ -143,17 +145,27 @@ def put(path: Path, parts: Sequence[Part]) -> None:
             seal(part)
 
 
+def check(part: Part) -> None:
+    """Compare the arrays of a part with its table.
+
+    Raises:
+        InputError: an array has another shape or dtype, or there is no such part.
+    """
+    rows = part.layout.span(part.number)
+    for name, made in part.fields.items():
+        _check(name, made, np.asarray(part.values[name]), rows.stop - rows.start)
+
+
 def write(part: Part) -> None:
     """Write the arrays of a part, all but its digest.
 
     Raises:
         InputError: an array has another shape or dtype than the table.
     """
-    rows, group = part.layout.span(part.number), zarr_io.open_group(part.folder, "r+")
+    check(part)
+    group = zarr_io.open_group(part.folder, "r+")
     for name, made in part.fields.items():
-        array = np.asarray(part.values[name])
-        _check(name, made, array, rows.stop - rows.start)
-        write_array(group, name, part.layout, part.number, made, array)
+        write_array(group, name, part.layout, part.number, made, np.asarray(part.values[name]))
     if any(made.grows for made in part.fields.values()):
         with _locked(part.folder):  # others may be growing the same arrays
             for name, made in part.fields.items():

@@ -174,7 +174,7 @@ def read_batches(path: Path | str, most: int | None = None) -> Iterator[Recordin
         yield _valid(path, _read_old(path, group))
 
 
-def read_table(path: Path) -> Recordings:
+def read_table(path: Path | str) -> Recordings:
     """All recordings of a store without their samples: names, lengths, columns and annotations.
 
     Of a store that is still being written, those that are there. The chunks are verified by their CRC alone;
@@ -186,7 +186,7 @@ def read_table(path: Path) -> Recordings:
     Raises:
         InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
-    group = open_store(path)
+    group = open_store(path := as_path(path))
     if _in_parts(group):
         return store_reader.read_table(Stored.of(path, group))
     return _read_old(path, group)
@@ -258,13 +258,13 @@ def read_sample(path: Path, most: int | None = None) -> tuple[Recordings, NDArra
     return read_rows(path, numbers), numbers
 
 
-def verify(path: Path) -> None:
+def verify(path: Path | str) -> None:
     """Read everything but the label tracks, part by part, and compare it with its checksums.
 
     Raises:
         InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
     """
-    group = open_store(path)
+    group = open_store(path := as_path(path))
     if not _in_parts(group):
         _read_old(path, group)
         if SIMULATION in group:

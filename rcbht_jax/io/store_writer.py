@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.url_path import as_path
 from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
@@ -46,7 +47,7 @@ with needs_extra("store"):
     import zarr
 
 
-def create(path: Path, schema: Schema, attrs: Mapping[str, Any], created: str) -> None:
+def create(path: Path | str, schema: Schema, attrs: Mapping[str, Any], created: str) -> None:
     """Create a store, all of whose parts are missing.
 
     Args:
@@ -68,7 +69,7 @@ def create(path: Path, schema: Schema, attrs: Mapping[str, Any], created: str) -
         "annotation_labels": {track: list(names) for track, names in schema.labels.items()},
     }
     expect("The provenance", attrs, Mapping)
-    group = zarr_io.create_group(path, {**attrs, **header})
+    group = zarr_io.create_group(as_path(path), {**attrs, **header})
     for name in (COLUMNS, ANNOTATIONS):
         group.create_group(name)
     parts.create(group, schema.layout, schema.fields)
@@ -80,7 +81,7 @@ def create(path: Path, schema: Schema, attrs: Mapping[str, Any], created: str) -
 
 
 def write_part(
-    path: Path, number: int, recordings: Recordings, simulation: Mapping[str, NDArray[Any]] | None = None
+    path: Path | str, number: int, recordings: Recordings, simulation: Mapping[str, NDArray[Any]] | None = None
 ) -> None:
     """Write one part of a store and flush it to disk, with its labels, if these were written before.
 
@@ -88,6 +89,7 @@ def write_part(
 
     Args, Raises: as of :func:`parts_of`.
     """
+    path = as_path(path)
     parts.put(path, parts_of(path, number, recordings, simulation))
 
 
@@ -123,15 +125,15 @@ def parts_of(
     return [*found, Part(path, layout, number, schema.fields, values, hashed)]  # its digest last: the part counts then
 
 
-def has_part(path: Path, number: int) -> bool:
+def has_part(path: Path | str, number: int) -> bool:
     """Whether a part of a store is there, complete; :func:`rcbht_jax.io.store_reader.check_part` verifies it."""
     try:
-        return parts.digest(open_store(path), number) is not None
+        return parts.digest(open_store(as_path(path)), number) is not None
     except Exception:  # no store, or a damaged one, which can fail in any way inside zarr
         return False
 
 
-def finish(path: Path, attrs: Mapping[str, Any] | None = None) -> None:
+def finish(path: Path | str, attrs: Mapping[str, Any] | None = None) -> None:
     """Complete a store, all of whose parts are written: its digest, the times, and the collected metadata.
 
     Args:
@@ -141,6 +143,7 @@ def finish(path: Path, attrs: Mapping[str, Any] | None = None) -> None:
     Raises:
         InputError: a part is missing, or there is no recording in any.
     """
+    path = as_path(path)
     for leftover in path.rglob("*.partial"):  # of a process that was killed while it wrote a file
         leftover.unlink()
     schema = schema_in(open_store(path))

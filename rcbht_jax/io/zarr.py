@@ -99,7 +99,8 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
         return _open_remote(path, mode)
     try:
         if not path.is_dir():
-            raise InputError(f'{path} does not exist or is no folder; expected a store made by "rcbht import".')
+            missing = "is a file" if path.exists() else "does not exist"
+            raise InputError(f'{path} {missing}; expected a folder made by "rcbht import" or "rcbht simulate".')
         files = _Files(path, read_only=mode == "r")
         return zarr.open_group(files, mode=mode, zarr_format=3, use_consolidated=None if collected else False)
     except InputError:
@@ -137,7 +138,8 @@ def _open_remote(path: Path, mode: Literal["r", "r+"]) -> zarr.Group:
         store = zarr.storage.FsspecStore.from_url(str(url_of(path)), read_only=True)
         return zarr.open_group(store, mode="r", zarr_format=3)
     except ImportError as error:  # the package of this kind of URL
-        raise InputError(f'{path} cannot be read: {error}. pip install "rcbht-jax[cloud]" brings s3fs.') from error
+        brings = ' pip install "rcbht-jax[cloud]" brings s3fs.' if str(path).startswith("s3:") else ""
+        raise InputError(f"{path} cannot be read: {str(error).rstrip('.')}.{brings}") from error
     except Exception as error:  # anything may be wrong with a network, rights and what is there
         detail = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path} cannot be read as a store ({type(error).__name__}: {detail}).") from error
