@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from rcbht_jax._util.digest import wrench_digests
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.tare import tare
@@ -31,7 +32,8 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
     """Write the recordings of several stores, with annotations and columns, as one store.
 
     Label tracks and the parameters of simulations are left out. Exact copies (source, trial, arm and samples) are taken
-    once. All recordings are in memory at the same time.
+    once. If only some stores have a corrected track (TRACK-harmonised), that of the others is a copy of TRACK, which tasks
+    read in a store of its own. All recordings are in memory at the same time.
 
     >>> from rcbht_jax.io.store import write_recordings
     >>> for name in ("first.zarr", "second.zarr"):
@@ -65,7 +67,7 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
         taken[str(path)], copies[str(path)] = int(new.sum()), int((~new).sum())
         if new.any():
             chosen.append(part.take(np.flatnonzero(new)))
-    whole = Recordings.join(chosen)
+    whole = Recordings.join(_corrected(chosen))
     if tare_seconds:
         whole = tare(whole, max(1, round(tare_seconds / whole.dt)))
     store.write_recordings(out, whole, _attrs(paths, taken, tare_seconds), overwrite)
@@ -82,6 +84,19 @@ def _check(paths: Sequence[Path], parts: Sequence[Recordings]) -> None:
             )
         if (part.axes, part.units) != (parts[0].axes, parts[0].units):
             raise InputError(f"{path} has {_axes(part)}; {paths[0]} has {_axes(parts[0])}.")
+
+
+def _corrected(parts: Sequence[Recordings]) -> list[Recordings]:
+    """The parts, each with a corrected track wherever any part has it, so that tasks find the recordings of all."""
+    tracks = dict.fromkeys(track for part in parts for track in part.annotations.tracks)
+    pairs = [(track, variant) for track in tracks if (variant := f"{track}-harmonised") in tracks]
+    found = []
+    for part in parts:
+        marks = part.annotations
+        plain = [(track, variant) for track, variant in pairs if track in marks.labels and variant not in marks.labels]
+        copies = [replace(marks.of(track), labels={variant: marks.labels[track]}) for track, variant in plain]
+        found.append(replace(part, annotations=Annotations.join([marks, *copies])) if copies else part)
+    return found
 
 
 def _axes(part: Recordings) -> str:

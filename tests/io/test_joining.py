@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
@@ -30,6 +32,25 @@ def recordings(seed: int, count: int = 3, samples: int = 40, **columns: Any) -> 
 def written(path: Path, of: Recordings, **attrs: Any) -> Path:
     store.write_recordings(path, of, attrs)
     return path
+
+
+def test_recordings_without_corrected_boundaries_stay_in_the_task(tmp_path: Path) -> None:
+    """Simulated trials of the camera snap have them, a user's trials do not: tasks used to leave the latter out."""
+    corrected = recordings(2)
+    rows = [
+        (n, track, "state-2", at, 0.12)
+        for n in range(3)
+        for track, at in (("states", 0.05), ("states-harmonised", 0.06))
+    ]
+    corrected = replace(corrected, annotations=Annotations.from_rows(rows))
+    paths = [written(tmp_path / "1.zarr", recordings(1)), written(tmp_path / "2.zarr", corrected)]
+    join_stores(paths, tmp_path / "both.zarr")
+    marks = store.read_recordings(tmp_path / "both.zarr").annotations
+    starts = np.full((6, 2), np.nan)
+    starts[0, 0], starts[3:, 1] = 0.05, 0.06
+    np.testing.assert_array_equal(marks.starts("states-harmonised", 6), starts)
+    assert marks.labels["states-harmonised"] == ("state-1", "state-2")
+    assert len(marks.of("states")) == 4
 
 
 def test_a_joined_store_has_the_recordings_of_each(tmp_path: Path) -> None:
