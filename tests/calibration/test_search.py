@@ -13,6 +13,7 @@ from sklearn.metrics import mutual_info_score
 from rcbht_jax._util import cma
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.calibration import contextual, gradient
+from rcbht_jax.calibration import search as searching
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data, device_calibration_data
 from rcbht_jax.calibration.gradient import GradientOptions
 from rcbht_jax.calibration.label_durations import fit_windows, label_durations
@@ -30,6 +31,7 @@ from rcbht_jax.types import Recordings
 
 CONFIG = EncoderConfig(window=5, dt=0.005)
 LENGTHS = np.array([403, 250, 361, 402], np.int32)  # partial windows of 3, 0, 1 and 2 samples
+ACCURACY = Objective(accuracy=1.0, fit=0.0)
 SMALL = SearchOptions(candidates=6, generations=2, population=4, space=SearchSpace(groups=(0, 0, 0, 1, 1, 1)))
 
 
@@ -197,6 +199,85 @@ def test_successive_halving_scores_survivors_on_all_trials(made):
     assert found.value == pytest.approx(float(alone @ options.objective.weights()), abs=1e-6)
 
 
+class Judge:
+    """In place of the encoder: scores of limits by their distance from some; it notes what it is asked about."""
+
+    def __init__(self, steps: float = 0.0) -> None:
+        self.asked: list[tuple[list[str], np.ndarray]] = []
+        self.steps = steps  # added from one candidate to the next
+
+    def __call__(self, data, config, thresholds, progress=None, **_) -> np.ndarray:
+        self.asked.append((data.trial.tolist(), thresholds.limits))
+        out = np.zeros((len(thresholds.limits), len(SCORES)), np.float32)
+        out[:, 0] = self.value(thresholds.limits) if self.steps == 0 else 0.5 + self.steps * np.arange(len(out))
+        progress(0, out)
+        return out
+
+    @staticmethod
+    def value(limits: np.ndarray) -> np.ndarray:
+        return 1 / (1 + np.abs(np.log(limits[:, 0, 1] / 10)))
+
+
+@pytest.mark.parametrize(("rung", "trials"), [(0.5, 2), (0.1, 2), (0.75, 3)])
+def test_the_best_by_some_trials_and_the_base_are_scored_on_all(made, monkeypatch, rung, trials):
+    judge, options = Judge(), SearchOptions(candidates=11, rungs=(rung, 1.0), keep=0.3, seed=4, objective=ACCURACY)
+    monkeypatch.setattr(searching, "score_candidates", judge)
+    found = search(made, CONFIG, options)
+    (some, first), (every, second) = judge.asked
+    assert some == sorted(made.trial[np.random.default_rng(4).permutation(4)[:trials]])
+    assert every == made.trial.tolist()
+    values = judge.value(first)
+    best = np.argsort(-values)[:3]
+    assert 0 not in best  # else the case shows nothing
+    np.testing.assert_array_equal(second, first[[0, *np.sort(best)]])
+    np.testing.assert_allclose(first[0], preset().limits, rtol=1e-9)
+    np.testing.assert_array_equal(found.thresholds.limits, first[values.argmax()])
+    assert (found.value, found.start_value) == pytest.approx((values.max(), values[0]), abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_generations_are_drawn_around_the_best_point_with_the_seed(made, monkeypatch, seed):
+    judge = Judge()
+    options = SearchOptions(candidates=8, generations=2, population=5, sigma=0.05, seed=seed, objective=ACCURACY)
+    monkeypatch.setattr(searching, "score_candidates", judge)
+    found = search(made, CONFIG, options)
+    points = options.points()
+    state = cma.CubeCma(cma.start(points[judge.value(judge.asked[0][1]).argmax()], 0.05))
+    for _, limits in judge.asked[1:]:
+        points = state.sample(5, seed)
+        np.testing.assert_allclose(limits, options.space.thresholds(points).limits, rtol=1e-9)
+        state = state.update(points, judge.value(limits).round(6))
+    assert found.value == pytest.approx(max(judge.value(limits).max() for _, limits in judge.asked), abs=1e-6)
+
+
+@pytest.mark.parametrize("steps", [1e-7, -1e-7])
+def test_ties_go_to_the_candidate_evaluated_first(made, monkeypatch, steps):
+    """Also where values differ beyond the sixth digit."""
+    monkeypatch.setattr(searching, "score_candidates", Judge(steps))
+    found = search(made, CONFIG, replace(SMALL, objective=ACCURACY))
+    np.testing.assert_allclose(found.thresholds.limits, preset().limits, rtol=1e-9)
+
+
+def test_a_point_is_the_mean_of_its_group_within_the_space():
+    space = SearchSpace(groups=(0, 0, 0, 1, 1, 1))
+    some = np.random.default_rng(1).random((6, 4))
+    limits = np.exp(np.log(space.base_limits[:, 3:] * space.low) + np.sort(some)[:, ::-1] * np.log(
+        space.base_limits[:, :1] * space.high / (space.base_limits[:, 3:] * space.low)
+    ))  # fmt: skip
+    expected = np.sort(some)[:, ::-1].reshape(2, 3, 4).mean(1).ravel()
+    np.testing.assert_allclose(space.point(GradientThresholds(limits)), expected, rtol=1e-9)
+    for factor, place in ((1e-9, 0), (1e9, 1)):
+        np.testing.assert_array_equal(space.point(GradientThresholds(space.base_limits * factor)), place)
+
+
+def test_times_of_a_chunk_of_candidates_fit_the_memory_limit(made):
+    for trials in (1, 2000, 5000):
+        data = made.take(np.zeros(trials, int))
+        chunk, each = searching._chunk("cpu", data), 4 * 150 * data.y.size  # int32 per sentence, axis and label
+        assert chunk == 1 or chunk * each <= 2**28
+        assert chunk == 128 or 2 * chunk * each > 2**28
+
+
 def test_trials_on_the_device_are_searched_like_any_others_and_nothing_is_copied(wrench, made):
     whole = made.edges.copy()
     whole[:, -1] = LENGTHS
@@ -222,8 +303,15 @@ def test_errors_are_sentences(made):
         Objective.of({"speed": 1.0})
     with pytest.raises(InputError, match="six numbers"):
         SearchSpace(groups=(0, 0, 0, 0, 0, 7))
-    with pytest.raises(InputError, match="increase to 1"):
-        SearchOptions(rungs=(0.5,))
+    with pytest.raises(InputError, match="order"):
+        SearchSpace(GradientThresholds(preset().limits[:, ::-1]))
+    for rungs in ((0.5,), (0.0, 1.0), (0.5, 0.5, 1.0)):
+        with pytest.raises(InputError, match="increase to 1"):
+            SearchOptions(rungs=rungs)
+    for wrong in ({"keep": 0.0}, {"keep": 1.1}, {"population": 3}, {"candidates": 0}, {"generations": -1}):
+        with pytest.raises(InputError, match="expected at least"):
+            SearchOptions(**wrong)
+    SearchOptions(keep=1.0, population=4, candidates=1)
     one = CalibrationData(made.wrench, made.windows, made.edges, np.zeros_like(made.y), ("a",), made.trial)
     with pytest.raises(InputError, match="two classes"):
         search(one, CONFIG, SMALL)
