@@ -71,6 +71,20 @@ def each(limits: FitLimits) -> list[FitLimits]:
     return [jax.tree.map(lambda leaf, k=k: leaf[k], limits) for k in range(len(limits.tolerance))]
 
 
+def test_a_space_of_the_fit_rule_has_a_tolerance_of_its_own_in_each_group():
+    space = SearchSpace(BASE, (0, 0, 0, 1, 1, 1))
+    limits = [0.9, 0.6, 0.5, 0.2]
+    points = np.array([[*limits, 0.0, *limits, 1.0], [*limits, 0.5, *limits, 0.25]])
+    made = space.thresholds(points)
+    low, high = TOLERANCES
+    factors = np.array([[low, high], [(low * high) ** 0.5, low**0.75 * high**0.25]])
+    np.testing.assert_allclose(made.tolerance, BASE.tolerance * np.repeat(factors, 3, axis=1))
+    np.testing.assert_allclose(made.gradients[0], made.gradients[1])
+    for row, point in enumerate(points):
+        one = FitLimits(made.gradients[row], made.tolerance[row])
+        np.testing.assert_allclose(space.point(one), point, atol=1e-12)
+
+
 def test_a_search_varies_tolerances_too_and_never_loses_to_its_base(made):
     space = SearchSpace(BASE, (0, 0, 0, 1, 1, 1))
     points = np.random.default_rng(0).random((40, space.dimensions))

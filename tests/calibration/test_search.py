@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -14,6 +13,7 @@ from sklearn.metrics import mutual_info_score
 from rcbht_jax._util import cma
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.calibration import contextual, gradient
+from rcbht_jax.calibration import search as searching
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data, device_calibration_data
 from rcbht_jax.calibration.gradient import GradientOptions
 from rcbht_jax.calibration.label_durations import fit_windows, label_durations
@@ -31,6 +31,7 @@ from rcbht_jax.types import Recordings
 
 CONFIG = EncoderConfig(window=5, dt=0.005)
 LENGTHS = np.array([403, 250, 361, 402], np.int32)  # partial windows of 3, 0, 1 and 2 samples
+ACCURACY = Objective(accuracy=1.0, fit=0.0)
 SMALL = SearchOptions(candidates=6, generations=2, population=4, space=SearchSpace(groups=(0, 0, 0, 1, 1, 1)))
 
 
@@ -198,6 +199,85 @@ def test_successive_halving_scores_survivors_on_all_trials(made):
     assert found.value == pytest.approx(float(alone @ options.objective.weights()), abs=1e-6)
 
 
+class Judge:
+    """In place of the encoder: scores of limits by their distance from some; it notes what it is asked about."""
+
+    def __init__(self, steps: float = 0.0) -> None:
+        self.asked: list[tuple[list[str], np.ndarray]] = []
+        self.steps = steps  # added from one candidate to the next
+
+    def __call__(self, data, config, thresholds, progress=None, **_) -> np.ndarray:
+        self.asked.append((data.trial.tolist(), thresholds.limits))
+        out = np.zeros((len(thresholds.limits), len(SCORES)), np.float32)
+        out[:, 0] = self.value(thresholds.limits) if self.steps == 0 else 0.5 + self.steps * np.arange(len(out))
+        progress(0, out)
+        return out
+
+    @staticmethod
+    def value(limits: np.ndarray) -> np.ndarray:
+        return 1 / (1 + np.abs(np.log(limits[:, 0, 1] / 10)))
+
+
+@pytest.mark.parametrize(("rung", "trials"), [(0.5, 2), (0.1, 2), (0.75, 3)])
+def test_the_best_by_some_trials_and_the_base_are_scored_on_all(made, monkeypatch, rung, trials):
+    judge, options = Judge(), SearchOptions(candidates=11, rungs=(rung, 1.0), keep=0.3, seed=4, objective=ACCURACY)
+    monkeypatch.setattr(searching, "score_candidates", judge)
+    found = search(made, CONFIG, options)
+    (some, first), (every, second) = judge.asked
+    assert some == sorted(made.trial[np.random.default_rng(4).permutation(4)[:trials]])
+    assert every == made.trial.tolist()
+    values = judge.value(first)
+    best = np.argsort(-values)[:3]
+    assert 0 not in best  # else the case shows nothing
+    np.testing.assert_array_equal(second, first[[0, *np.sort(best)]])
+    np.testing.assert_allclose(first[0], preset().limits, rtol=1e-9)
+    np.testing.assert_array_equal(found.thresholds.limits, first[values.argmax()])
+    assert (found.value, found.start_value) == pytest.approx((values.max(), values[0]), abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_generations_are_drawn_around_the_best_point_with_the_seed(made, monkeypatch, seed):
+    judge = Judge()
+    options = SearchOptions(candidates=8, generations=2, population=5, sigma=0.05, seed=seed, objective=ACCURACY)
+    monkeypatch.setattr(searching, "score_candidates", judge)
+    found = search(made, CONFIG, options)
+    points = options.points()
+    state = cma.CubeCma(cma.start(points[judge.value(judge.asked[0][1]).argmax()], 0.05))
+    for _, limits in judge.asked[1:]:
+        points = state.sample(5, seed)
+        np.testing.assert_allclose(limits, options.space.thresholds(points).limits, rtol=1e-9)
+        state = state.update(points, judge.value(limits).round(6))
+    assert found.value == pytest.approx(max(judge.value(limits).max() for _, limits in judge.asked), abs=1e-6)
+
+
+@pytest.mark.parametrize("steps", [1e-7, -1e-7])
+def test_ties_go_to_the_candidate_evaluated_first(made, monkeypatch, steps):
+    """Also where values differ beyond the sixth digit."""
+    monkeypatch.setattr(searching, "score_candidates", Judge(steps))
+    found = search(made, CONFIG, replace(SMALL, objective=ACCURACY))
+    np.testing.assert_allclose(found.thresholds.limits, preset().limits, rtol=1e-9)
+
+
+def test_a_point_is_the_mean_of_its_group_within_the_space():
+    space = SearchSpace(groups=(0, 0, 0, 1, 1, 1))
+    some = np.random.default_rng(1).random((6, 4))
+    limits = np.exp(np.log(space.base_limits[:, 3:] * space.low) + np.sort(some)[:, ::-1] * np.log(
+        space.base_limits[:, :1] * space.high / (space.base_limits[:, 3:] * space.low)
+    ))  # fmt: skip
+    expected = np.sort(some)[:, ::-1].reshape(2, 3, 4).mean(1).ravel()
+    np.testing.assert_allclose(space.point(GradientThresholds(limits)), expected, rtol=1e-9)
+    for factor, place in ((1e-9, 0), (1e9, 1)):
+        np.testing.assert_array_equal(space.point(GradientThresholds(space.base_limits * factor)), place)
+
+
+def test_times_of_a_chunk_of_candidates_fit_the_memory_limit(made):
+    for trials in (1, 2000, 5000):
+        data = made.take(np.zeros(trials, int))
+        chunk, each = searching._chunk("cpu", data), 4 * 150 * data.y.size  # int32 per sentence, axis and label
+        assert chunk == 1 or chunk * each <= 2**28
+        assert chunk == 128 or 2 * chunk * each > 2**28
+
+
 def test_trials_on_the_device_are_searched_like_any_others_and_nothing_is_copied(wrench, made):
     whole = made.edges.copy()
     whole[:, -1] = LENGTHS
@@ -223,8 +303,15 @@ def test_errors_are_sentences(made):
         Objective.of({"speed": 1.0})
     with pytest.raises(InputError, match="six numbers"):
         SearchSpace(groups=(0, 0, 0, 0, 0, 7))
-    with pytest.raises(InputError, match="increase to 1"):
-        SearchOptions(rungs=(0.5,))
+    with pytest.raises(InputError, match="order"):
+        SearchSpace(GradientThresholds(preset().limits[:, ::-1]))
+    for rungs in ((0.5,), (0.0, 1.0), (0.5, 0.5, 1.0)):
+        with pytest.raises(InputError, match="increase to 1"):
+            SearchOptions(rungs=rungs)
+    for wrong in ({"keep": 0.0}, {"keep": 1.1}, {"population": 3}, {"candidates": 0}, {"generations": -1}):
+        with pytest.raises(InputError, match="expected at least"):
+            SearchOptions(**wrong)
+    SearchOptions(keep=1.0, population=4, candidates=1)
     one = CalibrationData(made.wrench, made.windows, made.edges, np.zeros_like(made.y), ("a",), made.trial)
     with pytest.raises(InputError, match="two classes"):
         search(one, CONFIG, SMALL)
@@ -275,116 +362,3 @@ def test_a_checkpoint_belongs_to_one_penalty_of_rest(made, tmp_path):
     for other in (None, RestSlopes(steep, 5.0), RestSlopes(2 * steep, 1.0)):
         with pytest.raises(InputError, match="other data or options"):
             search(made, CONFIG, SMALL, checkpoint=checkpoint, rest=other)
-
-
-class Judge:
-    """Scores candidates by a function in place of the encoder, and notes on which trials it was asked for which."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, value: Callable[[np.ndarray], np.ndarray]) -> None:
-        self.value, self.asked = value, list[tuple[np.ndarray, np.ndarray]]()
-        monkeypatch.setattr("rcbht_jax.calibration.search.score_candidates", self.scored)
-
-    def scored(self, part, config, thresholds, *, progress, **_) -> np.ndarray:
-        self.asked.append((part.trial, thresholds.limits))
-        found = np.zeros((len(thresholds.limits), len(SCORES)), np.float32)
-        found[:, SCORES.index("accuracy")] = self.value(thresholds.limits)
-        found[:, SCORES.index("fisher")] = np.arange(len(found))  # weighs nothing
-        progress(0, found)
-        return found
-
-
-def test_a_round_keeps_the_best_of_the_round_before_and_the_base(made, monkeypatch):
-    options = replace(SMALL, candidates=12, rungs=(0.1, 0.5, 1.0), keep=0.25, generations=0)
-    everyone = options.space.thresholds(options.points()).limits
-    np.testing.assert_allclose(everyone[0], options.space.base_limits)
-    height = lambda limits: np.abs(np.log(limits / options.space.base_limits)).mean((1, 2))  # noqa: E731
-    judge = Judge(monkeypatch, height)  # the base is the worst
-    found = search(made.take(np.arange(12) % 4), CONFIG, options)
-    order = np.argsort(-height(everyone))
-    rounds = [np.arange(12), np.sort([0, *order[:3]]), np.sort([0, order[0]])]
-    assert [len(trial) for trial, _ in judge.asked] == [2, 6, 12]  # of so few as 0.1 x 12 a round takes two
-    for (_, limits), rows in zip(judge.asked, rounds, strict=True):
-        np.testing.assert_array_equal(limits, everyone[rows])
-    best = everyone[order[0]]
-    np.testing.assert_array_equal(found.thresholds.limits, best)
-    np.testing.assert_allclose([found.value, found.start_value], [height(best[None])[0], 0], atol=1e-6)
-    assert found.start_scores["fisher"] == 0  # scores of the base, not of the best
-    drawn = np.random.default_rng(options.seed).permutation(12)
-    rows = np.sort(drawn[:6])
-    np.testing.assert_array_equal(judge.asked[1][0], made.trial[rows % 4])
-
-
-def test_the_first_of_candidates_that_differ_by_rounding_alone_is_chosen(made, monkeypatch):
-    """Also the first of all generations; the history holds the best so far."""
-    calls = iter([0.5, 0.5 + 1e-7, 0.25, 0.75])
-    judge = Judge(monkeypatch, lambda limits: next(calls) + 6e-8 * np.arange(len(limits)))
-    found = search(made, CONFIG, SMALL)  # two generations
-    np.testing.assert_array_equal(found.thresholds.limits, judge.asked[0][1][0])
-    np.testing.assert_allclose([(number, best) for number, _, best in found.history], [(6, 0.5), (10, 0.5), (14, 0.5)])
-    calls = iter([0.5, 0.75, 0.25])
-    found = search(made, CONFIG, SMALL)
-    np.testing.assert_array_equal(found.thresholds.limits, judge.asked[4][1][0])
-    np.testing.assert_allclose(
-        [(number, best) for number, _, best in found.history], [(6, 0.5), (10, 0.75), (14, 0.75)]
-    )
-
-
-def test_the_ends_of_a_space_and_the_mean_of_a_group():
-    space = SearchSpace(groups=(0, 0, 0, 1, 1, 1), low=0.1, high=3.0)
-    lowest, highest = space.thresholds(np.array([[0.0] * 8, [1.0] * 8])).limits
-    np.testing.assert_allclose(lowest, np.repeat(0.1 * space.base_limits[:, 3:], 4, 1))
-    np.testing.assert_allclose(highest, np.repeat(3.0 * space.base_limits[:, :1], 4, 1))
-    place = np.random.default_rng(0).random((6, 4))
-    place = -np.sort(-place, axis=-1)
-    each = replace(space, groups=(0, 1, 2, 3, 4, 5))
-    limits = GradientThresholds(each.thresholds(place.reshape(1, -1)).limits[0])
-    np.testing.assert_allclose(space.point(limits), place.reshape(2, 3, 4).mean(1).ravel())
-    for wrong in ({"low": 0.0}, {"low": 3.0}):
-        with pytest.raises(InputError, match="0 < low < high"):
-            replace(space, **wrong)
-    with pytest.raises(InputError, match="population 3"):
-        replace(SMALL, population=3)
-    assert [len(SearchOptions(candidates=count).points()) for count in (1, 5, 8)] == [1, 5, 8]
-
-
-def test_sentences_follow_the_recordings_they_are_of():
-    """Recordings without sentences, and of other lengths, do not matter; neither does what is behind their end."""
-    rng, lengths = np.random.default_rng(0), np.array([120, 300, 203])
-    signals = [rng.normal(size=(length, 6)).astype(np.float32) for length in lengths]
-    recordings = Recordings.from_arrays(signals, rate=200)
-    marks = [(2, 0, 90, "a"), (2, 90, 203, "b"), (1, 10, 100, "b"), (1, 100, 200, "a")]
-    rows = [(row, "t", name, start / 200, end / 200) for row, start, end, name in marks]
-    recordings = replace(recordings, annotations=Annotations.from_rows(rows))
-    items = labelled_intervals(recordings, TaskSpec("t"))
-    for order in (np.arange(4), np.array([2, 3, 0, 1])):
-        (spans,) = items.intervals
-        data = calibration_data(recordings, replace(items, y=items.y[order], intervals=(spans.take(order),)), CONFIG)
-        which = spans.recording[order][::2]
-        assert data.edges.tolist() == [{1: [10, 100, 200], 2: [0, 90, 203]}[row] for row in which]
-        assert [[data.classes[y] for y in line] for line in data.y] == [
-            {1: ["b", "a"], 2: ["a", "b"]}[row] for row in which
-        ]
-        np.testing.assert_array_equal(data.trial, recordings.trial[which])
-        np.testing.assert_array_equal(data.windows.length, lengths[which])
-        for row, recording in enumerate(which):
-            np.testing.assert_array_equal(data.wrench[row, : lengths[recording]], signals[recording])
-            alone = fit_windows(CONFIG, signals[recording][None], lengths[[recording]])
-            for leaf, other in zip(
-                jax.tree.leaves(data.windows.take(np.array([row]))), jax.tree.leaves(alone), strict=True
-            ):
-                if leaf.ndim == 3:
-                    np.testing.assert_array_equal(leaf[:, : other.shape[1]], other)
-    for dt in (0.004, 0.006):
-        with pytest.raises(InputError, match="sampling period"):
-            calibration_data(recordings, items, replace(CONFIG, dt=dt))
-
-
-def test_a_fingerprint_tells_all_that_a_calibration_reads(made):
-    windows = made.windows
-    others = [replace(made, **{name: np.asarray(getattr(made, name)) + 1}) for name in ("wrench", "edges", "y")]
-    for name in ("slope", "vmax", "vmin", "length"):
-        others.append(replace(made, windows=replace(windows, **{name: np.asarray(getattr(windows, name)) + 1})))
-    assert len({made.fingerprint(), *(other.fingerprint() for other in others)}) == 8
-    chosen = made.take(np.array([2, 0]))
-    np.testing.assert_array_equal(chosen.windows.length, LENGTHS[[2, 0]])
-    np.testing.assert_array_equal(chosen.windows.slope, np.asarray(windows.slope)[[2, 0]])

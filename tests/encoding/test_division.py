@@ -48,8 +48,9 @@ def test_quotients_in_the_middle_between_two_numbers_are_corrected(monkeypatch: 
         middle = inverse * side % 2**25  # middle * y = side modulo 2**25: the quotient's 25 digits, if it has as many
         x = (middle * y - side) // 2**25
         use = (middle >= 2**24) & (x >= 2**23)
-        pair = x[use].astype(np.float32), (side * y[use]).astype(np.float32)
         assert use.sum() > COUNT / 10
+        signs = np.random.default_rng(2).choice([-1, 1], (2, use.sum()))
+        pair = (signs[0] * x[use]).astype(np.float32), (signs[1] * y[use]).astype(np.float32)
         np.testing.assert_array_equal(jax.jit(lambda x, y: division.corrected(x, y))(*pair), np.divide(*pair))
 
 
@@ -66,11 +67,21 @@ def test_a_quotient_is_the_same_program_on_a_processor(monkeypatch: pytest.Monke
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     other = jax.jit(lambda x, y: division.quotient(x, y))
     np.testing.assert_array_equal(other(ones, 3 * ones), np.float32(1) / np.float32(3))
-    text = jax.jit(lambda x, y: division.quotient(x, y)).trace(ones, ones).lower(lowering_platforms=("cuda",)).as_text()
-    assert "4.097" in text
-    with jax.enable_x64(True):  # the halves are of single precision, and a GPU divides in double precision exactly
-        double = jax.jit(lambda x, y: division.quotient(x, y)).trace(jnp.ones(3), jnp.ones(3))
-        assert "4.097" not in double.lower(lowering_platforms=("cuda",)).as_text()
+    assert "4.097" in on_cuda(ones)
+    with jax.enable_x64(True):
+        assert "4.097" not in on_cuda(jnp.ones(3, jnp.float64))  # halves of 12 bits are those of single precision
+
+
+def on_cuda(x: Array) -> str:
+    return jax.jit(lambda x, y: division.quotient(x, y)).trace(x, x).lower(lowering_platforms=("cuda",)).as_text()
+
+
+def test_a_fenced_product_is_rounded_before_it_is_added() -> None:
+    """As by a compiler that contracts others, which the one of the tests does not."""
+    x, y = np.random.default_rng(5).normal(size=(2, 1000)).astype(np.float32)
+    options = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
+    rest = jax.jit(lambda x, y, z: division.fenced(x * y) + z, compiler_options=options)(x, y, -(x * y))
+    np.testing.assert_array_equal(rest, 0)
 
 
 def test_derivatives_are_those_of_a_quotient(monkeypatch: pytest.MonkeyPatch) -> None:

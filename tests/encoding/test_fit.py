@@ -64,6 +64,33 @@ def batch(config: FitConfig, wrench: np.ndarray, length: int, limits: FitLimits 
     return encode_batch(config, limits, wrench[None], np.array([length], np.int32))
 
 
+@pytest.mark.parametrize("dt", [0.0001, 0.001, 0.002, 0.004, 0.005, 0.01])
+def test_whole_windows_are_kept_and_at_least_one_before_the_present(dt: float) -> None:
+    """Whatever the quotients of the seconds are rounded to."""
+    for window in range(2, 60):
+        for windows in range(2, 10):
+            assert FitConfig(window, dt, lookback=windows * window * dt).kept == window * (windows - 1)
+        assert FitConfig(window, dt, lookback=2.5 * window * dt).kept == 2 * window
+        assert FitConfig(window, dt, lookback=dt).kept == window
+    assert FitConfig(dt=dt, evidence=dt).needed == SHORTEST
+
+
+def name_of(count: int, slope: float, tolerance: float) -> Primitive:
+    """The label of a run of so many samples, whose line rises by ``slope`` in each."""
+    line = Line(jnp.array([count], jnp.int32), jnp.zeros(1), jnp.array([slope], jnp.float32))
+    limits = jnp.array([[64.0], [32.0], [16.0], [8.0], [tolerance]])
+    end = jnp.array([count], jnp.int32)
+    found = fit.primitive_of(FitConfig(impulse_below=0.05), limits, jnp.zeros_like(end), end, line)
+    return Primitive(int(found.label[0]))
+
+
+def test_names_at_the_limits_are_those_of_the_specification() -> None:
+    """A run is steep too long from 11 samples on, and level while 12 T^2 is not exceeded: here by 48 slope^2."""
+    assert [name_of(count, 1.0, 0.1) for count in (10, 11)] == [Primitive.PIMP, Primitive.BPOS]
+    assert [name_of(count, -1.0, 0.1) for count in (10, 11)] == [Primitive.NIMP, Primitive.BNEG]
+    assert [name_of(7, 0.5, tolerance) for tolerance in (1.0, 0.999)] == [Primitive.CONS, Primitive.PIMP]
+
+
 @pytest.mark.parametrize("name", CONFIGS)
 @settings(max_examples=12)
 @given(signal=signals)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from fractions import Fraction
 from unittest.mock import patch
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -20,13 +21,14 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, limits_for
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.features import FAMILIES, WHOLE, FeatureSpec, Intervals, interval_features
+from rcbht_jax.features import FAMILIES, WHOLE, FeatureSpec, Intervals, interval_features, online_weights
 from rcbht_jax.features import signal_families as drawn
 from rcbht_jax.features.online import check_online, names
-from rcbht_jax.features.online_signal import READINGS, moments, stride_of
+from rcbht_jax.features.online_signal import READINGS, empty, extend, grow, moments, stride_of
 from rcbht_jax.features.online_weights import two_sum
 from rcbht_jax.features.spans import ClippedSpans
 from rcbht_jax.introspection.chain import FeatureView, online_features, online_features_batch
+from rcbht_jax.labels import Primitive
 from rcbht_jax.types import LabelTrack, LabelTracks
 
 CONFIG, PAPER = EncoderConfig(), preset()
@@ -169,6 +171,43 @@ def test_readings_depend_on_the_samples_alone():
     np.testing.assert_array_equal(often[-1], once[0])
 
 
+def line(t0: int, t1: int, sign: int = 1) -> LabelTrack:
+    """The label of one axis whose level is the sample's number times a sign."""
+    code = Primitive.SPOS if sign > 0 else Primitive.SNEG
+    ints = (np.full((1, 1), value, np.int32) for value in (code, t0, t1, t1))
+    reals = (np.full((1, 1), value, np.float32) for value in (1e6, -1e6, sign * (t0 + t1) / 2, sign / CONFIG.dt))
+    return LabelTrack(*ints, *reals)
+
+
+@pytest.mark.parametrize(("before", "window"), [(256, 257), (2, 511), (512, 600), (255, 5)])
+def test_readings_are_dropped_as_often_as_one_window_needs(before: int, window: int) -> None:
+    begin, after = jnp.int32(20), before + window
+    readings = grow(empty(1), CONFIG.dt, begin, begin + before, before)
+    turn = 20 + before // 2
+    for part in (line(20, turn), line(turn, 20 + before, -1)):
+        readings = extend(readings, CONFIG.dt, begin, part)
+    readings = grow(readings, CONFIG.dt, begin, begin + after, window)
+    stride = next(2**k for k in range(9) if after <= READINGS * 2**k)
+    assert int(readings.stride) == stride
+    at = np.arange(20, 20 + after, stride)
+    sign = np.where(at < turn, 1, -1)
+    np.testing.assert_array_equal(readings.value[0, 0, : len(at)], sign)
+    np.testing.assert_allclose(readings.value[1, 0, : len(at)], sign * at, rtol=1e-5)
+
+
+def test_a_label_that_ends_where_the_interval_begins_is_not_read() -> None:
+    nothing = empty(1)
+    assert not np.any(extend(nothing, CONFIG.dt, jnp.int32(20), line(0, 20)).value)
+    assert np.any(extend(nothing, CONFIG.dt, jnp.int32(19), line(0, 20)).value)
+
+
+def test_the_first_line_goes_on_back_to_the_beginning_and_others_do_not() -> None:
+    readings = extend(empty(1), CONFIG.dt, jnp.int32(0), line(5, 20))
+    readings = extend(readings, CONFIG.dt, jnp.int32(0), line(25, 30, -1))
+    expected = np.where(np.arange(30) < 25, 1, -1) * np.arange(30)
+    np.testing.assert_allclose(readings.value[1, 0, :30], expected, rtol=1e-5, atol=1e-5)
+
+
 @settings(max_examples=10)
 @given(st.data())
 def test_the_future_changes_nothing(data):
@@ -217,6 +256,17 @@ def test_sums_stay_exact_over_ten_million_words():
         total, lost = two_sum(total, lost, value)
     assert float(total) + float(lost) == pytest.approx(start + float(values.astype(np.float64).sum()), rel=1e-9)
     assert jnp.float32(start) + jnp.float32(1e-3) == jnp.float32(start)
+
+
+def test_weights_that_vanish_beside_their_sum_are_not_lost() -> None:
+    """100 million and a thousand times 1, which single precision alone would round away."""
+    sums = online_weights.empty((1, 1), 2, 0, 2)
+    sums = replace(sums, words=sums.words.at[0].set(1e8))
+    one, hot = jnp.ones((1, 1, 1)), jnp.array([[[[True, False]]]])
+    none = jnp.zeros((1, 1, 1, 0), bool)
+    sums = jax.lax.fori_loop(0, 1000, lambda _, sums: online_weights.add(sums, one, hot, none), sums)
+    shares = np.array([1e8 + 1000, 1e8]) / (2e8 + 1000)
+    np.testing.assert_allclose(online_weights.share(sums.words)[0, 0], shares, rtol=2e-7)
 
 
 def test_errors():

@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
@@ -124,6 +125,54 @@ def test_the_model_stands_where_the_recorded_arm_stood(hiro_dir: Path, tmp_path:
     assert found["A"]["rms_mm"] <= 0.3
     with pytest.raises(InputError, match="holds no trial"):
         fidelity.kinematics(tmp_path)
+
+
+LOOSE = gate.GateLimits(
+    coverage=0, w1_over_sd=9, dtw_over_sd=9, auc=1, spread=9, impact=9, ring=9, ring_peak=9, damping=9, fewer_snaps=1,
+    late=9,
+)  # fmt: skip
+
+
+def test_a_session_is_held_against_its_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    run, snap = run_of(0), snaps.Snap(8.0, 17.0, 11.0)
+    run.seated[1] = [True, True, False, True]
+    events = dynamics.Dynamics(np.array([10.0, 11, 12]), dynamics.Ring(2.0, 30.0, 0.1))
+    known = dynamics.Dynamics(np.array([20.0]), dynamics.Ring(2.5, 40.0, 0.2))
+    found, recorded = snaps.summary([[snap], [], []]), snaps.summary([[snap], [snap]])
+    monkeypatch.setattr(fidelity, "rerun", lambda *_: (run, events, found))
+    monkeypatch.setattr(signature, "signature_figure", lambda *_: Figure())  # other tests draw it
+    strict = replace(LOOSE, impact=1.5)
+    target = sessions.Target(
+        replace(preset("B"), gate=strict), sessions.profiles(run), np.array([0.3, 0.4, 0.9]), known, recorded
+    )
+    said, picture = fidelity.session(target)
+    expected = gate.checks(strict, target.profiles, target.profiles, (known, events), (1.0, 1 / 3), 0.2)
+    values = {name: check["value"] for name, check in said["gate"].items()}
+    assert values == pytest.approx({name: check.value for name, check in expected.items()})
+    assert [name for name, check in said["gate"].items() if not check["holds"]] == ["first impact"]
+    assert (said["trials"], said["recorded_trials"], said["mated"], said["holds"]) == (3, 3, 3, False)
+    assert said["seated"] == pytest.approx(2 / 3)
+    assert said["onsets"] == pytest.approx([0.2, 0.4, 0.7])
+    assert said["outcomes_as_recorded"] == [sessions.agreement(target.session, run), 3]
+    assert (said["ring"]["hertz"], said["recorded_ring"]["hertz"]) == (2.0, 2.5)
+    assert picture is not None
+    loose = replace(target, session=replace(preset("B"), gate=LOOSE))
+    assert fidelity.session(loose)[0]["holds"]
+    assert fidelity.snap_shares(replace(target, snaps=snaps.summary([])), found) is None
+    monkeypatch.setattr(fidelity, "rerun", lambda *_: (replace(run, onset=np.full((3, 4), np.nan)), events, found))
+    lost, picture = fidelity.session(loose)
+    assert (lost["mated"], lost["onsets"], lost["gate"], lost["holds"], picture) == (0, None, {}, False, None)
+
+
+def test_events_are_those_of_the_force_at_touch_and_mating(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = run_of(0)
+    run = replace(run, length=np.full(3, SAMPLES, np.int32))
+    monkeypatch.setattr(native, "simulate", lambda *_, **__: run)
+    monkeypatch.setattr(fidelity, "seated_snaps", lambda *_: {})
+    _, events, _ = fidelity.rerun(preset("B"), 3)
+    first = round(0.2 / CONTROL_PERIOD)
+    near = run.wrench[:, first : first + round(dynamics.IMPACT / CONTROL_PERIOD), 2]
+    np.testing.assert_allclose(events.impact, near.max(1))
 
 
 def test_another_engine_is_held_against_the_native_one(monkeypatch: pytest.MonkeyPatch) -> None:
