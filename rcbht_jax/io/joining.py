@@ -32,8 +32,8 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
     """Write the recordings of several stores, with annotations and columns, as one store.
 
     Label tracks and the parameters of simulations are left out. Exact copies (source, trial, arm and samples) are taken
-    once. If only some stores have a corrected track (TRACK-harmonised), that of the others is a copy of TRACK, which tasks
-    read in a store of its own. All recordings are in memory at the same time.
+    once. If only some stores have a corrected track (TRACK-harmonised), that of the others is a copy of TRACK, as tasks
+    read a store without one. All recordings are in memory at the same time.
 
     >>> from rcbht_jax.io.store import write_recordings
     >>> for name in ("first.zarr", "second.zarr"):
