@@ -159,13 +159,13 @@ def reading(
     try:
         archive = read_arrays(path)
         meta = parse_json(str(archive.pop("meta")))
-        for name, values in archive.items():
-            check_finite(path, name, values[:0] if name in gaps else values)
-        if meta["format"] != kind:
+        if meta["format"] != kind:  # first: a file of another kind is not damaged
             if {kind, meta["format"]} <= MAKERS.keys():
                 made, needed = MAKERS[meta["format"]], MAKERS[kind]
                 raise InputError(f'{path} was made by "{made}"; this needs a file of "{needed}".')
             raise InputError(f"{path} has the format {meta['format']}; this version reads {kind} here.")
+        for name, values in archive.items():
+            check_finite(path, name, values[:0] if name in gaps else values)
         yield meta, archive
     except InputError as error:
         if str(path) in str(error):

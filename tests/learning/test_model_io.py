@@ -85,6 +85,14 @@ def test_a_model_of_another_command_is_named(path):
         load(path)
 
 
+def test_a_file_of_another_command_is_not_called_damaged(path):
+    """A monitor's file may have gaps (NaN), which the others may not."""
+    with reading(path, FORMAT) as (meta, arrays):
+        write_archive(path, meta | {"format": "rcbht-monitor-1"}, {**arrays, "described": np.full(3, np.nan)})
+    with pytest.raises(InputError, match='made by "rcbht monitor fit"; this needs a file of "rcbht train"'):
+        load(path)
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("name", ["center", "width", "support", "dual", "intercept"])
 def test_arrays_that_are_not_finite_are_refused(model, name, value, path):
