@@ -19,7 +19,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
-from rcbht_jax.robots.snap_assembly import HARMONISED
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED, STATES
 from rcbht_jax.types import LabelTrack, Recordings
 
 IMPULSE_SHARE = 0.85
@@ -115,6 +115,19 @@ def combine(
     return Context(medians[0], medians[1], GradientThresholds(spectrum(top, bottom)), trials)
 
 
+def _onsets(recordings: Recordings) -> Float[np.ndarray, "recording 4"]:
+    """Onsets of the four states in s, corrected where there are corrections."""
+    labels = recordings.annotations.labels
+    track = HARMONISED if HARMONISED in labels else RECORDED
+    if labels.get(track) != STATES:
+        there = ", ".join(f"{name} ({', '.join(labels[name])})" for name in labels) or "no annotations"
+        raise InputError(
+            f"The authors' rule needs a track {RECORDED} of {', '.join(STATES)}; there is {there}. Choose another "
+            "method."
+        )
+    return recordings.starts(track)
+
+
 def _median(values: NDArray[np.floating]) -> NDArray[np.float64]:
     """Per axis, over the trials that have a value."""
     columns = [column[~np.isnan(column)] for column in values.T]
@@ -132,7 +145,8 @@ def calibrate(
     """Apply the rule to the primitives that some thresholds give.
 
     Args:
-        recordings: the data set; its harmonised onsets are used.
+        recordings: the data set, with the four states on the track states; if there is a track states-harmonised, its
+            onsets are used.
         rows: recordings to calibrate on.
         config: static configuration of the encoder.
         base: ``[6, 4]``; they label the primitives, and replace limits for which there is no data. None = HIRO's.
@@ -140,8 +154,8 @@ def calibrate(
         least: see :func:`combine`.
 
     Raises:
-        InputError: no recordings, none with a rotation or an insertion that contains a primitive, or other axes than
-            those of a wrench.
+        InputError: no recordings, none with a rotation or an insertion that contains a primitive, no such track, or
+            other axes than those of a wrench.
     """
     if not len(rows):
         raise InputError("rows is empty; there is no trial to calibrate on.")
@@ -154,7 +168,7 @@ def calibrate(
     length = recordings.length[rows]
     tracks = encode_batch(config, base, recordings.wrench[rows], length)
     end = length * recordings.dt
-    impulse, constant = trial_limits(tracks.primitive, recordings.starts(HARMONISED)[rows], end, recordings.dt)
+    impulse, constant = trial_limits(tracks.primitive, _onsets(recordings)[rows], end, recordings.dt)
     context = combine(impulse, constant, base, copy, least)
     if not context.trials.any():
         raise InputError(

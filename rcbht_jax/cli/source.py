@@ -329,9 +329,10 @@ class Source(RuleCommand):
             return read_folder(path, self.arm, starts)
         if path.is_file():
             kind = kind_of(path.name) or "csv"
+            lines = f' Lines of wrenches can also be piped: "- < {path}".' if kind == "jsonl" else ""
             raise InputError(
                 f"{path} is not a store, trial, bag or MCAP file; import it first, "
-                f"for example: rcbht import {kind} {path} {path.stem}.zarr."
+                f"for example: rcbht import {kind} {path} {path.stem}.zarr.{lines}"
             )
         raise InputError(f"{path} is not a store, trial, bag or MCAP file; for JSON lines on standard input, write -.")
 

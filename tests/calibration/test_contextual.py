@@ -136,6 +136,18 @@ def test_context_of_recordings_and_of_none():
     assert contextual.calibrate(marked(some, onset_harmonised=onset), np.arange(8), CONFIG).trials.tolist() == [8, 0]
 
 
+def test_a_user_s_track_without_corrections_serves_and_other_tracks_are_named() -> None:
+    some = recordings()
+    plain = replace(some, annotations=some.annotations.of("states-harmonised"))
+    rows = plain.annotations
+    own = replace(plain, annotations=replace(rows, labels={"states": rows.labels["states-harmonised"]}))
+    expected = contextual.calibrate(some, np.arange(8), CONFIG)
+    np.testing.assert_array_equal(contextual.calibrate(own, np.arange(8), CONFIG).impulse, expected.impulse)
+    other = replace(plain, annotations=replace(rows, labels={"phase": rows.labels["states-harmonised"]}))
+    with pytest.raises(InputError, match=r"needs a track states of approach, .*; there is phase \(approach, "):
+        contextual.calibrate(other, np.arange(8), CONFIG)
+
+
 def test_poisoned_test_folds_change_no_threshold_and_no_training():
     clean = recordings()
     items = labelled_intervals(clean, TaskSpec())
