@@ -161,8 +161,8 @@ class Annotations(ByValue):
         if track and track not in self.labels:
             raise InputError(f"There is no track {track!r}; there are {', '.join(self.labels) or 'no annotations'}.")
         first = track or next(iter(self.labels), "")
-        corrected = f"{first}-harmonised"
-        return corrected if not track and corrected in self.labels else first
+        variant = corrected_variant(first)
+        return variant if not track and variant in self.labels else first
 
     def of(self, track: str) -> Annotations:
         """The intervals of one track.
@@ -299,3 +299,12 @@ class Annotations(ByValue):
     def _rows(self, rows: NDArray[Any] | slice) -> Annotations:
         columns = ("recording", "track", "code", "start", "end")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
+
+
+def corrected_variant(track: str) -> str:
+    """The name of the track that has a track's boundaries corrected, where there is one.
+
+    >>> corrected_variant("states")
+    'states-harmonised'
+    """
+    return f"{track}-harmonised"

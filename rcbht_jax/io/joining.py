@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from rcbht_jax._util.digest import wrench_digests
-from rcbht_jax.annotations import Annotations
+from rcbht_jax.annotations import Annotations, corrected_variant
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.tare import tare
@@ -89,7 +89,7 @@ def _check(paths: Sequence[Path], parts: Sequence[Recordings]) -> None:
 def _corrected(parts: Sequence[Recordings]) -> list[Recordings]:
     """The parts, each with a corrected track wherever any part has it, so that tasks find the recordings of all."""
     tracks = dict.fromkeys(track for part in parts for track in part.annotations.tracks)
-    pairs = [(track, variant) for track in tracks if (variant := f"{track}-harmonised") in tracks]
+    pairs = [(track, variant) for track in tracks if (variant := corrected_variant(track)) in tracks]
     found = []
     for part in parts:
         marks = part.annotations
