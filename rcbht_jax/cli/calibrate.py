@@ -140,6 +140,10 @@ class Calibrate(RuleCommand):
 
     FORMER: ClassVar[dict[str, str]] = {"--ledger": "--checkpoint"}
 
+    def interrupted(self) -> str:
+        saved = f"the scores so far are in {self.checkpoint}, and the same command resumes"
+        return super().interrupted() if self.checkpoint is None else saved
+
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache
         from rcbht_jax.calibration.sample import read_sample

@@ -180,6 +180,10 @@ class Command(ABC):
         """The exit status for the result of :meth:`run`; 0 unless the command is about what is wrong."""
         return 0
 
+    def interrupted(self) -> str:
+        """What an interruption leaves, as the end of a sentence."""
+        return "no incomplete file was left, and what a stream had recorded is kept"
+
     def check_inputs(self) -> None:
         """Refuse missing inputs, outputs that cannot be made or are an input, lists without a value, wrong seeds.
 

@@ -126,7 +126,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(str(error), 2)
     except KeyboardInterrupt as ending:
         status = 128 + (ending.number if isinstance(ending, Ended) else signal.SIGINT)
-        return _fail("Interrupted; no incomplete file was left, and what a stream had recorded is kept.", status)
+        return _fail("; ".join(["Interrupted", *getattr(ending, "__notes__", [])]) + ".", status)
     except BrokenPipeError:
         # The reader of our output has gone: the exit must not fail while flushing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -197,7 +197,11 @@ def _run(name: str, words: list[str]) -> int:
         return 0
     command.check_inputs()
     with needs_extra("all"), targets(command.outputs()):  # for what a module does not name itself
-        result = command.run()
+        try:
+            result = command.run()
+        except KeyboardInterrupt as ending:
+            ending.add_note(command.interrupted())
+            raise
     output = json.dumps(result, allow_nan=False) if as_json else command.text(result)
     if output:  # a command whose standard output is a stream of its own returns no text
         print(output if as_json else printable(output), flush=True)

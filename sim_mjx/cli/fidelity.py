@@ -56,6 +56,9 @@ class Fidelity(Command):
 
     FORMER: ClassVar[dict[str, str]] = {"--sessions": "--session", "--longest": "--max-seconds"}
 
+    def interrupted(self) -> str:
+        return "what is finished is kept, and the same command resumes"
+
     def run(self) -> dict[str, Any]:
         start = time.perf_counter()
         self._check()

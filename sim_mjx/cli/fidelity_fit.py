@@ -80,6 +80,9 @@ class FidelityFit(Command):
 
     FORMER: ClassVar[dict[str, str]] = {"--spread": "--initial-std"}
 
+    def interrupted(self) -> str:
+        return "what is finished is kept, and the same command resumes"
+
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.store import read_attrs, read_recordings
         from sim_mjx.randomization import overrides

@@ -130,6 +130,9 @@ class Simulate(Command):
     FORMER: ClassVar[dict[str, str]] = {"--longest": "--max-seconds", "-o": "", "--out": ""}
     LARGEST_SEED: ClassVar[int] = 2**64 - 1  # a key of Philox
 
+    def interrupted(self) -> str:
+        return "what is finished is kept, and the same command resumes"
+
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache
         from sim_mjx.cli.simulate_workers import be_worker, helpers, status

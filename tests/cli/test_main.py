@@ -189,9 +189,36 @@ def test_a_signal_ends_the_command_wherever_it_comes(where: str, number: int) ->
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     assert run.returncode == 128 + number, run.stderr
-    assert run.stderr.splitlines() == [
-        "rcbht: Interrupted; no incomplete file was left, and what a stream had recorded is kept."
-    ]
+    assert run.stderr.splitlines() == ["rcbht: Interrupted."]
+
+
+@pytest.mark.parametrize(
+    ("command", "kept"),
+    [
+        ("info", "no incomplete file was left, and what a stream had recorded is kept"),
+        ("simulate", "what is finished is kept, and the same command resumes"),
+        ("fidelity", "what is finished is kept, and the same command resumes"),
+        ("fidelity fit", "what is finished is kept, and the same command resumes"),
+        ("calibrate", "the scores so far are in scores.json, and the same command resumes"),
+    ],
+)
+def test_an_interrupted_command_says_what_is_kept(
+    command: str, kept: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = str(tmp_path)
+    words = {
+        "info": [store], "simulate": ["out.zarr"], "fidelity": ["--out", "out"],
+        "fidelity fit": [store, "--out", "out.json"],
+        "calibrate": [store, "--out", "out.json", "--method", "search", "--checkpoint", "scores.json"],
+    }[command]  # fmt: skip
+
+    def interrupted(self: Command) -> dict[str, object]:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(main.command_class(command), "run", interrupted)
+    assert main.main([*command.split(), *words]) == 128 + signal.SIGINT
+    assert capsys.readouterr().err == f"rcbht: Interrupted; {kept}.\n"
 
 
 def test_what_else_a_destructor_raises_is_reported_as_before() -> None:
