@@ -61,8 +61,8 @@ docs: $(INSTALLED) ## build the documentation into the folder site
 packages: $(INSTALLED) ## build sdist and wheel, and try them in fresh environments outside the repository
 	.ci/packages $(BIN)/python
 
-bench: $(INSTALLED) ## measure the encoders on this machine, idle; fail if a ratio has fallen by more than 20 %
-	$(BIN)/rcbht bench $(if $(wildcard benchmarks/history.json),--check benchmarks/history.json)
+bench: $(INSTALLED) ## compare the speed of the encoders with that of the commit in benchmarks/baseline; fail if one has fallen by more than 20 %
+	$(BIN)/python -m tools.speed
 
 reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or go on: FORCE=1 again, LONG=1 whole, RESULTS=folder elsewhere
 	$(if $(RESULTS),RCBHT_RESULTS=$(RESULTS)) $(BIN)/python -m experiments.reproduce $(WORK) \

@@ -1,13 +1,17 @@
 """Speeds as ratios to a reference measured in the same run, their history in a JSON file, and what has fallen.
 
-Seconds differ from machine to machine and from hour to hour; a ratio of two programs that take turns hardly does.
+Seconds differ from machine to machine and from hour to hour; a ratio of two programs that take turns differs less, and
+hardly on one machine.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import platform
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +22,8 @@ from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 
 FALL = 0.2  # of a ratio, that is no noise
-SAME = ("device", "trials", "samples")  # what two records that are compared have in common
+SIZES = ("device", "trials", "samples")  # what every record has
+SAME = ("processor", *SIZES)  # what two records that are compared have in common
 
 
 class Timing(NamedTuple):
@@ -53,8 +58,8 @@ def read_history(path: Path) -> list[dict[str, Any]]:
     """
     try:
         records = load_json(path)
-        if not all(isinstance(record["ratios"], dict) and set(SAME) <= set(record) for record in records):
-            raise ValueError(f"a record lacks its ratios or one of {', '.join(SAME)}")
+        if not all(isinstance(record["ratios"], dict) and set(SIZES) <= set(record) for record in records):
+            raise ValueError(f"a record lacks its ratios or one of {', '.join(SIZES)}")
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); make it with --history {path}.") from error
     except (ValueError, TypeError, KeyError) as error:
@@ -74,8 +79,23 @@ def append_record(path: Path, record: Mapping[str, Any]) -> None:
 
 
 def latest(records: list[dict[str, Any]], like: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The newest record of the same device and sizes; None = there is none."""
-    return next((old for old in reversed(records) if all(old[key] == like[key] for key in SAME)), None)
+    """The newest record of the same device, processor and sizes, as far as ``like`` has them; None = there is none."""
+    return next(
+        (old for old in reversed(records) if all(old.get(key) == like[key] for key in SAME if key in like)), None
+    )
+
+
+def processor(info: Path = Path("/proc/cpuinfo")) -> str:
+    """Model and number of cores of this machine's processor.
+
+    >>> processor(Path("no such file")).endswith("cores")
+    True
+    """
+    with suppress(OSError):
+        for line in info.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                return f"{line.partition(':')[2].strip()}, {os.cpu_count()} cores"
+    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores"
 
 
 def fallen(ratios: Mapping[str, float], earlier: Mapping[str, float]) -> list[str]:

@@ -35,7 +35,7 @@ class Bench(Command):
     """Measure speed and memory of the encoders and of a store.
 
     Lines read "name value unit". Times are medians; compile time is separate. A line ratio/... compares with a
-    reference measured alternately in the same run, so it depends little on the machine: the encoder with plain line
+    reference measured alternately in the same run, so it depends less on the machine: the encoder with plain line
     fits of the same windows, a streaming step with an empty one, the fit rule with the published rule, reading a store
     with loading and hashing the same bytes. The extra "bench" installs other symbolic representations (tslearn,
     fABBA), which are measured on the same array.
@@ -55,8 +55,8 @@ class Bench(Command):
     check: Annotated[
         Path | None,
         option(
-            "Compare the ratios with the newest record of this device and these sizes; exit status 2 if one has "
-            "fallen by more than 20 %.",
+            "Compare the ratios with the newest record of this device, processor and these sizes; exit status 2 if one "
+            "has fallen by more than 20 %.",
             "",
             metavar="HISTORY.json",
         ),
@@ -67,7 +67,7 @@ class Bench(Command):
     def run(self) -> dict[str, Any]:
         import jax
 
-        from rcbht_jax._util.ratios import append_record, fallen, latest, read_history
+        from rcbht_jax._util.ratios import append_record, fallen, latest, processor, read_history
 
         trials = self.trials if self.trials is not None else TRIALS_ON_DEVICE if self.device else TRIALS
         if trials < 1 or self.samples < 20:
@@ -77,12 +77,14 @@ class Bench(Command):
                 f"--trials is {trials} and --samples {self.samples}; expected at most {MOST} samples in all."
             )
         device = _device(self.device)
-        run = {"device": device.device_kind, "trials": trials, "samples": self.samples}
+        run = {
+            "device": device.device_kind, "processor": processor(), "trials": trials, "samples": self.samples,
+        }  # fmt: skip
         old = None if self.check is None else latest(read_history(self.check), run)
         if self.check is not None and old is None:
             raise InputError(
                 f"{self.check} has no run of {plural(trials, 'trial')} of {self.samples} samples on "
-                f"{device.device_kind}; add one with --history {self.check}."
+                f"{device.device_kind} with {run['processor']}; add one with --history {self.check}."
             )
         if self.history is not None:  # a wrong file is reported before the work
             check_place(self.history, None)

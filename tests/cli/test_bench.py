@@ -65,14 +65,16 @@ def test_a_fall_is_an_exit_status(
         return lambda _: (values, {name: factor * ratio for name, ratio in record["ratios"].items()})
 
     path = tmp_path / "history.json"
-    path.write_text(json.dumps([{**record, "ratios": {"step": 1e9}}, record, {**record, "device": "other"}]))
+    without = {name: value for name, value in record.items() if name != "processor"}  # as before 0.2
+    others = [{**record, "device": "other"}, {**record, "processor": "other"}, without]
+    path.write_text(json.dumps([{**record, "ratios": {"step": 1e9}}, record, *others]))
     monkeypatch.setattr(bench, "measure", measure(0.85))
     assert main([*SMALL, "--check", str(path)]) == 0
     assert f"no ratio has fallen by more than 20 % since {record['date']}" in capsys.readouterr().out
     monkeypatch.setattr(bench, "measure", measure(0.75))
     assert main([*SMALL, "--check", str(path), "--history", str(path)]) == 2
     assert "25 % below the earlier" in capsys.readouterr().out
-    assert [len(run["ratios"]) for run in json.loads(path.read_text())] == [1, 6, 6, 6]
+    assert [len(run["ratios"]) for run in json.loads(path.read_text())] == [1, 6, 6, 6, 6, 6]
     assert main([*SMALL[:2], "3", *SMALL[3:], "--check", str(path)]) == 2
     assert "has no run of 3 trials" in capsys.readouterr().err
 
