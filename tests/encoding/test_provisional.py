@@ -15,6 +15,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.labels import Primitive
 from rcbht_jax.types import LabelTrack
 from tests.encoding.test_fit import AXES, LIMITS, TOLERANCE, layers, wrench_of
 from tests.support.fit_oracle import FitOracle, least_squares, near
@@ -143,3 +144,23 @@ def test_the_end_of_a_stream_publishes_what_has_come_not_what_may_come() -> None
         for axis, name in enumerate(AXES):
             said = [(word.code, word.begin, word.end) for word in last if (word.layer, word.axis) == (layer, name)]
             assert said == words(track, axis)[-len(said) :]
+
+
+def test_a_run_is_named_at_0_11_s_and_when_older_after_the_evidence_that_is_missing() -> None:
+    """Of a straight ramp that is level while it has less than 24 samples; nothing speaks for a break."""
+    ramp = np.arange(40.0)[:, None] * TOLERANCE * np.sqrt(12 / (24**2 - 1))
+    level, slope = Primitive.CONS, Primitive.SPOS
+    for samples, label in ((1, level), (10, level), (21, level), (22, slope), (23, slope), (40, slope)):
+        stream = Encoder(FitConfig(), LIMITS)
+        stream.push(ramp[:samples])
+        primitives = stream.peek().primitive
+        assert [words(primitives, axis) for axis in range(3)] == [[(label, 0, samples)]] * 3
+
+
+def test_a_stream_without_samples_has_no_provisional_words() -> None:
+    stream = Encoder(FitConfig(), LIMITS)
+    for _ in range(2):
+        assert not any(track.label.any() for track in layers(stream.peek()))
+        stream.push(np.ones((12, 3)))
+        assert stream.peek().primitive.label.any()
+        stream.flush()
