@@ -75,6 +75,11 @@ def test_limits_that_make_no_sense_are_refused_before_they_are_used(rule: str) -
         limits_for(config, GRADIENTS, 0.0, RAMP[None], LENGTH)
 
 
+def test_gradients_out_of_order_are_refused_beside_any_tolerance() -> None:
+    with pytest.raises(InputError, match="ordered"):
+        FitLimits(GRADIENTS[:, ::-1].copy(), np.ones(2)).stacked()
+
+
 @pytest.mark.parametrize("tolerance", ["much", 1j, [[0.1], [0.1, 0.2]]])
 def test_a_tolerance_that_is_no_number_is_named(tolerance: Any) -> None:
     with pytest.raises(InputError, match=r"The tolerance is .*; expected numbers, or 'auto'"):
