@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -68,6 +69,20 @@ def words(track: LabelTrack, axis: int) -> list[tuple[int, ...]]:
     return list(zip(*(values[axis][used].tolist() for values in (track.label, track.t0, track.t1)), strict=True))
 
 
+def assert_words_are_of_a_run_that_goes_on(wrench: np.ndarray, pieces: list[Any], options: dict[str, int]) -> None:
+    """The words published so far and the provisional ones, unless rounding decides what they are."""
+    for axis in range(3):
+        limits = tuple(LIMITS.gradients[axis].tolist()), float(TOLERANCE[axis])
+        primitives, above = (oracle(*limits, **options) for oracle in (LastsLonger, GoesOn))
+        for oracle in (primitives, above):
+            oracle.encode(wrench[:, axis])
+        if near(primitives) or near(above):
+            continue
+        for number, rows in enumerate([primitives.out[0], *above.out[1:]]):
+            said = [word for piece in pieces for word in words(layers(piece)[number], axis)]
+            assert said == [(item.label, item.t0, min(item.t1, len(wrench))) for item, _ in rows]
+
+
 @pytest.mark.parametrize("name", CONFIGS)
 @settings(max_examples=15)
 @given(signal=signals)
@@ -78,16 +93,19 @@ def test_provisional_words_are_those_of_a_run_that_goes_on(name: str, signal: tu
     with jax.enable_x64(True):
         stream = Encoder(config, LIMITS, np.float64)
         pieces = [*stream.push(wrench), stream.peek()]
-    for axis in range(3):
-        limits = tuple(LIMITS.gradients[axis].tolist()), float(TOLERANCE[axis])
-        primitives, above = (oracle(*limits, **options) for oracle in (LastsLonger, GoesOn))
-        for oracle in (primitives, above):
-            oracle.encode(wrench[:, axis])
-        if near(primitives) or near(above):
-            continue
-        for number, rows in enumerate([primitives.out[0], *above.out[1:]]):
-            said = [word for piece in pieces for word in words(layers(piece)[number], axis)]
-            assert said == [(item.label, item.t0, min(item.t1, length)) for item, _ in rows]
+    assert_words_are_of_a_run_that_goes_on(wrench, pieces, options)
+
+
+@pytest.mark.parametrize("style", ["ramps", "steps", "noise", "long evidence"])
+def test_they_are_so_at_every_sample(style: str) -> None:
+    """Also where more evidence is asked for than samples are kept."""
+    config, options = (FitConfig(evidence=0.05), {"needed": 10}) if style == "long evidence" else (FitConfig(), {})
+    wrench, published = wrench_of(1, style)[:60], []
+    with jax.enable_x64(True):
+        stream = Encoder(config, LIMITS, np.float64)
+        for now in range(1, 61):
+            published += stream.push(wrench[now - 1 : now])
+            assert_words_are_of_a_run_that_goes_on(wrench[:now], [*published, stream.peek()], options)
 
 
 @settings(max_examples=8)
