@@ -14,9 +14,10 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from tests.encoding.test_fit import LIMITS, wrench_of
+from tests.support.tracks import FIELDS, layers
 from tests.support.trees import assert_trees_equal
 
-THREE = wrench_of(0, "noise")[:83].astype(np.float32)
+THREE = wrench_of(0, "noise").astype(np.float32)
 SIX = np.concatenate([THREE, -THREE], axis=1)
 
 
@@ -76,7 +77,7 @@ def test_bad_samples_change_nothing(bad: np.ndarray) -> None:
     assert_trees_equal(labels_of(encoder, THREE), labels_of(other, THREE))
 
 
-@pytest.mark.parametrize(("first", "second"), [(13, 13), (13, 58), (15, 16), (3, 83)])
+@pytest.mark.parametrize(("first", "second"), [(13, 13), (13, 58), (15, 16), (3, len(THREE))])
 def test_lines_and_windows_may_take_turns(first: int, second: int) -> None:
     encoder = fit_stream()
     before = encoder.push(THREE[:first])
@@ -90,12 +91,22 @@ def test_lines_and_windows_may_take_turns(first: int, second: int) -> None:
 def test_between_windows_the_stream_is_at_their_end() -> None:
     encoder = paper_stream()
     encoder.push(SIX[:3])
-    assert [encoder.received for _ in encoder.windows(SIX[3:])] == list(range(5, 81, 5))
+    assert [encoder.received for _ in encoder.windows(SIX[3:83])] == list(range(5, 81, 5))
     assert encoder.received == 83
 
 
+def test_a_slot_without_a_word_is_empty() -> None:
+    encoder = paper_stream()
+    for tracks in labels_of(encoder, SIX):
+        for track in layers(tracks):
+            for values in (getattr(track, name) for name in FIELDS):
+                assert not values[track.label == 0].any()
+
+
 def test_limits_are_those_of_the_beginning() -> None:
-    limits = rj.preset().limits.astype(np.float32)
+    memory = np.zeros(6 * 4 * 4 + 64, np.uint8)
+    limits = memory[-memory.ctypes.data % 64 :][: 6 * 4 * 4].view(np.float32).reshape(6, 4)
+    limits[:] = rj.preset().limits  # so aligned, JAX uses an array where it lies
     encoder = Encoder(rj.EncoderConfig(), limits)
     limits *= 100
     assert_trees_equal(labels_of(encoder, SIX), labels_of(paper_stream(), SIX))

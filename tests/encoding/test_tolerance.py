@@ -54,6 +54,7 @@ def test_a_configuration_that_asks_for_more_evidence_needs_less_tolerance() -> N
 def test_values_that_encoders_refuse_are_not_called_a_wrong_tolerance(bad: float) -> None:
     wrench = RAMP.copy()
     wrench[3:60:2] = bad
+    assert auto_tolerance(wrench[None], LENGTH, needed=5).tolist() == [1.0, 1.0]
     with pytest.raises(InputError, match="Recording 0 holds values that are not finite numbers, or beyond"):
         rj.encode(wrench, rule="fit")
 
