@@ -10,7 +10,7 @@ import pytest
 
 import rcbht_jax as rj
 from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.rules import limits_for
+from rcbht_jax.encoding.rules import checked_limits, limit_arrays, limits_for, limits_from
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance, noise_of
 from rcbht_jax.errors import InputError
 from tests.support.trees import assert_trees_equal
@@ -85,3 +85,12 @@ def test_gradients_out_of_order_are_refused_beside_any_tolerance() -> None:
 def test_a_tolerance_that_is_no_number_is_named(tolerance: Any) -> None:
     with pytest.raises(InputError, match=r"The tolerance is .*; expected numbers, or 'auto'"):
         limits_for(FitConfig(), GRADIENTS, tolerance, RAMP[None], LENGTH)
+
+
+def test_limits_come_back_from_their_arrays_digit_by_digit() -> None:
+    for config, limits in (
+        (rj.EncoderConfig(), GRADIENTS / 3),
+        (FitConfig(), FitLimits(GRADIENTS / 3, np.array([0.1, 0.2]))),
+    ):
+        found = limits_from(config, limit_arrays(limits))
+        np.testing.assert_array_equal(checked_limits(config, found), checked_limits(config, limits))
