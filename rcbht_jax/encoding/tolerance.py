@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.signals import numbers_of
-from rcbht_jax._util.values import ByValue, positive
+from rcbht_jax._util.values import SINGLE, ByValue, positive
 from rcbht_jax.encoding.thresholds import validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
@@ -92,7 +92,7 @@ def noise_of(parts: Sequence[Float[np.ndarray, "_time axis"]]) -> Float[np.ndarr
     return np.asarray(np.median(bends, axis=0)) / (_NORMAL_MAD * _SECOND_DIFFERENCE)
 
 
-@np.errstate(invalid="ignore")  # the encoder refuses what is not finite, in a sentence
+@np.errstate(invalid="ignore", over="ignore")  # the encoder refuses what is not finite or too large, in a sentence
 def auto_tolerance(
     wrench: Float[np.ndarray, "recording time axis"], length: Int[np.ndarray, " recording"], needed: int
 ) -> Float[np.ndarray, " axis"]:
@@ -101,12 +101,13 @@ def auto_tolerance(
     The usual range lies between the 1st and 99th percentile of all samples; for the noise see :func:`noise_of`.
 
     Args:
-        wrench: N and Nm, finite within the lengths.
+        wrench: N and Nm.
         length: samples that count.
         needed: squared tolerances that a break must save, :attr:`FitConfig.needed`.
 
     Returns:
-        float64, units of the axes; 1 for an axis that never changes, where any tolerance gives the same.
+        float64, units of the axes; 1 for an axis that never changes, where any tolerance gives the same, and for one
+        with values that encoders refuse.
 
     Example:
         >>> ramp = np.linspace(0, 100, 1001)[None, :, None]
@@ -121,4 +122,4 @@ def auto_tolerance(
     tolerance = np.maximum(SHARE * (high - low), (NOISE / needed) ** 0.5 * noise_of(parts))
     spare = SHARE * (values.max(axis=0) - values.min(axis=0))  # an axis that changes more rarely than usual
     tolerance = np.where(tolerance > 0, tolerance, spare)
-    return np.where(tolerance > 0, tolerance, 1.0)
+    return np.where((tolerance >= SINGLE[0]) & (tolerance <= SINGLE[1]), tolerance, 1.0)

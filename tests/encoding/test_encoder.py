@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -195,13 +196,56 @@ def test_what_lies_beyond_the_length_does_not_matter() -> None:
     assert_trees_equal(a, b)
 
 
+def test_recordings_of_one_call_have_their_own_lengths_and_limits() -> None:
+    config, length, factor = EncoderConfig(), np.array([231, 102], np.int32), np.array([1.0, 0.3])[:, None, None]
+    wrench, limits = np.stack([wrench_of(seed, "noise") for seed in range(2)]), preset().limits * factor
+    with jax.enable_x64(True):
+        ours = jax.tree.map(np.asarray, encode(config, jnp.asarray(limits), jnp.asarray(wrench), length))
+    for trial, axis in np.ndindex(2, 6):
+        signal = wrench[trial, : length[trial], axis].tolist()
+        expected = oracle.encode(signal, config.dt, limits[trial, axis].tolist(), config.window)
+        for track, rows in zip(layers(ours), expected.out, strict=True):
+            words = [row[:4] for row in published(track, (trial, axis))]
+            assert words == [(item.label, item.t0, item.t1, now) for item, now, _ in rows]
+
+
+@partial(jax.jit, static_argnums=0)
+def streamed(config: EncoderConfig, limits: jax.Array, windows: jax.Array, count: jax.Array) -> tuple[Any, Any]:
+    """The windows of a stream but for the last one, of which only some samples are there."""
+    state = encoder.init(windows.shape[2:], windows.dtype)
+    state, out = jax.lax.scan(lambda state, window: encoder.step(config, limits, state, window), state, windows[:-1])
+    return jax.vmap(encoder.unpack)(out), encoder.flush(config, limits, state, windows[-1], count)
+
+
+def test_the_lanes_of_a_stream_may_be_trials_and_axes() -> None:
+    config, limits = EncoderConfig(), jnp.asarray(preset().limits * np.array([1.0, 0.3])[:, None, None], jnp.float32)
+    wrench = np.stack([wrench_of(seed, "ramps", 45) for seed in range(2)]).astype(np.float32)
+    windows, count = jnp.asarray(wrench.swapaxes(0, 1).reshape(9, 5, 2, 6)), np.array([4, 2], np.int32)
+    steps, last = streamed(config, limits, windows, jnp.repeat(count[:, None], 6, 1))
+    whole = encode(config, limits, wrench, 40 + count)
+    for trial, axis in np.ndindex(2, 6):
+        for one, end, expected in zip(layers(steps), layers(last), layers(whole), strict=True):
+            one = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), one)
+            said = published(one, (trial, axis)) + published(end, (trial, axis))
+            assert said == published(expected, (trial, axis))
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.005, 0.1, 1 / 30])
+def test_durations_are_rounded_to_whole_samples(dt: float) -> None:
+    """Whatever the quotients of the seconds are rounded to: 0.3 / 0.1 is less than 3."""
+    for samples in range(1, 100):
+        config = EncoderConfig(dt=dt, noise_below=samples * dt, latency_cap=samples * dt)
+        assert config.short == config.rules(0).cap == config.rules(2).cap == samples
+    assert EncoderConfig(dt=0.1, noise_below=0.3).short == EncoderConfig(dt=0.1, latency_cap=0.3).rules(1).cap == 3
+
+
 def test_labels_take_less_than_32_bytes_a_window() -> None:
     wrench = np.zeros((4, 2000, 6), np.float32)
     limits, length = jnp.asarray(preset().limits, jnp.float32), np.full(4, 2000, np.int32)
     for track in layers(jax.eval_shape(partial(encoder.encode, EncoderConfig()), limits, wrench, length)):
         slots = track.label.size
         assert slots >= 4 * 6 * 400
-        assert sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(track)) <= 32 * slots
+        assert sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(track)) < 32 * slots
 
 
 def test_working_memory_is_at_most_six_times_the_wrench() -> None:

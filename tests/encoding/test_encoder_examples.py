@@ -136,6 +136,43 @@ def test_pipe_rules_equal_brute_force(name: str, spans: list[tuple[int, int, int
     ]
 
 
+LIMIT_RULES = {
+    "paper": (pipe.PipeRules(pipe.is_impulse), {}),
+    "similar": (pipe.PipeRules(pipe.is_impulse, rule="similar"), {"rule": "similar"}),
+    "capped": (pipe.PipeRules(pipe.is_impulse, cap=20), {"cap": 20}),
+    "one slot": (pipe.PipeRules(pipe.is_impulse, one_slot=True), {"slots": 1}),
+}
+
+
+@pytest.mark.parametrize("name", LIMIT_RULES)
+def test_what_is_absorbed_and_what_leaves_at_the_limits_of_the_rule(name: str) -> None:
+    """Ratios of exactly 5 and a run as long as the cap, whichever of two neighbours is the larger."""
+    rules, options = LIMIT_RULES[name]
+    amps, last = (1.0, 4.75, 5.0, 5.25), 1
+    firsts = itertools.product((1, 4, 5, 20, 25), amps)
+    seconds = itertools.product((1, 4, 19, 20, 24, 25), amps)
+    cases, expected = [], []
+    for (before, x), (after, y), third in itertools.product(firsts, seconds, (1, 7, 2)):
+        times = np.cumsum([0, before, after, last])
+        rows = [
+            oracle.It(label, int(t0), int(t1), amp, 0.0, 0.0, 0.0)
+            for label, t0, t1, amp in zip((1, 7, third), times[:-1], times[1:], (x, y, 1.0), strict=True)
+        ]
+        slow = oracle.Pipe(0, **options)
+        pushed = [slow.push(row) for row in rows]
+        expected.append([[(r.label, r.t0, r.t1, r.vmax) for r in out] for out in (*pushed, slow.drain())])
+        cases.append([(r.label, r.t0, r.dur, r.vmax) for r in rows])
+    arrivals = several(*np.moveaxis(np.array(cases), -1, 0).swapaxes(1, 2))
+    steps, rest = (jax.tree.map(np.asarray, part) for part in run_pipe(rules, arrivals))
+
+    def said(part: Segment, at: int, case: int) -> list[tuple[float, ...]]:
+        fields = (leaf[at, case].item() for leaf in (part.label, part.t0, part.t1, part.vmax))
+        return [tuple(fields)] if part.label[at, case] else []
+
+    for case, outs in enumerate(expected):
+        assert [*(said(steps, at, case) for at in range(3)), said(rest, 0, case) + said(rest, 1, case)] == outs
+
+
 def one(label: int, duration: int, amp: float) -> Segment:
     values = [jnp.float32(v) for v in (amp, 0.0, 0.0, 0.0)]
     return Segment(jnp.int32(label), jnp.int32(0), jnp.int32(duration), *values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,6 +16,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.labels import Primitive
 from rcbht_jax.types import LabelTrack
 from tests.encoding.test_fit import AXES, LIMITS, TOLERANCE, layers, wrench_of
 from tests.support.fit_oracle import FitOracle, least_squares, near
@@ -67,6 +69,20 @@ def words(track: LabelTrack, axis: int) -> list[tuple[int, ...]]:
     return list(zip(*(values[axis][used].tolist() for values in (track.label, track.t0, track.t1)), strict=True))
 
 
+def assert_words_are_of_a_run_that_goes_on(wrench: np.ndarray, pieces: list[Any], options: dict[str, int]) -> None:
+    """The words published so far and the provisional ones, unless rounding decides what they are."""
+    for axis in range(3):
+        limits = tuple(LIMITS.gradients[axis].tolist()), float(TOLERANCE[axis])
+        primitives, above = (oracle(*limits, **options) for oracle in (LastsLonger, GoesOn))
+        for oracle in (primitives, above):
+            oracle.encode(wrench[:, axis])
+        if near(primitives) or near(above):
+            continue
+        for number, rows in enumerate([primitives.out[0], *above.out[1:]]):
+            said = [word for piece in pieces for word in words(layers(piece)[number], axis)]
+            assert said == [(item.label, item.t0, min(item.t1, len(wrench))) for item, _ in rows]
+
+
 @pytest.mark.parametrize("name", CONFIGS)
 @settings(max_examples=15)
 @given(signal=signals)
@@ -77,16 +93,19 @@ def test_provisional_words_are_those_of_a_run_that_goes_on(name: str, signal: tu
     with jax.enable_x64(True):
         stream = Encoder(config, LIMITS, np.float64)
         pieces = [*stream.push(wrench), stream.peek()]
-    for axis in range(3):
-        limits = tuple(LIMITS.gradients[axis].tolist()), float(TOLERANCE[axis])
-        primitives, above = (oracle(*limits, **options) for oracle in (LastsLonger, GoesOn))
-        for oracle in (primitives, above):
-            oracle.encode(wrench[:, axis])
-        if near(primitives) or near(above):
-            continue
-        for number, rows in enumerate([primitives.out[0], *above.out[1:]]):
-            said = [word for piece in pieces for word in words(layers(piece)[number], axis)]
-            assert said == [(item.label, item.t0, min(item.t1, length)) for item, _ in rows]
+    assert_words_are_of_a_run_that_goes_on(wrench, pieces, options)
+
+
+@pytest.mark.parametrize("style", ["ramps", "steps", "noise", "long evidence"])
+def test_they_are_so_at_every_sample(style: str) -> None:
+    """Also where more evidence is asked for than samples are kept."""
+    config, options = (FitConfig(evidence=0.05), {"needed": 10}) if style == "long evidence" else (FitConfig(), {})
+    wrench, published = wrench_of(1, style)[:60], []
+    with jax.enable_x64(True):
+        stream = Encoder(config, LIMITS, np.float64)
+        for now in range(1, 61):
+            published += stream.push(wrench[now - 1 : now])
+            assert_words_are_of_a_run_that_goes_on(wrench[:now], [*published, stream.peek()], options)
 
 
 @settings(max_examples=8)
@@ -143,3 +162,23 @@ def test_the_end_of_a_stream_publishes_what_has_come_not_what_may_come() -> None
         for axis, name in enumerate(AXES):
             said = [(word.code, word.begin, word.end) for word in last if (word.layer, word.axis) == (layer, name)]
             assert said == words(track, axis)[-len(said) :]
+
+
+def test_a_run_is_named_at_0_11_s_and_when_older_after_the_evidence_that_is_missing() -> None:
+    """Of a straight ramp that is level while it has less than 24 samples; nothing speaks for a break."""
+    ramp = np.arange(40.0)[:, None] * TOLERANCE * np.sqrt(12 / (24**2 - 1))
+    level, slope = Primitive.CONS, Primitive.SPOS
+    for samples, label in ((1, level), (10, level), (21, level), (22, slope), (23, slope), (40, slope)):
+        stream = Encoder(FitConfig(), LIMITS)
+        stream.push(ramp[:samples])
+        primitives = stream.peek().primitive
+        assert [words(primitives, axis) for axis in range(3)] == [[(label, 0, samples)]] * 3
+
+
+def test_a_stream_without_samples_has_no_provisional_words() -> None:
+    stream = Encoder(FitConfig(), LIMITS)
+    for _ in range(2):
+        assert not any(track.label.any() for track in layers(stream.peek()))
+        stream.push(np.ones((12, 3)))
+        assert stream.peek().primitive.label.any()
+        stream.flush()
