@@ -210,7 +210,7 @@ def hidden_changes(
         >>> rng = np.random.default_rng(0)
         >>> ramp = np.linspace(0, [9.0, 0.0], 400) + 0.1 * rng.normal(size=(400, 2))
         >>> code = np.full((1, 2, 1), 7)
-        >>> labels = LabelTrack(code, code * 0, code * 0 + 400, *[code * 0.0] * 4)
+        >>> labels = LabelTrack(code, code * 0, code * 0 + 400, code * 0, *[code * 0.0] * 4)
         >>> hidden_changes(Recordings.from_arrays([ramp], 100, axes=("Fz", "Fx")), labels, 5, 7).tolist()
         [True, False]
     """
