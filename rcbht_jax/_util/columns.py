@@ -30,7 +30,8 @@ UNITS = {
     "microseconds": "us",
     "ns": "ns", "nsec": "ns", "nanoseconds": "ns", "min": "min", "minutes": "min", "h": "h", "hr": "h", "hours": "h",
     "с": "s", "сек": "s", "мс": "ms", "мсек": "ms", "мкс": "us", "нс": "ns", "мин": "min", "ч": "h", "초": "s",
-    "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
+    "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "rpm": "rpm", "v": "V", "a": "A",
+    "hz": "Hz",
     "м": "m", "мм": "mm", "рад": "rad", "град": "deg",
 }  # fmt: skip
 TIMES = (

@@ -391,6 +391,6 @@ def _seconds(time: Any, unit: float) -> NDArray[np.float64]:
     if kind in "fiu":
         return np.asarray(time, np.float64) * unit
     if kind not in "mM":
-        raise InputError(f"The time is {time.dtype}; expected seconds or dates.")
+        raise InputError(f"The time is {time.dtype}; expected seconds or dates, as pandas.to_datetime makes of text.")
     stamps = np.asarray(time, f"{'timedelta' if kind == 'm' else 'datetime'}64[ns]")
     return np.asarray((stamps - stamps[..., :1]) / np.timedelta64(1, "s"), np.float64)

@@ -28,6 +28,7 @@ STEPS = np.array([70.0, 46.0, 23.0]) / 70.0  # impulse, big and medium limit of 
 LEAST = np.array([8.0, 4.0, 2.0])  # the same limits in constant limits at least
 
 QUANTILES = 200  # of the steepness at rest, for penalties
+SWING = 20.0  # range of the means of windows in units of their noise, from which a signal changes; noise has about 9
 SOFTNESS = 0.25  # of the soft penalty, in the logarithm of the steepness
 
 
@@ -192,6 +193,36 @@ def rest_not_constant(
     np.add.at(moving, (row, axis, edges[1]), -1)
     other = (moving.cumsum(-1)[..., :-1] > 0).swapaxes(1, 2) & rest
     return other.sum((0, 1)) / np.maximum(rest.sum((0, 1)), 1)
+
+
+def hidden_changes(
+    recordings: Recordings, primitive: LabelTrack, window: int, constant: int
+) -> Bool[np.ndarray, " axis"]:
+    """Which axes change far more than their noise in some recording, although every label of theirs is constant.
+
+    Args:
+        recordings: what was labelled.
+        primitive: labels ``[recording, axis, slot]``.
+        window: samples per window.
+        constant: code of the constant label.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> ramp = np.linspace(0, [9.0, 0.0], 400) + 0.1 * rng.normal(size=(400, 2))
+        >>> code = np.full((1, 2, 1), 7)
+        >>> labels = LabelTrack(code, code * 0, code * 0 + 400, code * 0, *[code * 0.0] * 4)
+        >>> hidden_changes(Recordings.from_arrays([ramp], 100, axes=("Fz", "Fx")), labels, 5, 7).tolist()
+        [True, False]
+    """
+    label = np.asarray(primitive.label)
+    still = ((label == 0) | (label == constant)).all((0, 2))
+    changes = np.zeros(len(recordings.axes), bool)
+    for wrench, samples in zip(recordings.wrench, recordings.length.tolist(), strict=True):
+        if (count := samples // window) > 1:
+            means = wrench[: count * window].reshape(count, window, -1).mean(1, dtype=np.float64)
+            noise = np.median(np.abs(np.diff(means, axis=0)), axis=0)  # of a normal one, 0.95 standard deviations
+            changes |= (noise > 0) & (np.ptp(means, axis=0) > SWING * noise)
+    return still & changes
 
 
 def _block_means(

@@ -89,12 +89,18 @@ class Encode(RuleCommand):
             raise InputError(f"{self.store} has label tracks {name} already; choose another --name.")
         run = self._online() if self.mode == "online" else self._offline()
         write_batches(self.store, name, run.tracks(self.store), run.how)
-        restless = {} if run.training is None else _restless(run.training, run.labels_of_training(), self.window)
+        restless, hidden = {}, []
+        if run.training is not None:
+            labels = run.labels_of_training()
+            restless = _restless(run.training, labels, self.window)
+            hidden = _hidden(run.training, labels, self.window)
         facts = {
             "labels": run.counts,
             "samples": run.samples,
             "seconds": run.seconds,
             "rest_not_constant": restless,
+            "changes_all_constant": hidden,
+            "window_seconds": 0.0 if run.training is None else self.window * run.training.dt,
         }
         return {"store": str(self.store), "name": name, **facts, **run.how}
 
@@ -119,6 +125,12 @@ class Encode(RuleCommand):
             text += (
                 f"\nMore than a third of the time at rest is not labelled constant on {', '.join(restless)}: the "
                 "thresholds do not fit these recordings; try --robot auto."
+            )
+        if hidden := result["changes_all_constant"]:
+            span = f"{self.window} samples ({1e3 * result['window_seconds']:.3g} ms)"
+            text += (
+                f"\nEverything on {', '.join(hidden)} is labelled constant, although the values change: within a "
+                f"window of {span}, noise may be steeper than they are; try a longer one (--window {4 * self.window})."
             )
         return text
 
@@ -225,6 +237,15 @@ class _Run:
         from rcbht_jax.io.label_parts import joined
 
         return joined(self._kept)
+
+
+def _hidden(recordings: Recordings, tracks: LabelTracks, window: int) -> list[str]:
+    """The axes that change, although all their labels are constant."""
+    from rcbht_jax.calibration.rest import hidden_changes
+    from rcbht_jax.labels import Primitive
+
+    hidden = hidden_changes(recordings, tracks.primitive, window, Primitive.CONS)
+    return [axis for axis, one in zip(recordings.axes, hidden.tolist(), strict=True) if one]
 
 
 def _restless(recordings: Recordings, tracks: LabelTracks, window: int) -> dict[str, float]:

@@ -93,9 +93,11 @@ class Import(Command):
         if self.labels:
             mapping = replace(mapping, annotations=(Track(self.labels, self.labels),))
         if self.outcome:
-            mapping = replace(
-                mapping, columns={**mapping.columns, "outcome": Value(self.outcome, words=outcome_words(self.outcome))}
-            )
+            listed = any(value.table == self.outcome for value in mapping.columns.values())  # not in the recordings
+            outcome = Value(self.outcome, words=outcome_words(self.outcome))
+            if listed:
+                outcome = replace(outcome, column="", table=self.outcome)
+            mapping = replace(mapping, columns={**mapping.columns, "outcome": outcome})
         return mapping
 
     def text(self, result: dict[str, Any]) -> str:

@@ -160,7 +160,7 @@ class MonitorEvaluate(Command):
     """Store of recordings."""
     where: Where = ()
     nominal: str = "success"
-    """Outcome of nominal recordings; all others count as anomalous."""
+    """Outcome of nominal recordings; all other known ones count as anomalous, and unknown ones are left out."""
     group: Group = "session"
     folds: Annotated[int, option("Parts into which the groups are distributed; 0 = one part per group.")] = 10
     onset: Annotated[str, option("Column with the seconds after which the anomaly began, for the delay.", "")] = ""
@@ -172,7 +172,8 @@ class MonitorEvaluate(Command):
         from rcbht_jax.introspection.alarms import trials_needed
         from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, parts, thresholds
 
-        recordings = _read(self.store, self.where)
+        chosen = _read(self.store, self.where)
+        recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | _judged(chosen)))
         series = _series(recordings)
         groups, nominal = recordings.column(self.group), _nominal(recordings, self.nominal)
         monitor = _monitor(recordings, self.score_rate, self.levels)
@@ -182,7 +183,10 @@ class MonitorEvaluate(Command):
         limits = thresholds(watched, self.false_alarms)
         result = judge(watched, limits, onset)
         without = sorted(result["groups"].keys() - limits)
-        return {**result, "without_threshold": without, "needed": trials_needed(self.false_alarms)}
+        left_out = len(chosen) - len(recordings)
+        return {
+            **result, "without_threshold": without, "needed": trials_needed(self.false_alarms), "unknown": left_out
+        }  # fmt: skip
 
     def text(self, result: dict[str, Any]) -> str:
         from rcbht_jax.learning.metrics import wilson
@@ -191,6 +195,8 @@ class MonitorEvaluate(Command):
         width = max(map(len, rows))
         head = f"{'':{width}}  nominal  anomalous  AUROC  false alarms  detected  delay"
         lines = [head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())]
+        if unknown := result["unknown"]:
+            lines.append(f"left out: {plural(unknown, 'recording')}, outcome unknown")
         false, calm = result["false_alarms_of"]
         if calm:
             low, high = wilson(false, calm)
@@ -252,6 +258,13 @@ def _nominal(recordings: Recordings, outcome: str) -> NDArray[np.bool_]:
         there = ", ".join(sorted(set(recordings.outcome.tolist())))
         raise InputError(f"No recording has the outcome {outcome}; there are {there}. Choose one with --nominal.")
     return np.asarray(nominal)
+
+
+def _judged(recordings: Recordings) -> NDArray[np.bool_]:
+    """Recordings ``[recording]`` whose outcome is known."""
+    from rcbht_jax.types import STANDARD_COLUMNS
+
+    return np.asarray(recordings.outcome != STANDARD_COLUMNS["outcome"])
 
 
 def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...]) -> NominalMonitor:

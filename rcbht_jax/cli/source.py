@@ -287,7 +287,8 @@ class Source(RuleCommand):
             opening = read_opening(messages, self.lead if learns or measured else 0.0, known)
             messages, rate = opening.messages, known or opening.rate()
             its = reads is not None and not self.axes and len(reads.axes) == len(opening.axes)
-            recordings = opening.recordings(rate, *(reads[:2] if reads and its else (opening.axes,)))
+            named = reads[:2] if reads and its else (self._axes_of(opening.axes),)
+            recordings = opening.recordings(rate, *named)
         if self.axes:
             if len(self.axes) != len(recordings.axes):
                 raise InputError(
@@ -304,6 +305,24 @@ class Source(RuleCommand):
         config = self.config(1 / rate)
         limits = self.limits(config, thresholds, recordings)
         return WordIntrospector(config, limits, recordings.axes, recordings.units), messages
+
+    def _axes_of(self, axes: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of a stream's axes that nobody named: those in the file of thresholds, if it has other ones.
+
+        Raises:
+            InputError: there is no such file, or it has another number of axes.
+        """
+        from rcbht_jax.encoding.limit_files import axes_in
+
+        named = axes_in(self.thresholds) if self.thresholds is not None and not self.axes else axes
+        if set(axes) <= set(named):
+            return axes
+        if len(named) != len(axes):
+            raise InputError(
+                f"{self.thresholds} has thresholds for {', '.join(named)}, and the stream has "
+                f"{plural(len(axes), 'axis', 'axes')}; name {'it' if len(axes) == 1 else 'them'} with --axes."
+            )
+        return named
 
     def _messages(self, model: IntrospectionModel | None) -> Messages:
         from rcbht_jax.io.importing.find import kind_of

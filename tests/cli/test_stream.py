@@ -188,6 +188,17 @@ def test_words_without_a_model(tmp_path, capsys, monkeypatch):
     assert counts["file"] <= counts["auto"] < counts["preset"] / 2
 
 
+def test_a_file_of_thresholds_names_the_axes_of_a_stream_that_does_not(tmp_path, capsys, monkeypatch):
+    wrench = np.repeat([0.0, 5.0], [80, 120])[:, None] * [1.0, 2.0]
+    write_thresholds(tmp_path / "t.json", rj.GradientThresholds(np.full((2, 4), 1e6)), {}, ("force", "torque"))
+    monkeypatch.setattr(sys, "stdin", Stdin(lines(wrench)))
+    events = said_by(["stream", "-", "--thresholds", str(tmp_path / "t.json")], capsys)
+    assert {event["axis"] for event in events} == {"force", "torque"}
+    monkeypatch.setattr(sys, "stdin", Stdin(lines(wrench[:, :1])))
+    assert main(["stream", "-", "--thresholds", str(tmp_path / "t.json")]) == 2
+    assert "thresholds for force, torque, and the stream has 1 axis; name it with --axes." in capsys.readouterr().err
+
+
 def test_provisional_words_are_events_of_their_own(capsys, monkeypatch):
     monkeypatch.setattr(sys, "stdin", Stdin(lines(np.repeat([0.0, 5.0], [80, 120])[:, None])))
     events = said_by(["stream", "-", "--axes", "grip", "--robot", "hiro", "--provisional"], capsys)

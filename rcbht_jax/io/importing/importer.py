@@ -329,6 +329,9 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
             report.warnings.append(
                 (table.name, "is a table of annotations, and no recording is named in it or like it.")
             )
+        elif unknown := [word for word, places in meant.items() if word and not places]:
+            count = plural(sum(word in unknown for word, _ in rows), "annotation is", "annotations are")
+            report.warnings.append((table.name, f"{count} of no recording here, and left out: {some(unknown)}."))
 
 
 def named_after(name: str) -> str:

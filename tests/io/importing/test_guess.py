@@ -347,3 +347,8 @@ def test_what_is_true_in_a_column_named_after_an_error_is_a_failure(column: str)
 def test_what_is_true_in_a_column_that_denies_an_error_is_a_success(column: str) -> None:
     words = outcome_words(column)
     assert (words["true"], words["false"], words["nok"]) == ("success", "failure", "failure")
+
+
+def test_the_unit_of_a_speed_of_rotation_is_known() -> None:
+    columns = {"t": np.arange(9.0), "speed [rpm]": np.arange(9.0) ** 2}
+    assert guess(Table("a.csv", columns))[0].units == ("rpm",)

@@ -44,6 +44,26 @@ def test_a_table_that_lists_recordings_is_found(tmp_path: Path) -> None:
     assert read_recordings(tmp_path / "x.zarr").outcome.tolist() == ["success", "failure", "unknown"]
 
 
+def test_the_outcome_may_be_named_beside_a_map_that_was_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a", "b", "c"):
+        write(tmp_path / "runs" / f"{name}.csv", noise(ord(name)))
+    (tmp_path / "runs" / "trials.csv").write_text("file,result\na,ok\nb,nok\n")
+    words = ["import", "csv", str(tmp_path / "runs")]
+    assert main([*words, str(tmp_path / "x.zarr"), "--write-map", str(tmp_path / "x.toml")]) == 0
+    assert "Name one with --outcome or in a map. The values of 'result' may be outcomes." in capsys.readouterr().out
+    assert main([*words, str(tmp_path / "y.zarr"), "--map", str(tmp_path / "x.toml"), "--outcome", "result"]) == 0
+    assert read_recordings(tmp_path / "y.zarr").outcome.tolist() == ["success", "failure", "unknown"]
+
+
+def test_an_outcome_that_changes_is_not_called_absent(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", noise(1), event=["pick"] * 9 + ["place"] * 191)
+    report = read_source(tmp_path / "a.csv", mapping=Mapping(columns={"outcome": Value("event")})).report
+    assert report.warnings == [("a.csv", "states several outcomes; its outcome is unknown.")]
+    assert not any("No column states the outcome" in remark for remark in report.remarks)
+
+
 def test_a_table_of_recordings_outside_the_folder_is_not_read(tmp_path: Path) -> None:
     write(tmp_path / "runs" / "run7.csv", noise(1))
     (tmp_path / "trials.csv").write_text("file,operator\nrun7,Ann\n")
