@@ -67,8 +67,9 @@ class State:
         done: 1 = the episode has ended; results of further steps are undefined.
         metrics: "seated" (share of tabs), "success" (0 or 1), "force" (N, size of the measured force), and what
             wrappers add; ``step`` keeps the latter.
-        info: "truncation" (1 = ended by time), "diverged" (1 = the physics failed), "trial" (row of the
-            environment's trials), "time" (s), "phase" (of the controller), and what wrappers add.
+        info: "truncation" (1 = ended by time), "time_out" (the same, which Brax's wrappers leave), "diverged" (1 =
+            the physics failed), "trial" (row of the environment's trials), "time" (s), "phase" (of the controller),
+            and what wrappers add.
     """
 
     data: EnvData
@@ -78,12 +79,19 @@ class State:
     metrics: dict[str, Any]
     info: dict[str, Any]
 
+    @property
+    def pipeline_state(self) -> EnvData:
+        """``data`` by the name that Brax's wrappers use."""
+        return self.data
+
     def replace(self, **changes: Any) -> State:
         """The state with changed values; wrappers of MuJoCo Playground and Brax call this.
 
         Args:
-            changes: of the attributes.
+            changes: of the attributes; ``pipeline_state`` changes ``data``.
         """
+        if "pipeline_state" in changes:
+            changes["data"] = changes.pop("pipeline_state")
         return replace(self, **changes)
 
 
@@ -194,9 +202,10 @@ class Environment:
         data = EnvData(trial.body, trial.glance, loop, params, trial.fields, shifts, senses, zero, zero, zero)
         metrics = {"seated": _share(trial.glance), "success": none, "force": none}
         named = jnp.asarray(row, jnp.int32)
-        info = {"truncation": none, "diverged": none, "trial": named, "time": none, "phase": zero}
+        info = {"truncation": none, "time_out": none, "diverged": none, "trial": named, "time": none, "phase": zero}
         wrench = jnp.zeros(self.senses.axes, jnp.float32)  # none has been measured yet
-        return State(data, self.senses.observe(senses, joints, wrench), none, none, metrics, info)
+        state = State(data, self.senses.observe(senses, joints, wrench), none, none, metrics, info)
+        return jax.tree.map(jnp.copy, state)  # no leaf shares memory with another: programs may donate them
 
     @single
     def step(self, state: State, action: Float[Array, " action"]) -> State:
@@ -223,8 +232,9 @@ class Environment:
             "seated": _share(data.glance), "success": success.astype(jnp.float32),
             "force": jnp.linalg.norm(jnp.nan_to_num(wrench[-1, :3])),
         }  # fmt: skip
+        truncation = (late & sane & ~success).astype(jnp.float32)
         info = state.info | {
-            "truncation": (late & sane & ~success).astype(jnp.float32), "diverged": (~sane).astype(jnp.float32),
+            "truncation": truncation, "time_out": truncation, "diverged": (~sane).astype(jnp.float32),
             "time": data.tick.astype(jnp.float32) * CONTROL_PERIOD, "phase": data.phase,
         }  # fmt: skip
         return State(

@@ -1,6 +1,6 @@
 """Environments for learners that use Gymnasium; needs the extra ``gym``.
 
-:class:`VectorEnv` steps many environments in one compiled call, and starts the next episode where one has ended;
+:class:`VectorEnv` steps many environments in one compiled call, and begins the next episode where one has ended;
 :class:`SingleEnv` is a single environment.
 """
 
@@ -36,51 +36,80 @@ def spaces(env: Environment) -> tuple[Any, Any]:
 
 
 class VectorEnv(gymnasium.vector.VectorEnv):
-    """Environments that step together; where an episode has ended, the next step begins a new one.
+    """Environments that step together; where an episode has ended, a new one begins.
 
     Args:
         env: made by :func:`sim_mjx.env.load`.
         num_envs: number of environments.
         seed: seed of the first episodes, unless :meth:`reset` is given another.
+        autoreset_mode: when a new episode begins, as Gymnasium names it: "NextStep" = with the step after the end;
+            "SameStep" = with the last step, whose observation and infos are the infos "final_obs" and "final_info";
+            "Disabled" = when :meth:`reset` is called.
 
     Raises:
-        InputError: ``env`` is none, fewer than one environment, or a negative seed.
+        InputError: ``env`` is none, fewer than one environment, a negative seed, or an unknown mode.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  # Gymnasium wants a plain class attribute
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  # Gymnasium wants a plain class attribute
 
-    def __init__(self, env: Environment, num_envs: int, seed: int = 0) -> None:
+    def __init__(
+        self, env: Environment, num_envs: int, seed: int = 0, autoreset_mode: Any = AutoresetMode.NEXT_STEP
+    ) -> None:
         if not whole(num_envs, 1):
             raise InputError(f"num_envs is {num_envs!r}; expected a whole number, 1 or more.")
         self.env, self.num_envs, self._key = _environment(env), int(num_envs), _key(seed)
+        self._mode = _mode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self._mode}
         self.single_observation_space, self.single_action_space = spaces(env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._reset, self._step = jit(_reset, static_argnums=(0, 1)), jit(_step, static_argnums=0)
+        self._reset, self._step = jit(_reset, static_argnums=(0, 1)), jit(_step, static_argnums=(0, 1))
+        self._select = jit(select_lanes)
         self._state: State | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
-        """Begin an episode in every environment; ``options`` are not used."""
-        super().reset(seed=seed)
+        """Begin an episode in every environment, or in some.
+
+        Args:
+            seed: of these and all later episodes; None = go on with the present one.
+            options: "reset_mask" = where to begin an episode, bool [num_envs]; the others go on.
+                Other options are not used.
+
+        Raises:
+            InputError: a negative seed; a mask with a wrong shape or type, or true nowhere; or one that is not true
+                everywhere before the first reset.
+        """
+        mask = _mask(options, self.num_envs)
+        kept = None if mask is None else _started(self._state)
         if seed is not None:
-            self._key = _key(seed)
+            self._key, seed = _key(seed), int(seed)
+        super().reset(seed=seed)
         self._key, key = jax.random.split(self._key)
-        self._state = self._reset(self.env, self.num_envs, key)
+        fresh = self._reset(self.env, self.num_envs, key)
+        self._state = fresh if mask is None else self._select(mask, fresh, kept)
         return _host(self._state.obs), _infos(self._state)
 
     def step(self, actions: ArrayLike) -> tuple[Floats, Floats, Bools, Bools, dict[str, Any]]:
-        """Step all environments; where an episode had ended, the action is ignored and the next episode begins.
+        """Step all environments.
+
+        With the mode "NextStep", the action is ignored where an episode had ended: the next episode begins.
 
         Raises:
-            InputError: before the first :meth:`reset`, or actions with a wrong shape or NaN, or no numbers.
+            InputError: before the first :meth:`reset`, actions with a wrong shape or NaN, or no numbers, or with the
+                mode "Disabled" an episode that has ended.
         """
         state, values = _started(self._state), _checked(actions, (self.num_envs, self.env.action_size))
+        if self._mode is AutoresetMode.DISABLED and (over := np.flatnonzero(_host(state.done) > 0.5)).size:
+            raise InputError(
+                f"The episodes of the environments {over.tolist()} have ended; give reset their reset_mask first."
+            )
         self._key, key = jax.random.split(self._key)
-        self._state = self._step(self.env, state, values, key)
-        ended, truncated = (_host(x) > 0.5 for x in (self._state.done, self._state.info["truncation"]))
-        return (
-            _host(self._state.obs), _host(self._state.reward), ended & ~truncated, truncated, _infos(self._state)
-        )  # fmt: skip
+        self._state, reached = self._step(self.env, self._mode, state, values, key)
+        obs, reward, ended, truncated, infos = jax.tree.map(_host, reached)
+        if self._mode is AutoresetMode.SAME_STEP:
+            final = _final(obs, infos, ended) if ended.any() else {}
+            obs, infos = _host(self._state.obs), _infos(self._state) | final
+        return obs, reward, ended & ~truncated, truncated, infos
 
     def render(self) -> NoReturn:
         """Refused: there are no pictures.
@@ -112,9 +141,9 @@ class SingleEnv(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode; ``options`` are not used."""
-        super().reset(seed=seed)
         if seed is not None:
-            self._key = _key(seed)
+            self._key, seed = _key(seed), int(seed)
+        super().reset(seed=seed)
         self._key, key = jax.random.split(self._key)
         self._state = self._reset(key)
         return _host(self._state.obs), _infos(self._state)
@@ -143,10 +172,51 @@ def _reset(env: Environment, count: int, key: Any) -> State:
     return jax.vmap(env.reset)(jax.random.split(key, count))
 
 
-def _step(env: Environment, state: State, actions: Any, key: Any) -> State:
-    """Step the running episodes, and begin those that follow ended ones."""
-    stepped, fresh = jax.vmap(env.step)(state, actions), _reset(env, len(actions), key)
-    return select_lanes(state.done > 0.5, fresh, stepped)
+def _step(env: Environment, mode: Any, state: State, actions: Any, key: Any) -> tuple[State, tuple[Any, ...]]:
+    """The state from which the next step goes on, and what this step has reached: the same unless it is "SameStep"."""
+    after = reached = jax.vmap(env.step)(state, actions)
+    if mode is AutoresetMode.SAME_STEP:
+        after = select_lanes(reached.done > 0.5, _reset(env, len(actions), key), reached)
+    elif mode is AutoresetMode.NEXT_STEP:
+        after = reached = select_lanes(state.done > 0.5, _reset(env, len(actions), key), reached)
+    ended, truncated = reached.done > 0.5, reached.info["truncation"] > 0.5
+    return after, (reached.obs, reached.reward, ended, truncated, {**reached.metrics, **reached.info})
+
+
+def _final(obs: Floats, infos: dict[str, Any], ended: Bools) -> dict[str, Any]:
+    """What has been reached where episodes have ended, in the form of Gymnasium's infos."""
+    last = np.full(len(ended), None, object)
+    for lane in np.flatnonzero(ended):
+        last[lane] = obs[lane]
+    each = infos | {f"_{name}": ended.copy() for name in infos}
+    return {"final_obs": last, "_final_obs": ended.copy(), "final_info": each, "_final_info": ended.copy()}
+
+
+def _mode(mode: Any) -> Any:
+    """Gymnasium's mode, or its name.
+
+    Raises:
+        InputError: there is no such mode.
+    """
+    try:
+        return AutoresetMode(mode)
+    except ValueError as error:
+        known = ", ".join(repr(one.value) for one in AutoresetMode)
+        raise InputError(f"autoreset_mode is {mode!r}; expected one of {known}.") from error
+
+
+def _mask(options: dict[str, Any] | None, count: int) -> Bools | None:
+    """Where a reset begins an episode; None = everywhere.
+
+    Raises:
+        InputError: it is no array of bool [count], or true nowhere.
+    """
+    if not options or options.get("reset_mask") is None:
+        return None
+    mask = np.asarray(options["reset_mask"])
+    if mask.dtype != np.bool_ or mask.shape != (count,) or not mask.any():
+        raise InputError(f"reset_mask is {options['reset_mask']!r}; expected bool [{count}], true once or more.")
+    return None if mask.all() else mask
 
 
 def _key(seed: int) -> Any:

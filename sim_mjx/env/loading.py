@@ -45,7 +45,8 @@ def load(
     """Make an environment of a scenario: draw its trials, put them on the device and settle them.
 
     Args:
-        name: a task, such as "camera-snap" or "peg-in-hole", or a scenario, such as "hooked-A" or "plug@ur5e".
+        name: a task, such as "camera-snap" or "peg-in-hole", or a scenario, such as "hooked-A" or "plug@ur5e"; either
+            half may be your own, as in "key.py:KEY@panda".
         config: what an action does and what is observed; None = the defaults.
         spec: distributions of the trials, as the scenario's ``draw`` takes them; None = the defaults, without faults.
         trials: number of trials to draw, from which :meth:`Environment.reset` chooses.
@@ -75,7 +76,8 @@ def load(
         raise InputError(f"model is {model!r}; expected what rcbht_jax.introspection.model.load returns.")
     if not isinstance(name, str) or (name not in (*ALIASES, *PRESETS) and "@" not in name):
         raise InputError(
-            f"There is no environment {name!r}; expected one of {', '.join([*ALIASES, *PRESETS])}, or ASSEMBLY@ROBOT."
+            f"There is no environment {name!r}; expected one of {', '.join([*ALIASES, *PRESETS])}, or ASSEMBLY@ROBOT "
+            "(either may be FILE.py:NAME)."
         )
     scenario = get_scenario(ALIASES.get(name, name))
     scene = scenario.scene()

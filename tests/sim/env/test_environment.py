@@ -217,7 +217,8 @@ def test_success_takes_a_control_period_however_short_the_hold() -> None:
     assert float(seating[-1].metrics["success"]) == 1.0
 
 
-def test_wrappers_of_playground_reset_data_alone_and_add_their_own() -> None:
+@pytest.mark.parametrize("data", ["data", "pipeline_state"])  # names of MuJoCo Playground and of Brax
+def test_wrappers_reset_data_alone_and_add_their_own(data: str) -> None:
     """As ``wrap_for_brax_training`` of MuJoCo Playground: metrics and info of the ended episode stay."""
     env, reset, _ = compiled(JOINT)
     first = reset(jnp.int32(0))
@@ -225,7 +226,7 @@ def test_wrappers_of_playground_reset_data_alone_and_add_their_own() -> None:
 
     def step(state: Any, action: Any) -> tuple[Any, Any]:
         state = env.step(state.replace(done=jnp.zeros_like(state.done)), action)
-        again = state.replace(data=first.data, obs=first.obs)
+        again = state.replace(**{data: getattr(first, data)}, obs=first.obs)
         return jax.tree.map(lambda new, old: jnp.where(state.done > 0.5, new, old), again, state), state
 
     actions = np.tile(np.float32([1, 1, 1, 1, 0, 0]), (20, 1))
@@ -239,12 +240,25 @@ def test_wrappers_of_playground_reset_data_alone_and_add_their_own() -> None:
     assert env.n_substeps * env.sim_dt == pytest.approx(env.dt)
 
 
+def test_the_memory_of_a_first_state_may_be_donated() -> None:
+    """No leaf shares its buffer with another one or with the environment, whose next episodes begin as before."""
+    env, *_ = compiled(JOINT)
+    step = environments.jit(env.step, donate_argnums=0)
+    ends = []
+    for _ in range(2):
+        state = env.reset_to(jnp.int32(0))
+        for _ in range(2):
+            state = step(state, jnp.zeros(6))
+        ends.append(state)
+    assert_equal(*ends)
+
+
 def test_time_truncates() -> None:
     states = run(JOINT, np.zeros((40, 6), np.float32))
     done = [float(state.done) for state in states]
     assert done.index(1.0) == round(1.0 / JOINT.dt)
     last = states[done.index(1.0)]
-    assert (float(last.info["truncation"]), float(last.info["time"])) == (1.0, 1.0)
+    assert [float(last.info[name]) for name in ("truncation", "time_out", "time")] == [1.0, 1.0, 1.0]
     assert (float(last.metrics["success"]), float(last.info["diverged"])) == (0.0, 0.0)
 
 
@@ -253,7 +267,7 @@ def test_divergence_ends_an_episode_with_finite_numbers() -> None:
     done = [float(state.done) for state in states]
     last = states[done.index(1.0)]
     assert 1 < done.index(1.0) < 8
-    assert (float(last.info["diverged"]), float(last.info["truncation"])) == (1.0, 0.0)
+    assert [float(last.info[name]) for name in ("diverged", "truncation", "time_out")] == [1.0, 0.0, 0.0]
     assert np.isfinite(last.obs).all()
     assert np.isfinite([last.reward, *last.metrics.values()]).all()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from typing import Any
 
 import jax
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 
 pytest.importorskip("gymnasium", reason="Gymnasium is not installed; install the extra gym")
 
+import gymnasium
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 
 from rcbht_jax.errors import InputError
 from sim_mjx.env.config import EnvConfig
@@ -64,6 +67,101 @@ def test_an_episode_follows_the_one_that_has_ended(many: VectorEnv) -> None:
     assert np.array(rewards)[first + 1, 0] == 0.0
 
 
+ONE_SEATS = np.stack([SEATING, np.zeros(6, np.float32), np.zeros(6, np.float32)])
+
+
+def until_the_end(env: Any, seed: int = 3) -> tuple[int, Any]:
+    """Steps until the first environment has ended, and what the last one returned."""
+    env.reset(seed=seed)
+    for count in range(1, 20):
+        out = env.step(ONE_SEATS)
+        if out[2][0]:
+            return count, out
+    raise AssertionError("no end")
+
+
+def test_an_episode_follows_within_the_last_step_of_the_one_before(many: VectorEnv) -> None:
+    same = VectorEnv(many.env, 3, autoreset_mode="SameStep")
+    assert same.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert many.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    (length, (obs, reward, terminated, _, infos)), (wanted, last) = until_the_end(same), until_the_end(many)
+    assert length == wanted
+    np.testing.assert_array_equal(terminated, [True, False, False])
+    np.testing.assert_array_equal(reward, last[1])
+    np.testing.assert_array_equal(infos["_final_obs"], terminated)
+    np.testing.assert_array_equal(infos["final_obs"][0], last[0][0])
+    assert infos["final_obs"][1] is None
+    assert infos["final_info"]["time"][0] == last[4]["time"][0] > 0.0
+    np.testing.assert_array_equal(infos["time"], last[4]["time"] * [0, 1, 1])
+    np.testing.assert_array_equal(obs[1:], last[0][1:])
+    assert obs[0] in same.single_observation_space
+    _, _, terminated, _, infos = same.step(ONE_SEATS)
+    assert "final_obs" not in infos
+    assert infos["time"][0] == pytest.approx(0.025)
+    assert not terminated.any()
+
+
+def test_without_automatic_resets_a_mask_says_where_episodes_begin(many: VectorEnv) -> None:
+    env = VectorEnv(many.env, 3, autoreset_mode=AutoresetMode.DISABLED)
+    _, (obs, _, ended, _, infos) = until_the_end(env)
+    with pytest.raises(InputError, match=r"The episodes of the environments \[0\] have ended"):
+        env.step(ONE_SEATS)
+    options = {"reset_mask": ended}
+    begun, after = env.reset(options=options)
+    assert list(options) == ["reset_mask"]  # wrappers read it afterwards
+    np.testing.assert_array_equal(begun[1:], obs[1:])
+    np.testing.assert_array_equal(after["time"], infos["time"] * [0, 1, 1])
+    _, _, ended, _, infos = env.step(ONE_SEATS)
+    assert not ended.any()
+    np.testing.assert_allclose(infos["time"], after["time"] + 0.025, rtol=1e-6)
+
+
+@pytest.mark.parametrize("mask", [[True, False], [1, 0, 0], [False] * 3, np.array([[True, True, True]]), "all"])
+def test_a_mask_that_is_none_is_refused(many: VectorEnv, mask: Any) -> None:
+    many.reset(seed=0)
+    with pytest.raises(InputError, match=r"reset_mask is .*; expected bool \[3\], true once or more"):
+        many.reset(options={"reset_mask": mask})
+
+
+def test_a_mask_of_some_needs_episodes_that_go_on(many: VectorEnv) -> None:
+    with pytest.raises(InputError, match="call reset first"):
+        VectorEnv(many.env, 3).reset(options={"reset_mask": np.array([True, False, True])})
+    many.reset(options={"reset_mask": np.ones(3, bool)})
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_gymnasiums_wrapper_counts_whole_episodes(many: VectorEnv, mode: AutoresetMode) -> None:
+    env = RecordEpisodeStatistics(VectorEnv(many.env, 3, autoreset_mode=mode))
+    env.reset(seed=3)
+    lengths, returns = [], []
+    for _ in range(19):
+        _, _, ended, truncated, infos = env.step(ONE_SEATS)
+        if (over := ended | truncated).any():
+            lengths.append(int(infos["episode"]["l"][0]))
+            returns.append(float(infos["episode"]["r"][0]))
+            if mode is AutoresetMode.DISABLED:
+                env.reset(options={"reset_mask": over})
+    assert len(set(lengths)) == 1
+    assert returns == [2.0] * len(lengths)
+    assert len(lengths) >= 2
+
+
+def test_gymnasium_makes_them_by_name(many: VectorEnv) -> None:
+    name = "snap-on-springs-v0"
+    gymnasium.register(
+        name, lambda: SingleEnv(many.env), vector_entry_point=lambda num_envs: VectorEnv(many.env, num_envs)
+    )
+    try:
+        alone, together = gymnasium.make(name), NormalizeObservation(gymnasium.make_vec(name, num_envs=3))
+        assert alone.reset(seed=1)[0] in alone.observation_space
+        assert together.reset(seed=1)[0] in together.observation_space
+        assert together.step(ONE_SEATS)[0] in together.observation_space
+        alone.close()
+        together.close()
+    finally:
+        gymnasium.registry.pop(name)
+
+
 def test_seeds_repeat_and_episodes_differ(many: VectorEnv) -> None:
     first, _ = many.reset(seed=5)
     trial = many.reset()[1]["trial"]
@@ -101,6 +199,11 @@ def test_misuse_is_refused(many: VectorEnv) -> None:
     many.step(np.full((3, 6), np.inf))  # as 1, the largest
     with pytest.raises(InputError, match="num_envs is 0"):
         VectorEnv(many.env, 0)
+    with pytest.raises(InputError, match="autoreset_mode is 'never'; expected one of 'NextStep', 'SameStep'"):
+        VectorEnv(many.env, 3, autoreset_mode="never")
+    for adaptor in (SingleEnv(many.env), many):
+        with pytest.raises(InputError, match="seed is -1; expected a whole number, zero or more"):
+            adaptor.reset(seed=-1)
     for adaptor in (SingleEnv(many.env), many):
         with pytest.raises(InputError, match="draw no pictures"):
             adaptor.render()
