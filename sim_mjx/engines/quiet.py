@@ -42,5 +42,5 @@ def log_warp(warp: ModuleType) -> None:
         warp.set_logger(_WarpLog())
 
 
-if "warp" in sys.modules:  # MJX imports it where it is installed
-    log_warp(sys.modules["warp"])
+if (_warp := sys.modules.get("warp")) is not None:  # MJX imports it where it is installed
+    log_warp(_warp)
