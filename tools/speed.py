@@ -21,8 +21,9 @@ from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 
+from rcbht_jax._util.ratios import FALL
+
 ROOT = Path(__file__).resolve().parents[1]
-FALL = 0.2  # of a speed, that is no noise
 ROUNDS = (2, 6)  # at least, and at most if something seems to have fallen
 FASTER = {"samples/s": True, "bytes/s": True, "us": False, "s": False}  # unit -> whether more is faster
 LEFT_OUT = ("/compile", "/p99", "peer/")  # parts of names: too noisy, or not of this project

@@ -85,10 +85,10 @@ def latest(records: list[dict[str, Any]], like: Mapping[str, Any]) -> dict[str, 
     )
 
 
-def processor(info: Path = Path("/proc/cpuinfo")) -> str:
+def cpu_model(info: Path = Path("/proc/cpuinfo")) -> str:
     """Model and number of cores of this machine's processor.
 
-    >>> processor(Path("no such file")).endswith("cores")
+    >>> cpu_model(Path("no such file")).endswith("cores")
     True
     """
     with suppress(OSError):

@@ -67,7 +67,7 @@ class Bench(Command):
     def run(self) -> dict[str, Any]:
         import jax
 
-        from rcbht_jax._util.ratios import append_record, fallen, latest, processor, read_history
+        from rcbht_jax._util.ratios import append_record, cpu_model, fallen, latest, read_history
 
         trials = self.trials if self.trials is not None else TRIALS_ON_DEVICE if self.device else TRIALS
         if trials < 1 or self.samples < 20:
@@ -78,7 +78,7 @@ class Bench(Command):
             )
         device = _device(self.device)
         run = {
-            "device": device.device_kind, "processor": processor(), "trials": trials, "samples": self.samples,
+            "device": device.device_kind, "processor": cpu_model(), "trials": trials, "samples": self.samples,
         }  # fmt: skip
         old = None if self.check is None else latest(read_history(self.check), run)
         if self.check is not None and old is None:

@@ -163,6 +163,7 @@ class Command(ABC):
     # Former spellings of options, still accepted: the words of one -> the words that replace them.
     FORMER: ClassVar[dict[str, str]] = {}
     LARGEST_SEED: ClassVar[int] = 2**32 - 1  # that NumPy and scikit-learn take
+    RESUMES: ClassVar[bool] = False  # the same command goes on where an interrupted one ended
 
     @abstractmethod
     def run(self) -> dict[str, Any]:
@@ -182,7 +183,8 @@ class Command(ABC):
 
     def interrupted(self) -> str:
         """What an interruption leaves, as the end of a sentence."""
-        return "no incomplete file was left, and what a stream had recorded is kept"
+        kept = "what is finished is kept, and the same command resumes"
+        return kept if self.RESUMES else "no incomplete file was left, and what a stream had recorded is kept"
 
     def check_inputs(self) -> None:
         """Refuse missing inputs, outputs that cannot be made or are an input, lists without a value, wrong seeds.

@@ -100,7 +100,6 @@ class Encode(RuleCommand):
             "seconds": run.seconds,
             "rest_not_constant": restless,
             "changes_all_constant": hidden,
-            "window_seconds": 0.0 if run.training is None else self.window * run.training.dt,
         }
         return {"store": str(self.store), "name": name, **facts, **run.how}
 
@@ -127,7 +126,7 @@ class Encode(RuleCommand):
                 "thresholds do not fit these recordings; try --robot auto."
             )
         if hidden := result["changes_all_constant"]:
-            span = f"{self.window} samples ({1e3 * result['window_seconds']:.3g} ms)"
+            span = f"{self.window} samples ({1e3 * self.window * result['config']['dt']:.3g} ms)"
             text += (
                 f"\nEverything on {', '.join(hidden)} is labelled constant, although the values change: within a "
                 f"window of {span}, noise may be steeper than they are; try a longer one (--window {4 * self.window})."

@@ -94,9 +94,8 @@ class Import(Command):
             mapping = replace(mapping, annotations=(Track(self.labels, self.labels),))
         if self.outcome:
             listed = any(value.table == self.outcome for value in mapping.columns.values())  # not in the recordings
-            outcome = Value(self.outcome, words=outcome_words(self.outcome))
-            if listed:
-                outcome = replace(outcome, column="", table=self.outcome)
+            column, table = ("", self.outcome) if listed else (self.outcome, "")
+            outcome = Value(column, table, words=outcome_words(self.outcome))
             mapping = replace(mapping, columns={**mapping.columns, "outcome": outcome})
         return mapping
 

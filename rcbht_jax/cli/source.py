@@ -312,7 +312,7 @@ class Source(RuleCommand):
         Raises:
             InputError: there is no such file, or it has another number of axes.
         """
-        from rcbht_jax.encoding.limit_files import axes_in
+        from rcbht_jax.encoding.thresholds import axes_in
 
         named = axes_in(self.thresholds) if self.thresholds is not None and not self.axes else axes
         if set(axes) <= set(named):

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from rcbht_jax._util.untrusted import load_json
-from rcbht_jax._util.url_path import as_path
 from rcbht_jax.encoding.rules import AnyLimits
 from rcbht_jax.encoding.thresholds import (
     FIT_VERSION,
@@ -77,16 +75,6 @@ def read_limits(path: Path | str, axes: Sequence[str] = AXES) -> tuple[AnyLimits
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return found, provenance
-
-
-def axes_in(path: Path | str) -> tuple[str, ...]:
-    """Names of the axes in a file of limits, in their order.
-
-    Raises:
-        InputError: not such a file.
-    """
-    read_rows(path, ())
-    return tuple(load_json(as_path(path))["limits"])
 
 
 def has_tolerances(path: Path | str) -> bool:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -250,22 +251,38 @@ def read_rows(path: Path | str, axes: Sequence[str]) -> tuple[int, dict[str, NDA
         InputError: not such a file, it has nothing for one of the axes, something that is no number, or no names.
     """
     axes = texts(axes) if axes else ()  # none: only the version is asked for
+    with _file_of_thresholds(path) as (version, rows, provenance):
+        if missing := [axis for axis in axes if axis not in rows]:
+            raise InputError(f"{path} has no thresholds for {', '.join(missing)}; it has {', '.join(rows)}.")
+        columns = {name: np.array([_number(path, rows, axis, name) for axis in axes]) for name in COLUMNS[version]}
+    return version, columns, provenance
+
+
+def axes_in(path: Path | str) -> tuple[str, ...]:
+    """Names of the axes in a file of thresholds, in their order.
+
+    Raises:
+        InputError: not such a file.
+    """
+    with _file_of_thresholds(path) as (_, rows, _):
+        return tuple(rows)
+
+
+@contextmanager
+def _file_of_thresholds(path: Path | str) -> Iterator[tuple[int, Mapping[str, Any], dict[str, Any]]]:
+    """Version, rows by axis, and provenance; what is wrong with them, also in the body, becomes one sentence."""
     try:
         content = load_json(as_path(path))
         version = content["format_version"]
         if content["format"] != FORMAT or version not in COLUMNS:
             raise InputError(f"{path} is not a file of thresholds of version {' or '.join(map(str, COLUMNS))}.")
-        rows, provenance = content["limits"], dict(content["provenance"])
-        if missing := [axis for axis in axes if axis not in rows]:
-            raise InputError(f"{path} has no thresholds for {', '.join(missing)}; it has {', '.join(rows)}.")
-        columns = {name: np.array([_number(path, rows, axis, name) for axis in axes]) for name in COLUMNS[version]}
+        yield version, content["limits"], dict(content["provenance"])
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; expected a file of thresholds.") from None
     except (ValueError, KeyError, TypeError, UnicodeDecodeError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f'{path} is not a file of thresholds, as "rcbht calibrate" writes them.') from None
-    return version, columns, provenance
 
 
 def _number(path: Path | str, rows: Mapping[str, Any], axis: str, name: str) -> float:

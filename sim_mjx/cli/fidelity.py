@@ -55,9 +55,7 @@ class Fidelity(Command):
     """Seed of all trials."""
 
     FORMER: ClassVar[dict[str, str]] = {"--sessions": "--session", "--longest": "--max-seconds"}
-
-    def interrupted(self) -> str:
-        return "what is finished is kept, and the same command resumes"
+    RESUMES: ClassVar[bool] = True
 
     def run(self) -> dict[str, Any]:
         start = time.perf_counter()

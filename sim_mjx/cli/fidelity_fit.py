@@ -79,9 +79,7 @@ class FidelityFit(Command):
     """Seed of the search and of the simulated noise."""
 
     FORMER: ClassVar[dict[str, str]] = {"--spread": "--initial-std"}
-
-    def interrupted(self) -> str:
-        return "what is finished is kept, and the same command resumes"
+    RESUMES: ClassVar[bool] = True
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.store import read_attrs, read_recordings

@@ -128,10 +128,8 @@ class Simulate(Command):
     """Only show the progress of the job, its workers and its failed shards."""
 
     FORMER: ClassVar[dict[str, str]] = {"--longest": "--max-seconds", "-o": "", "--out": ""}
+    RESUMES: ClassVar[bool] = True
     LARGEST_SEED: ClassVar[int] = 2**64 - 1  # a key of Philox
-
-    def interrupted(self) -> str:
-        return "what is finished is kept, and the same command resumes"
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache

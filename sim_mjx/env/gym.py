@@ -180,7 +180,7 @@ def _step(env: Environment, mode: Any, state: State, actions: Any, key: Any) -> 
     elif mode is AutoresetMode.NEXT_STEP:
         after = reached = select_lanes(state.done > 0.5, _reset(env, len(actions), key), reached)
     ended, truncated = reached.done > 0.5, reached.info["truncation"] > 0.5
-    return after, (reached.obs, reached.reward, ended, truncated, {**reached.metrics, **reached.info})
+    return after, (reached.obs, reached.reward, ended, truncated, _named(reached))
 
 
 def _final(obs: Floats, infos: dict[str, Any], ended: Bools) -> dict[str, Any]:
@@ -268,4 +268,8 @@ def _host(values: Any) -> NDArray[Any]:
 
 
 def _infos(state: State) -> dict[str, Any]:
-    return {name: _host(value) for name, value in {**state.metrics, **state.info}.items()}
+    return {name: _host(value) for name, value in _named(state).items()}
+
+
+def _named(state: State) -> dict[str, Any]:
+    return {**state.metrics, **state.info}
