@@ -75,9 +75,11 @@ def measure(tree: Path) -> Speeds:
 
 
 def unpack(commit: str, folder: Path) -> bool:
-    """The packages as they were at a commit; False if this is no clone that has it."""
-    run = subprocess.run(["git", "archive", commit, "rcbht_jax", "sim_mjx"], cwd=ROOT, capture_output=True, check=False)
-    if run.returncode:
+    """The packages as they were at a commit; False without git, or if this is no clone that has it."""
+    command = ["git", "archive", commit, "rcbht_jax", "sim_mjx"]
+    try:
+        run = subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
+    except (OSError, subprocess.CalledProcessError):  # git itself may be missing
         return False
     with tarfile.open(fileobj=BytesIO(run.stdout)) as archive:
         archive.extractall(folder, filter="data")

@@ -170,18 +170,20 @@ class Environment:
 
         Args:
             row: of ``trials``.
-            seed: key of the sensor's noise, uint32 [2]; None = the trial's own.
+            seed: key of the sensor's noise, as of ``jax.random.key`` or ``PRNGKey``; None = the trial's own.
 
         Raises:
-            InputError: no row or no seed, or there is no such row. Compiled or mapped functions cannot ask for the
+            InputError: no row or no key, or there is no such row. Compiled or mapped functions cannot ask for the
                 latter: they begin another one.
         """
         if not _scalar(row):
             raise InputError(f"The row of a trial is {row!r}; expected one whole number (jax.vmap takes several).")
         if not isinstance(row, jax.core.Tracer) and not 0 <= int(row) < self.trial_count:
             raise InputError(f"There is no trial {int(row)}; expected 0 to {self.trial_count - 1}.")
+        if isinstance(seed, jax.Array) and jnp.issubdtype(seed.dtype, jax.dtypes.prng_key):
+            seed = jax.random.key_data(seed)
         if seed is not None and (np.shape(seed), getattr(seed, "dtype", None)) != ((2,), np.uint32):
-            raise InputError("The seed of the noise is no array of two uint32; expected one as of jax.random.PRNGKey.")
+            raise InputError("The seed of the noise is no key; expected one as of jax.random.key or PRNGKey.")
         return self.begin(jax.tree.map(lambda leaf: jnp.asarray(leaf)[row], self.trials), row, seed)
 
     @single

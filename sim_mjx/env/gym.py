@@ -6,9 +6,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NoReturn
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,6 +28,7 @@ with needs_extra("gym"):
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
+Seeds = int | Sequence[int | None] | NDArray[np.integer]  # one of all environments, or one of each
 
 
 def spaces(env: Environment) -> tuple[Any, Any]:
@@ -41,51 +44,59 @@ class VectorEnv(gymnasium.vector.VectorEnv):
     Args:
         env: made by :func:`sim_mjx.env.load`.
         num_envs: number of environments.
-        seed: seed of the first episodes, unless :meth:`reset` is given another.
+        seed: of the first episodes, unless :meth:`reset` is given another; a list has one for each environment.
         autoreset_mode: when a new episode begins, as Gymnasium names it: "NextStep" = with the step after the end;
             "SameStep" = with the last step, whose observation and infos are the infos "final_obs" and "final_info";
             "Disabled" = when :meth:`reset` is called.
 
     Raises:
-        InputError: ``env`` is none, fewer than one environment, a negative seed, or an unknown mode.
+        InputError: ``env`` is none, fewer than one environment, a negative seed, another number of seeds, or an unknown
+            mode.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  # Gymnasium wants a plain class attribute
 
     def __init__(
-        self, env: Environment, num_envs: int, seed: int = 0, autoreset_mode: Any = AutoresetMode.NEXT_STEP
+        self,
+        env: Environment,
+        num_envs: int,
+        seed: Seeds = 0,
+        autoreset_mode: Any = AutoresetMode.NEXT_STEP,
     ) -> None:
         if not whole(num_envs, 1):
             raise InputError(f"num_envs is {num_envs!r}; expected a whole number, 1 or more.")
-        self.env, self.num_envs, self._key = _environment(env), int(num_envs), _key(seed)
+        self.env, self.num_envs = _environment(env), int(num_envs)
+        self._keys = _keys(seed, jax.random.split(_key(0), self.num_envs))
         self._mode = _mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
         self.single_observation_space, self.single_action_space = spaces(env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._reset, self._step = jit(_reset, static_argnums=(0, 1)), jit(_step, static_argnums=(0, 1))
+        self._reset, self._step = jit(_reset, static_argnums=0), jit(_step, static_argnums=(0, 1))
         self._select = jit(select_lanes)
         self._state: State | None = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+    def reset(
+        self, *, seed: Seeds | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode in every environment, or in some.
 
         Args:
-            seed: of these and all later episodes; None = go on with the present one.
+            seed: of these and all later episodes; None = go on with the present one. A list has one for each
+                environment, whose episodes then do not depend on the others.
             options: "reset_mask" = where to begin an episode, bool [num_envs]; the others go on.
                 Other options are not used.
 
         Raises:
-            InputError: a negative seed; a mask with a wrong shape or type, or true nowhere; or one that is not true
-                everywhere before the first reset.
+            InputError: a negative seed, or another number of seeds; a mask with a wrong shape or type, or true
+                nowhere; or one that is not true everywhere before the first reset.
         """
         mask = _mask(options, self.num_envs)
         kept = None if mask is None else _started(self._state)
         if seed is not None:
-            self._key, seed = _key(seed), int(seed)
-        super().reset(seed=seed)
-        self._key, key = jax.random.split(self._key)
-        fresh = self._reset(self.env, self.num_envs, key)
+            self._keys = _keys(seed, self._keys)
+        super().reset(seed=None if seed is None or isinstance(seed, Sequence | np.ndarray) else int(seed))
+        self._keys, fresh = self._reset(self.env, self._keys)
         self._state = fresh if mask is None else self._select(mask, fresh, kept)
         return _host(self._state.obs), _infos(self._state)
 
@@ -103,8 +114,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             raise InputError(
                 f"The episodes of the environments {over.tolist()} have ended; give reset their reset_mask first."
             )
-        self._key, key = jax.random.split(self._key)
-        self._state, reached = self._step(self.env, self._mode, state, values, key)
+        self._keys, self._state, reached = self._step(self.env, self._mode, state, values, self._keys)
         obs, reward, ended, truncated, infos = jax.tree.map(_host, reached)
         if self._mode is AutoresetMode.SAME_STEP:
             final = _final(obs, infos, ended) if ended.any() else {}
@@ -168,19 +178,23 @@ class SingleEnv(gymnasium.Env):
         _refuse_pictures()
 
 
-def _reset(env: Environment, count: int, key: Any) -> State:
-    return jax.vmap(env.reset)(jax.random.split(key, count))
+def _reset(env: Environment, keys: Any) -> tuple[Any, State]:
+    """New episodes, and the keys of those after them."""
+    pairs = jax.vmap(jax.random.split)(keys)
+    return pairs[:, 0], jax.vmap(env.reset)(pairs[:, 1])
 
 
-def _step(env: Environment, mode: Any, state: State, actions: Any, key: Any) -> tuple[State, tuple[Any, ...]]:
-    """The state from which the next step goes on, and what this step has reached: the same unless it is "SameStep"."""
+def _step(env: Environment, mode: Any, state: State, actions: Any, keys: Any) -> tuple[Any, State, tuple[Any, ...]]:
+    """Keys, the state from which the next step goes on, and what this step has reached (another with "SameStep")."""
     after = reached = jax.vmap(env.step)(state, actions)
     if mode is AutoresetMode.SAME_STEP:
-        after = select_lanes(reached.done > 0.5, _reset(env, len(actions), key), reached)
+        keys, fresh = _reset(env, keys)
+        after = select_lanes(reached.done > 0.5, fresh, reached)
     elif mode is AutoresetMode.NEXT_STEP:
-        after = reached = select_lanes(state.done > 0.5, _reset(env, len(actions), key), reached)
+        keys, fresh = _reset(env, keys)
+        after = reached = select_lanes(state.done > 0.5, fresh, reached)
     ended, truncated = reached.done > 0.5, reached.info["truncation"] > 0.5
-    return after, (reached.obs, reached.reward, ended, truncated, _named(reached))
+    return keys, after, (reached.obs, reached.reward, ended, truncated, _named(reached))
 
 
 def _final(obs: Floats, infos: dict[str, Any], ended: Bools) -> dict[str, Any]:
@@ -219,7 +233,20 @@ def _mask(options: dict[str, Any] | None, count: int) -> Bools | None:
     return None if mask.all() else mask
 
 
-def _key(seed: int) -> Any:
+def _keys(seed: Seeds, present: Any) -> Any:
+    """The keys of environments ``[num_envs]``, of one seed or of one each; None in a list = the present one.
+
+    Raises:
+        InputError: a negative seed, none at all, or another number of seeds.
+    """
+    if not isinstance(seed, Sequence | np.ndarray):
+        return jax.random.split(_key(seed), len(present))
+    if len(seed) != len(present):
+        raise InputError(f"There are {len(seed)} seeds for {len(present)} environments.")
+    return jnp.stack([key if one is None else _key(one) for one, key in zip(seed, present, strict=True)])
+
+
+def _key(seed: Any) -> Any:
     """The key of a seed of any size, whose lowest 32 bits JAX would take alone.
 
     Raises:

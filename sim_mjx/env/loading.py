@@ -23,14 +23,14 @@ from sim_mjx.env.physics import new_physics, settled
 from sim_mjx.env.senses import new_senses
 from sim_mjx.own_code import whole
 from sim_mjx.presets import DEFAULT, PRESETS
-from sim_mjx.registry import SNAP, get_scenario
+from sim_mjx.registry import SNAP, Scenario, get_scenario
 
 # task -> the scenario that stands for it
 ALIASES = {SNAP: DEFAULT} | {name: f"{name}@panda" for name in ASSEMBLIES}
 
 
 def load(
-    name: str,
+    name: str | Scenario,
     config: EnvConfig | None = None,
     *,
     spec: Any = None,
@@ -46,7 +46,8 @@ def load(
 
     Args:
         name: a task, such as "camera-snap" or "peg-in-hole", or a scenario, such as "hooked-A" or "plug@ur5e"; either
-            half may be your own, as in "key.py:KEY@panda".
+            half may be your own, as in "key.py:KEY@panda". Or a scenario, as of
+            ``sim_mjx.registry.pair(assembly, robot)``.
         config: what an action does and what is observed; None = the defaults.
         spec: distributions of the trials, as the scenario's ``draw`` takes them; None = the defaults, without faults.
         trials: number of trials to draw, from which :meth:`Environment.reset` chooses.
@@ -74,23 +75,25 @@ def load(
         raise InputError(f"trials is {trials!r} and parallel {parallel!r}; expected whole numbers, 1 or more.")
     if not isinstance(model, IntrospectionModel | None):
         raise InputError(f"model is {model!r}; expected what rcbht_jax.introspection.model.load returns.")
-    if not isinstance(name, str) or (name not in (*ALIASES, *PRESETS) and "@" not in name):
+    if not isinstance(name, Scenario) and (
+        not isinstance(name, str) or (name not in (*ALIASES, *PRESETS) and "@" not in name)
+    ):
         raise InputError(
             f"There is no environment {name!r}; expected one of {', '.join([*ALIASES, *PRESETS])}, or ASSEMBLY@ROBOT "
             "(either may be FILE.py:NAME)."
         )
-    scenario = get_scenario(ALIASES.get(name, name))
+    scenario = name if isinstance(name, Scenario) else get_scenario(ALIASES.get(name, name))
     scene = scenario.scene()
     if params is None:
         spec = scenario.spec(nominal_share=1.0) if spec is None else spec
         if not is_dataclass(spec):
-            raise InputError(f"spec is {spec!r}; expected distributions, such as get_scenario({name!r}).spec().")
+            raise InputError(f"spec is {spec!r}; expected distributions, such as those of the scenario's spec().")
         params, _ = scenario.draw_batch(seed, range(trials), spec)
     if len(counts := {np.shape(leaf)[:1] for leaf in jax.tree.leaves(params)}) != 1 or counts <= {(), (0,)}:
         raise InputError("params is no batch of trials; expected that of a scenario's draw_batch, one trial or more.")
     like = scenario.draw_batch(0, range(1), scenario.spec())[0]
     if _kinds(params) != _kinds(like):
-        raise InputError(f"params has trials of another scenario than {name!r}; expected those of its draw_batch.")
+        raise InputError("params has trials of another scenario; expected those of its draw_batch.")
     physics = new_physics(scene, engines.IMPLEMENTATIONS[engine], max(parallel, batch_size(params)))
     senses = new_senses(config, 6 * len(scene.forces), len(scene.joints), model, thresholds)
     drawn = Trials(as_float32(params), device.fields_of(scene, params), *settled(scene, params))

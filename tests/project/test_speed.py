@@ -76,3 +76,8 @@ def test_the_committed_baseline_is_a_commit_of_this_project(tmp_path: Path) -> N
     assert speed.unpack((ROOT / "benchmarks/baseline").read_text().strip(), tmp_path)
     assert (tmp_path / "rcbht_jax/cli/bench.py").is_file()
     assert not speed.unpack("0" * 40, tmp_path)
+
+
+def test_without_git_nothing_is_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert not speed.unpack("HEAD", tmp_path)

@@ -19,6 +19,7 @@ from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.env.actions import with_set_points
 from sim_mjx.env.config import EnvConfig
 from sim_mjx.env.senses import new_senses
+from sim_mjx.registry import get_scenario
 from tests.support.fake_physics import environment, model, trials
 
 JOINT = EnvConfig(action="joint", controller="none", observe=("joints", "wrench"))
@@ -99,8 +100,10 @@ def test_what_does_not_fit_the_scenario_is_refused() -> None:
     for params in (jax.tree.map(lambda leaf: leaf[0], trials()), jax.tree.map(lambda leaf: leaf[:0], trials())):
         with pytest.raises(InputError, match="no batch of trials"):
             environments.load("B", params=params)
-    with pytest.raises(InputError, match="trials of another scenario than 'hooked-B'"):
+    with pytest.raises(InputError, match="trials of another scenario; expected"):
         environments.load("hooked-B", params=trials())
+    with pytest.raises(InputError, match="trials of another scenario; expected"):
+        environments.load(get_scenario("hooked-B"), params=trials())
     with pytest.raises(InputError, match=r"no environment 'tea-making'; expected one of camera-snap, .*, A, .*@"):
         environments.load("tea-making")
 

@@ -288,9 +288,11 @@ def test_reset_chooses_trials_and_noise() -> None:
     for row in ([0, 1], 0.5, "a", jnp.arange(2)):
         with pytest.raises(InputError, match="expected one whole number"):
             unchecked(env, row)
-    for seed in (5, jax.random.key(5), np.zeros(2)):
-        with pytest.raises(InputError, match="no array of two uint32"):
+    for seed in (5, jax.random.split(jax.random.key(5)), np.zeros(2)):
+        with pytest.raises(InputError, match="The seed of the noise is no key"):
             unchecked(env, 0, seed)
+    typed, raw = (env.reset_to(jnp.int32(1), made(5)) for made in (jax.random.key, jax.random.PRNGKey))
+    assert_equal(typed, raw)
 
 
 def test_words_and_beliefs_are_those_of_the_stream() -> None:

@@ -171,6 +171,29 @@ def test_seeds_repeat_and_episodes_differ(many: VectorEnv) -> None:
     assert len({tuple(many.reset(seed=seed)[1]["trial"].tolist()) for seed in range(8)}) > 1
 
 
+def test_seeds_of_a_list_are_those_of_single_environments(many: VectorEnv) -> None:
+    def episodes(seed: Any, count: int = 4) -> np.ndarray:
+        """Row of the trial and its noise, of the present and later episodes."""
+        many.reset(seed=seed)
+        rows = []
+        for _ in range(count):
+            rows.append(np.array(many._state.data.params.seed))
+            many.reset()
+        return np.stack(rows)
+
+    first, other = episodes([4, 5, 6]), episodes([4, 9, 6])
+    np.testing.assert_array_equal(first[:, [0, 2]], other[:, [0, 2]])
+    assert (first[:, 1] != other[:, 1]).any(axis=-1).all()
+    np.testing.assert_array_equal(episodes(np.array([6, 4, 4]))[:, 1:], first[:, [0, 0]])
+    many.reset(seed=[4, 5, 6])
+    many.reset(seed=[9, None, 9])
+    np.testing.assert_array_equal(many._state.data.params.seed[1], first[1, 1])
+    with pytest.raises(InputError, match="There are 2 seeds for 3 environments"):
+        many.reset(seed=[1, 2])
+    with pytest.raises(InputError, match="seed is -1"):
+        VectorEnv(many.env, 3, seed=[1, 2, -1])
+
+
 def test_a_seed_may_have_any_number_of_bits(many: VectorEnv) -> None:
     def drawn(seed: int) -> list[int]:
         return jax.random.key_data(_key(seed)).tolist()
