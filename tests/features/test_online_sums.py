@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from fractions import Fraction
 from functools import partial
 
 import jax
@@ -13,6 +14,7 @@ import numpy as np
 from rcbht_jax.features import FAMILIES, WHOLE, FeatureSpec, Intervals, interval_features
 from rcbht_jax.features import signal_families as drawn
 from rcbht_jax.features.online import RunningStats, _means, add, describe_interval, empty, names, weights
+from rcbht_jax.features.online_weights import two_sum
 from rcbht_jax.labels import LAYER_SIZES, LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
 
@@ -24,7 +26,7 @@ def made_up(rng: np.random.Generator, codes: int) -> LabelTrack:
     """Labels that follow each other, some of them level although their values differ."""
     edges = np.sort(rng.permutation(np.arange(1, 200))[: AXES * (WORDS + 1)].reshape(AXES, -1), axis=1).astype(np.int32)
     label = rng.integers(1, codes + 1, (AXES, WORDS)).astype(np.int8)
-    avg, half = rng.normal(size=(2, AXES, WORDS)).astype(np.float32)
+    avg, half = (rng.normal(size=(2, AXES, WORDS)) * [[1], [1e-3]]).astype(np.float32)  # N, and far less
     slope = rng.choice([-1.0, 0.0, 1.0], (AXES, WORDS)).astype(np.float32)
     return LabelTrack(label, edges[:, :-1], edges[:, 1:], edges[:, 1:], avg + abs(half), avg - abs(half), avg, slope)
 
@@ -80,3 +82,10 @@ def test_columns_weigh_so_that_each_kind_of_family_counts_as_much() -> None:
     assert len(found) == len(names(spec, 3)) == total
     expected = {round((total / 3 / columns) ** 0.5, 6): columns for columns in (words, edges, 1)}
     assert Counter(found.round(6).tolist()) == expected
+
+
+def test_a_sum_and_what_it_lost_are_exact_whichever_is_larger() -> None:
+    rng = np.random.default_rng(0)
+    total, value = (rng.normal(size=(2, 500)) * 10.0 ** rng.integers(-3, 4, (2, 500))).astype(np.float32)
+    for a, b, *parts in zip(total, value, *two_sum(total, np.zeros_like(total), value), strict=True):
+        assert Fraction(float(a)) + Fraction(float(b)) == sum(map(Fraction, map(float, parts)))
