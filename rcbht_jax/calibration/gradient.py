@@ -98,16 +98,15 @@ def batch_of(data: CalibrationData, config: AnyConfig) -> Batch:
 
 def _orders(trials: int, options: GradientOptions) -> Iterator[NDArray[np.int64]]:
     """Rows of the trials of each step; every trial is used once before any is used again."""
-    size = min(options.batch, trials)
     rng, queue = np.random.default_rng(options.seed), np.zeros(0, np.int64)
     while True:
         if not options.batch:
             yield np.arange(trials)
             continue
-        if len(queue) < size:
+        if len(queue) < options.batch:
             queue = np.concatenate([queue, rng.permutation(trials)])
-        yield queue[:size]
-        queue = queue[size:]
+        yield queue[: options.batch]
+        queue = queue[options.batch :]
 
 
 def loss(

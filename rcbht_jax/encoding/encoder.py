@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from rcbht_jax.encoding import composition, division, pipe, segments
 from rcbht_jax.encoding.choices import check_choices, make_plain
 from rcbht_jax.encoding.pipe import PipeRules
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of
+from rcbht_jax.encoding.thresholds import Thresholds, by_lane, limits_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import MC
 from rcbht_jax.types import Array, LabelTrack, LabelTracks, Segment
@@ -155,7 +155,8 @@ def step_partial(
     if window.shape[0] != config.window:
         raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
     window, count = jnp.asarray(window, state.reals.dtype), count.astype(jnp.int32)
-    x = segments.fit(window, count, _lane_limits(limits_of(thresholds), window), config.dt, state.time)
+    limits = by_lane(limits_of(thresholds), 4, state.time.shape, window.dtype)
+    x = segments.fit(window, count, limits, config.dt, state.time)
     return _advance(config, state, x, jnp.where(x.label > 0, count, 0))
 
 
@@ -187,12 +188,15 @@ def flush(
 
     Returns:
         labels ``[*lanes, slot]`` with 1 + 2, 1 + 5 and 1 + 8 slots: the window's, then the drained ones.
+
+    Raises:
+        InputError: as :func:`step`.
     """
     shape, lanes = state.time.shape, state.time.size
     state = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[: leaf.ndim - len(shape)], lanes), state)
-    rest, count = jnp.asarray(rest, state.reals.dtype).reshape(config.window, lanes), count.reshape(lanes)
-    lane_limits = jnp.broadcast_to(jnp.asarray(limits_of(thresholds), rest.dtype), (*shape, 4)).reshape(lanes, 4)
-    state, out = step_partial(config, lane_limits, state, rest, count)
+    rest, count = rest.reshape(rest.shape[0], lanes), count.reshape(lanes)
+    limits = by_lane(limits_of(thresholds), 4, shape, state.reals.dtype).reshape(4, lanes)
+    state, out = step_partial(config, limits.T, state, rest, count)
     joined = join_tracks(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, leaf.shape[-1]), joined)
 
@@ -218,12 +222,12 @@ def encode(
         then 2, 5 and 8 slots for what the end of the stream publishes.
 
     Raises:
-        InputError: other shapes.
+        InputError: other shapes, or limits of other axes.
     """
     if wrench.ndim != 3 or length.shape != wrench.shape[:1]:
         raise InputError(f"Wrench {wrench.shape}, length {length.shape}; expected [trial, time, axis] and [trial].")
     (trials, _, axes), wrench = wrench.shape, segments.as_floating(wrench)
-    lane_limits = _lane_limits(limits_of(thresholds), jnp.empty((1, trials * axes), wrench.dtype), (trials, axes))
+    lane_limits = by_lane(limits_of(thresholds), 4, (trials, axes), wrench.dtype).reshape(4, trials * axes)
     length, run = length.astype(jnp.int32), partial(_scan_whole, config)
     if jax.default_backend() == "gpu":
         from rcbht_jax.encoding import gpu  # which is made of this module's functions
@@ -265,9 +269,8 @@ def scan_lanes(
     window, lanes, count = config.window, samples.shape[1], count.astype(jnp.int32)
     samples, size = segments.whole_windows(samples, count, window)
     windows = len(size)
-    start = jnp.broadcast_to(jnp.arange(windows, dtype=jnp.int32)[:, None] * window, (windows, lanes))
     full = jnp.swapaxes(samples.reshape(windows, window, lanes), 0, 1)
-    x = segments.fit(full, size, limits[:, None], config.dt, start)
+    x = segments.fit(full, size, limits[:, None], config.dt, jnp.zeros_like(size))  # the loop knows the time
 
     def body(state: EncoderState, row: tuple[Array, ...]) -> tuple[EncoderState, PackedLabels]:
         label, *values = row
@@ -281,16 +284,6 @@ def scan_lanes(
 
 def join_tracks(a: LabelTracks, b: LabelTracks) -> LabelTracks:
     return jax.tree.map(lambda x, y: jnp.concatenate([x, y], axis=-1), a, b)
-
-
-def _lane_limits(limits: Array, like: Array, lanes: tuple[int, ...] | None = None) -> Array:
-    """Limits ``[..., axis, 4]`` as ``[4, ...lanes]`` in the dtype of the signal."""
-    shape = like.shape[1:] if lanes is None else lanes
-    try:
-        wide = jnp.broadcast_to(jnp.asarray(limits, like.dtype), (*shape, 4))
-    except ValueError:
-        raise InputError(f"Thresholds have shape {jnp.shape(limits)}; expected [axis, 4], or {[*shape, 4]}.") from None
-    return jnp.moveaxis(wide, -1, 0).reshape(4, *like.shape[1:])
 
 
 def _advance(config: EncoderConfig, state: EncoderState, x: Segment, count: Array) -> tuple[EncoderState, PackedLabels]:

@@ -29,7 +29,7 @@ from rcbht_jax.encoding.encoder import (
 )
 from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
 from rcbht_jax.encoding.segments import gradient_label, varying_as, whole_windows
-from rcbht_jax.encoding.tolerance import by_lane
+from rcbht_jax.encoding.thresholds import by_lane
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import MC, Primitive
 from rcbht_jax.types import Array, LabelTracks, Segment
@@ -137,7 +137,7 @@ def step(
         the new state and at most one label per layer and lane, packed; see :func:`rcbht_jax.encoding.encoder.unpack`.
 
     Raises:
-        InputError: the window has another number of samples.
+        InputError: the window has another number of samples, or limits of other axes.
 
     Example:
         >>> limits = jnp.array([[70.0, 46.0, 23.0, 1.0, 0.1]])
@@ -161,7 +161,7 @@ def step_partial(
         raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
     count, samples = count.astype(jnp.int32), jnp.concatenate([state.reals[REALS:], window.astype(state.reals.dtype)])
     after = residuals_after(samples, config.kept + count)
-    state, out = advance(config, by_lane(limits, samples), state, samples, after, count)
+    state, out = advance(config, by_lane(limits, 5, state.time.shape, samples.dtype), state, samples, after, count)
     return state, _published(out, state.time)
 
 
@@ -188,7 +188,7 @@ def flush(
     """
     state, out = step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
-    return join_tracks(first, drain(config, by_lane(limits, state.reals), state))
+    return join_tracks(first, drain(config, by_lane(limits, 5, state.time.shape, state.reals.dtype), state))
 
 
 def scan_lanes(

@@ -18,7 +18,7 @@ from rcbht_jax.encoding.division import fenced, quotient
 from rcbht_jax.encoding.encoder import EncoderState, join_tracks, unpack
 from rcbht_jax.encoding.fit import FitConfig, primitive_of
 from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
-from rcbht_jax.encoding.tolerance import by_lane
+from rcbht_jax.encoding.thresholds import by_lane
 from rcbht_jax.types import Array, LabelTracks, Segment
 
 LASTS = 0.11  # seconds that a run is expected to last; this and the next chosen on the even trials of session A
@@ -45,7 +45,7 @@ def labels(
         labels ``[*lanes, slot]`` with 1 + 5 slots, as of :func:`rcbht_jax.encoding.fit.flush`.
 
     Raises:
-        InputError: the rest has another number of samples than a window.
+        InputError: as :func:`rcbht_jax.encoding.fit.step`.
 
     Example:
         >>> config, limits = FitConfig(), jnp.array([[70.0, 46.0, 23.0, 1.0, 0.1]])
@@ -55,7 +55,7 @@ def labels(
         [7, 3]
     """
     samples = jnp.concatenate([state.reals[fit.REALS :], jnp.asarray(rest, state.reals.dtype)])
-    lanes, count = by_lane(limits, samples), count.astype(jnp.int32)
+    lanes, count = by_lane(limits, 5, state.time.shape, samples.dtype), count.astype(jnp.int32)
     saved = _saved(lanes[4], state, samples, config.kept, count)
     state, out = fit.step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))

@@ -88,6 +88,21 @@ def limits_of(thresholds: Thresholds) -> Float[Array, "*batch axis 4"]:
     return thresholds.limits if isinstance(thresholds, GradientThresholds) else thresholds
 
 
+def by_lane(limits: Array, number: int, lanes: tuple[int, ...], dtype: jax.typing.DTypeLike) -> Array:
+    """Limits ``[axis, number]`` or ``[*lanes, number]`` as ``[number, *lanes]``, inside jit, vmap and grad too.
+
+    Raises:
+        InputError: they are of other axes, or another number of them.
+    """
+    shape, wide = jnp.shape(limits), (*lanes, number)
+    try:
+        if shape[-1:] != wide[-1:]:
+            raise ValueError
+        return jnp.moveaxis(jnp.broadcast_to(jnp.asarray(limits, dtype), wide), -1, 0)
+    except ValueError:
+        raise InputError(f"Thresholds have shape {shape}; expected [axis, {number}], or {[*wide]}.") from None
+
+
 def validate(limits: NDArray[np.floating]) -> None:
     """Check a host array of limits ``[..., axis, 4]``.
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
@@ -62,12 +61,6 @@ class FitLimits(ByValue):
                 "3.4e38, which single precision holds."
             )
         return np.concatenate([gradients, tolerance[..., None]], axis=-1)
-
-
-def by_lane(limits: Array, like: Array) -> Array:
-    """Limits ``[..., axis, 5]`` as ``[5, *lanes]`` in the dtype of the signal."""
-    wide = jnp.broadcast_to(jnp.asarray(limits, like.dtype), (*like.shape[1:], limits.shape[-1]))
-    return jnp.moveaxis(wide, -1, 0)
 
 
 def noise_of(parts: Sequence[Float[np.ndarray, "_time axis"]]) -> Float[np.ndarray, " axis"]:

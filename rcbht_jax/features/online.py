@@ -147,7 +147,7 @@ def add(spec: FeatureSpec, dt: float, stats: RunningStats, tracks: LabelTracks) 
     spans = jnp.where(hot, span[..., None], 0)
     last, runs, run_hot = _add_runs(spec, stats, code)
     weighed = {
-        kind: online_weights.add(sums, jnp.where(used, online_weights.weights(kind, words, span), 0), hot, run_hot)
+        kind: online_weights.add(sums, online_weights.weights(kind, words, span), hot, run_hot)
         for kind, sums in stats.weighed.items()
     }
     readings = stats.readings
@@ -171,7 +171,7 @@ def _add_values(
 ) -> Values:
     values = stats.values
     assert values is not None
-    weighted = _values(words) * jnp.where(used, span, 0).astype(jnp.float32)[..., None]
+    weighted = _values(words) * span.astype(jnp.float32)[..., None]
     group_hot = _hot(_group(spec, code) - 1, CODES)
     sums = jnp.sum(jnp.where(group_hot[..., None], weighted[..., None, :], 0), axis=2)
     total, lost = two_sum(values.total, values.lost, sums)
@@ -264,7 +264,7 @@ def describe_interval(spec: FeatureSpec, dt: float, stats: RunningStats, now: Ar
     flat = [jnp.concatenate(wide, axis=-1).reshape(-1)] if wide else []
     if stats.readings is not None:
         flat.append(online_signal.describe(spec.families, stats.readings, now - stats.begin))
-    flat += [((now - stats.begin).astype(jnp.float32) * dt)[None]] * len(_SECONDS & set(spec.families))
+    flat.append(((now - stats.begin).astype(jnp.float32) * dt)[None])
     return jnp.concatenate(flat)[jnp.asarray(_columns(spec, stats.count.shape[1]))]
 
 
@@ -340,7 +340,7 @@ def _columns(spec: FeatureSpec, axes: int) -> NDArray[np.int32]:
         if name == "primitive":
             out.extend(range(behind, behind + online_signal.width(spec.families, axes)))
             behind += online_signal.width(spec.families, axes)
-    out.extend(range(behind, behind + len(_SECONDS & set(chosen))))
+    out.extend([behind] * len(_SECONDS & set(chosen)))
     return np.array(out, np.int32)
 
 

@@ -47,7 +47,7 @@ def add(sums: WeighedSums, weight: Array, word_hot: Array, run_hot: Array) -> We
 
     Args:
         sums: of the labels before.
-        weight: of each label ``[layer, axis, slot]``, 0 in empty slots.
+        weight: of each label ``[layer, axis, slot]``, any number in empty slots.
         word_hot: bool ``[layer, axis, slot, code]``, which label; none in empty slots.
         run_hot: bool ``[layer, axis, slot, run]``, which run the label ends; none where it ends none.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from inspect import unwrap
 from typing import Any
 
 import jax
@@ -19,6 +20,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
+from rcbht_jax.types import Segment
 from tests.support import oracle
 from tests.support.tracks import layers, published
 from tests.support.trees import assert_trees_equal
@@ -187,6 +189,13 @@ def test_bad_data_sets_are_refused(wrench: np.ndarray, length: np.ndarray) -> No
         encode_batch(EncoderConfig(), preset(), wrench, length)
 
 
+@pytest.mark.parametrize(("wrench", "length"), [((10, 6), (10,)), ((2, 10, 6), (1,)), ((2, 10, 6), (2, 6))])
+def test_shapes_that_do_not_belong_together_are_refused(wrench: tuple[int, ...], length: tuple[int, ...]) -> None:
+    bare = unwrap(encoder.encode)  # without the checks of types, which users do not have
+    with pytest.raises(InputError, match=r"expected \[trial, time, axis\] and \[trial\]"):
+        bare(EncoderConfig(), preset(), jnp.zeros(wrench), jnp.full(length, 10, jnp.int32))
+
+
 def test_what_lies_beyond_the_length_does_not_matter() -> None:
     wrench = wrench_of(1, "noise").astype(np.float32)
     padded = wrench.copy()
@@ -253,3 +262,17 @@ def test_working_memory_is_at_most_six_times_the_wrench() -> None:
     limits = jax.ShapeDtypeStruct((6, 4), jnp.float32)
     memory = encode.lower(EncoderConfig(), limits, shape, length).compile().memory_analysis()
     assert memory.temp_size_in_bytes <= 6 * 100 * 2000 * 6 * 4
+
+
+def test_what_is_empty_is_published_as_zeros_without_derivatives() -> None:
+    """An empty segment holds any values; divided by its no samples they would make NaN of all derivatives."""
+
+    def track(values: jax.Array) -> Any:
+        labels, starts, ends = (jnp.array(x, jnp.int32) for x in ([0, 0, 3], [4, 2, 0], [4, 9, 5]))
+        return encoder.track_of(Segment(labels, starts, ends, *values), jnp.full(3, 9, jnp.int32))
+
+    values = jnp.array([[7.0, 7.0, 7.0], [1.0, 1.0, 1.0], [40.0, 40.0, 40.0], [10.0, 10.0, 10.0]])
+    rows = [leaf.tolist() for leaf in jax.tree.leaves(track(values))]
+    assert rows == [[0, 0, last] for last in (3, 0, 5, 9, 7, 1, 8, 2)]
+    found = jax.grad(lambda values: sum(jnp.sum(leaf) for leaf in jax.tree.leaves(track(values))[4:]))(values)
+    np.testing.assert_allclose(found, [[0, 0, 1], [0, 0, 1], [0, 0, 0.2], [0, 0, 0.2]], rtol=1e-6)

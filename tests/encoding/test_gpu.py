@@ -82,6 +82,15 @@ def test_what_gpu_users_call_compiles_for_cuda_and_has_derivatives(monkeypatch: 
     assert np.abs(slope).min() > 0
 
 
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_a_gpu_in_64_bit_mode_runs_the_kernel_in_single_precision_alone(monkeypatch: Any, dtype: Any) -> None:
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    with jax.enable_x64(True):
+        encode = jax.jit(partial(encoder.encode, EncoderConfig()))
+        program = for_cuda(encode, LIMITS, recordings().astype(dtype), LENGTH.astype(jnp.int64))
+    assert ("triton" in program) == (dtype == jnp.float32)
+
+
 def test_what_the_kernel_cannot_do_is_left_to_the_scan() -> None:
     assert gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((8, 100, 6), jnp.float32))
     assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((8, 100, 6), jnp.float64))

@@ -111,3 +111,21 @@ def test_a_precision_may_be_a_text() -> None:
 def test_data_sets_of_another_precision_are_refused() -> None:
     with pytest.raises(InputError, match="expected float32 or float64"):
         encode_batch(rj.EncoderConfig(), LIMITS, WRENCH.astype(np.float16), LENGTH)
+
+
+@partial(jax.jit, static_argnums=0)
+def behaviours(rule: str, state: Any, window: Any) -> Any:
+    """Those of one window and of three samples more, at the end of a stream."""
+    config = rj.EncoderConfig() if rule == "paper" else FitConfig()
+    core, limits = (encoder, LIMITS) if rule == "paper" else (fit, FIT_LIMITS.stacked())
+    return core.flush(config, limits, core.step(config, limits, state, window)[0], window, jnp.full(2, 3)).llb
+
+
+@pytest.mark.parametrize("rule", EMPTY)
+def test_a_state_in_double_precision_takes_samples_in_double_precision(rule: str) -> None:
+    with jax.enable_x64(True):
+        state = encoder.init((2,), np.float64) if rule == "paper" else fit.init(FitConfig(), (2,), np.float64)
+        words = behaviours(rule, state, jnp.full((5, 2), 1 / 3, np.float64))
+        values = np.asarray(words.avg)[np.asarray(words.label) > 0]
+    assert len(values) == 2
+    np.testing.assert_allclose(values, 1 / 3, rtol=1e-14)

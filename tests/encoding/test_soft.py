@@ -194,6 +194,8 @@ def test_batches_see_every_trial_before_any_comes_again():
     seen = [next(rows) for _ in range(3)]
     assert [len(some) for some in seen] == [4, 4, 4]
     np.testing.assert_array_equal(np.sort(np.concatenate(seen)), np.repeat(np.arange(6), 2))
+    more = _orders(6, GradientOptions(batch=8))  # than there are
+    assert [sorted(next(more)) for _ in range(3)] == [list(range(6))] * 3
 
 
 def test_training_needs_a_strictly_ordered_start():

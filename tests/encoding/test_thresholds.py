@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,8 +14,11 @@ from hypothesis.extra.numpy import arrays
 
 from rcbht_jax import labels
 from rcbht_jax.encoding import thresholds
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.limit_files import read_limits, write_limits
-from rcbht_jax.encoding.thresholds import GradientThresholds
+from rcbht_jax.encoding.rules import AnyConfig, rule_of
+from rcbht_jax.encoding.thresholds import GradientThresholds, by_lane
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from tests.support import oracle
@@ -124,3 +128,23 @@ def test_moments_get_their_limits_however_they_are_spelled(name: str) -> None:
 @pytest.mark.parametrize("name", ["Fx", "fz", "force_z", "mass", "motor_1", "tcp_x", "load", "axis0"])
 def test_all_other_axes_get_the_limits_of_forces(name: str) -> None:
     np.testing.assert_array_equal(thresholds.preset("hiro", [name]).limits, thresholds.preset("hiro", ["Fz"]).limits)
+
+
+@pytest.mark.parametrize("name", ["step", "step_partial", "flush", "provisional"])
+@pytest.mark.parametrize("config", [EncoderConfig(), FitConfig()])
+def test_limits_of_other_axes_are_refused_by_every_function_of_a_stream(name: str, config: AnyConfig) -> None:
+    rule, number = rule_of(config), 5 if isinstance(config, FitConfig) else 4
+    state, window, limits = rule.init(config, (2, 6)), jnp.ones((5, 2, 6)), jnp.ones((7, number))
+    count = () if name == "step" else (jnp.ones((2, 6), jnp.int32),)
+    with pytest.raises(InputError, match=rf"shape \(7, {number}\); expected \[axis, {number}\], or \[2, 6, {number}\]"):
+        getattr(rule, name)(config, limits, state, window, *count)
+    with pytest.raises(InputError, match="has 4 samples; this encoder takes 5"):
+        getattr(rule, name)(config, limits[:6], state, window[1:], *count)
+
+
+def test_limits_lead_in_front_of_all_lanes_and_none_is_missing() -> None:
+    limits = np.arange(24.0).reshape(6, 4)
+    np.testing.assert_array_equal(by_lane(limits, 4, (2, 6), np.float32), np.stack([limits.T] * 2, 1))
+    for shape in ((3, 4), (3, 6), (3, 1), (2, 5), ()):
+        with pytest.raises(InputError, match=r"expected \[axis, 5\]"):
+            by_lane(np.ones(shape), 5, (3,), np.float32)
