@@ -22,6 +22,7 @@ from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, 
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
+FEWEST = 4  # samples of a recording, in the mean of those of a table
 MAX_CHANNELS = 64  # where every numeric column is one
 _BAD = re.compile(r"anomal|(?<!de)fault|fail|error|defect|collision|unsuccess|reject|fehler|^(?:nok|nio|ng)$")
 _DENIAL = re.compile(r"(?:no|non|not|without|ohne|free|frei)$|[a-z]+(?:less|free|frei)$")
@@ -97,7 +98,8 @@ def _group(table: Table, time: str, free: list[str]) -> str:
     bases = {names.group_base(name): name for name in free} | {base_and_unit(name)[0]: name for name in free}
     for base in names.GROUPS:
         values = table.columns[bases[base]] if base in bases else np.empty(0)
-        if len(_distinct(values)) > 1 and (values.dtype.kind == "U" or _integers(values)):
+        several = 1 < len(_distinct(values)) <= len(values) / FEWEST  # else it counts messages
+        if several and (values.dtype.kind == "U" or _integers(values)):
             return bases[base]
     for name in (bases[base] for base in names.WEAK_GROUPS if base in bases):
         values = table.columns[name]
@@ -138,6 +140,8 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
             if is_outcome(short, _distinct(values).tolist()):
                 columns.setdefault("outcome", Value(name, words=OUTCOMES))
             columns.setdefault(target, Value(name))
+        elif short in names.TOPICS:
+            continue
         elif not text:
             numbers.append(name)
         elif len(_distinct(values)) <= max(MAX_LABELS, len(values) // 20) and not mapping.annotations:

@@ -25,6 +25,8 @@ LABELS = (
     "category", "fault", "contact", "in_contact", "event", "activity",
 )  # fmt: skip
 
+TOPICS = ("topic", "topic_name")  # of the messages of a log, which are no labels
+
 WHOLE = ("wrench", "force", "forces", "torque", "torques", "moment", "moments", "ft")  # of several axes in one column
 _DEMANDED = {
     "desired", "des", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "setpoint", "next", "err",
