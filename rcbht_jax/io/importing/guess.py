@@ -248,6 +248,21 @@ def more_wrenches(table: Table, mapping: Mapping) -> str:
     )
 
 
+def nameless(table: Table, mapping: Mapping) -> str:
+    """A remark on channels that have only the numbers of columns without names; "" = they have names.
+
+    >>> nameless(Table("a.csv", {"c0": np.arange(4.0)}), Mapping((Channel("c0"),)))[:40]
+    'Columns have no names, so nothing says w'
+    """
+    columns = [channel.column for channel in mapping.channels]
+    if not columns or not all(re.fullmatch(r"(?:c|values_)\d+", column) for column in columns):
+        return ""
+    return (
+        "Columns have no names, so nothing says which are axes of a wrench: write the mapping with --write-map, give "
+        "its channels the names Fx ... Mz and their units, and import again with --map."
+    )
+
+
 def some(texts: Iterable[str]) -> str:
     """The first names of many.
 

@@ -53,7 +53,7 @@ _AXIS_FIRST = re.compile(r"^(|.*[._/ \-])([xyz])[._/ \-]*([^\W\d_]+)((?:[._/ \-]
 _ELEMENT = re.compile(
     r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
     r"((?:_(?:" + _QUALIFIERS + r"|\{arm\}))*)"
-    r"(?:[._/](?:signals[._/])?(?:data|values?))?(_|\[|\(|)(\d+)[\])]?$"
+    r"(?:[._/](?:signals[._/])?(?:data|values?|variables))?(_|\[|\(|)(\d+)[\])]?$"
 )
 _SIX = ("wrench", "force_torque", "forcetorque", "ft", "ft_sensor", "f_ext_hat_k")
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.importer import read_source
 
 N = 40
@@ -51,3 +53,78 @@ def test_an_empty_column_that_is_called_like_a_time_is_none(tmp_path: Path) -> N
     (tmp_path / "run.csv").write_text("\n".join(["header,seq,stamp,secs,nsecs,fx,fz", *rows]))
     imported = read_source(tmp_path)
     assert (imported.mapping.time, imported.recordings.dt) == ("secs", 0.01)
+
+
+def table(path: Path, head: str, cells: dict[tuple[int, int], str] | None = None, time: str = "time") -> None:
+    """A CSV of the wrench with that head, and other words in some cells ``(row, column)``."""
+    rows = [[f"{t:.2f}", *map(str, row)] for t, row in zip(TIME.tolist(), WRENCH.tolist(), strict=True)]
+    for (row, column), word in (cells or {}).items():
+        rows[row][column] = word
+    path.write_text("\n".join([f"{time},{head}", *map(",".join, rows)]))
+
+
+@pytest.mark.parametrize(
+    "word", ["ERR", "Error", "OVF", "#DIV/0!", "-nan(ind)", "1.#QNAN", "---", "None", "inf", "-Inf"]
+)
+def test_words_for_missing_numbers_are_counted_and_quoted(word: str, tmp_path: Path) -> None:
+    table(tmp_path / "run.csv", ",".join(AXES), {(7, 3): word, (20, 1): word})
+    imported = read_source(tmp_path)
+    assert imported.recordings.note.tolist() == ["missing:2"]
+    assert f"Words in columns of numbers were read as missing values: {word!r}." in imported.report.remarks
+    np.testing.assert_allclose(imported.recordings.wrench[0, 8:20], WRENCH[8:20], rtol=1e-6)
+
+
+def test_the_same_words_stay_labels_in_a_column_of_text(tmp_path: Path) -> None:
+    rows = [
+        f"{t},{row[0]},{'push' if k < 20 else 'error'}" for k, (t, row) in enumerate(zip(TIME, WRENCH, strict=True))
+    ]
+    (tmp_path / "run.csv").write_text("\n".join(["t,Fz,phase", *rows]))
+    assert read_source(tmp_path).recordings.annotations.labels == {"phase": ("push", "error")}
+
+
+def test_units_of_axes_in_small_letters(tmp_path: Path) -> None:
+    table(tmp_path / "run.csv", "force_x_n,force_y_n,force_z_n,torque_x_nm,torque_y_nm,torque_z_nm")
+    imported = read_source(tmp_path)
+    assert (imported.recordings.axes, imported.mapping.units) == (AXES, ("N",) * 3 + ("Nm",) * 3)
+
+
+@pytest.mark.parametrize("head", ["", "sec,nanosec,frame_id,a,b,c,d,e,f\n"])
+def test_channels_without_names_are_to_be_named(head: str, tmp_path: Path) -> None:
+    rows = [",".join(["1650000000", f"{10_000_000 * k + 3}", "ft", *map(str, row)]) for k, row in enumerate(WRENCH)]
+    (tmp_path / "run.csv").write_text(head + "\n".join(rows))
+    remarks = read_source(tmp_path).report.remarks
+    assert any(remark.startswith("Columns have no names") for remark in remarks) == (not head)
+
+
+@pytest.mark.parametrize(
+    ("folders", "stated"),
+    [(("success", "fail"), 'folder = 1 and words = {"fail" = "failure", "success" = "success"}.'),
+     (("day1/OK", "day2/NOK"), 'folder = 2 and words = {"NOK" = "failure", "OK" = "success"}.'),
+     (("day1", "day2"), "")],
+)  # fmt: skip
+def test_folders_that_may_be_outcomes_are_named(folders: tuple[str, ...], stated: str, tmp_path: Path) -> None:
+    for number, folder in enumerate(folders):
+        (tmp_path / folder).mkdir(parents=True)
+        table(tmp_path / folder / "run.csv", ",".join(AXES), {(0, 1): str(number)})
+    imported = read_source(tmp_path)
+    assert imported.recordings.outcome.tolist() == ["unknown", "unknown"]
+    found = [remark for remark in imported.report.remarks if "may be outcomes" in remark]
+    assert [remark.endswith(stated) for remark in found] == [True] * bool(stated)
+
+
+def test_a_time_without_samples_is_said(tmp_path: Path) -> None:
+    table(tmp_path / "run.csv", ",".join(AXES), {(k, 0): f"{2 + 0.01 * k:.2f}" for k in range(20, N)})
+    imported = read_source(tmp_path)
+    assert imported.recordings.note.tolist() == ["gap:2.01;uneven"]
+    assert any("the longest of 2.01 s; straight lines stand there" in one for one in imported.report.remarks)
+
+
+def test_a_clock_that_was_set_back_is_to_be_replaced(tmp_path: Path) -> None:
+    table(tmp_path / "run.csv", ",".join(AXES), {(k, 0): f"{0.01 * k - 0.1:.2f}" for k in range(20, N)})
+    with pytest.raises(InputError, match="if its clock was set back, give --source-rate"):
+        read_source(tmp_path)
+
+
+def test_the_variables_of_a_timetable_are_its_wrench(tmp_path: Path) -> None:
+    savemat(tmp_path / "run.mat", {"ft": {"Time": TIME[:, None], "Variables": WRENCH}})
+    assert read_source(tmp_path).recordings.axes == AXES
