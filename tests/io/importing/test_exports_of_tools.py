@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -128,3 +130,58 @@ def test_a_clock_that_was_set_back_is_to_be_replaced(tmp_path: Path) -> None:
 def test_the_variables_of_a_timetable_are_its_wrench(tmp_path: Path) -> None:
     savemat(tmp_path / "run.mat", {"ft": {"Time": TIME[:, None], "Variables": WRENCH}})
     assert read_source(tmp_path).recordings.axes == AXES
+
+
+def opaque(name: str, kind: str) -> bytes:
+    """A variable of a MATLAB file of version 5 that is an object of a class."""
+
+    def element(code: int, data: bytes) -> bytes:
+        return struct.pack("<II", code, len(data)) + data + b"\0" * (-len(data) % 8)
+
+    handle = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
+    handle = element(14, handle + element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1)))
+    texts = b"".join(element(1, text.encode()) for text in (name, "MCOS", kind))
+    return element(14, element(6, struct.pack("<II", 17, 0)) + texts + handle)
+
+
+def objects(path: Path, version: str, beside: bool) -> None:
+    """A timetable, perhaps beside arrays."""
+    arrays = {"t": TIME[:, None], "wrench": WRENCH} if beside else {}
+    if version == "5":
+        savemat(path, arrays, do_compression=False)
+        with path.open("ab") as file:
+            file.write(opaque("ft", "timetable"))
+        return
+    with h5py.File(path, "w", userblock_size=512) as content:
+        for name, array in arrays.items():
+            content[name] = array.T
+        content["ft"] = np.array([[0xDD000000, 2, 1, 1, 1, 1]], np.uint32)
+        content["ft"].attrs["MATLAB_class"] = np.bytes_("timetable")
+        content["ft"].attrs["MATLAB_object_decode"] = np.int32(3)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_timetables_of_matlab_are_to_be_saved_as_structures(version: str, tmp_path: Path) -> None:
+    objects(tmp_path / "run.mat", version, beside=False)
+    with pytest.raises(InputError, match=r"objects of MATLAB, which are not read: ft \(timetable\); save numbers in a"):
+        read_source(tmp_path)
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_objects_of_matlab_beside_arrays_are_named(version: str, tmp_path: Path) -> None:
+    objects(tmp_path / "run.mat", version, beside=True)
+    imported = read_source(tmp_path)
+    np.testing.assert_allclose(imported.recordings.wrench[0], WRENCH, rtol=1e-6)
+    assert "Arrays of another shape or kind were left out: 'ft (timetable)'." in imported.report.remarks
+
+
+def test_attributes_of_the_group_around_recordings_describe_them(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "demo.hdf5", "w") as file:
+        data = file.create_group("data")
+        data.attrs["fs"], data.attrs["operator"] = 100.0, "Ann"
+        for number in range(2):
+            data[f"demo_{number}/obs/ee_force"] = WRENCH + number
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.dt, recordings.column("operator").tolist()) == (0.01, ["Ann", "Ann"])
