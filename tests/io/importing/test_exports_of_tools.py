@@ -90,6 +90,14 @@ def test_units_of_axes_in_small_letters(tmp_path: Path) -> None:
     assert (imported.recordings.axes, imported.mapping.units) == (AXES, ("N",) * 3 + ("Nm",) * 3)
 
 
+@pytest.mark.parametrize("line", ["Units: N, Nm", "# units = [N, Nm]", "Units:\tN; Nm", "Unit: N/Nm"])
+def test_a_line_of_both_units_before_the_names(line: str, tmp_path: Path) -> None:
+    head = [line] if line.startswith("#") else ["Sensor: A", line, ""]
+    rows = ["\t".join([f"{t:.2f}", *map(str, row)]) for t, row in zip(TIME.tolist(), WRENCH.tolist(), strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join([*head, "\t".join(("time", *AXES)), *rows]))
+    assert read_source(tmp_path).mapping.units == ("N",) * 3 + ("Nm",) * 3
+
+
 @pytest.mark.parametrize("head", ["", "sec,nanosec,frame_id,a,b,c,d,e,f\n"])
 def test_channels_without_names_are_to_be_named(head: str, tmp_path: Path) -> None:
     rows = [",".join(["1650000000", f"{10_000_000 * k + 3}", "ft", *map(str, row)]) for k, row in enumerate(WRENCH)]
