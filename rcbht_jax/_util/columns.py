@@ -44,6 +44,7 @@ TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
 )  # fmt: skip
 
 _TAILS = ("N", "Nm", "mN", "mNm", "Nmm", "Ncm", "kN", "kNm", "kgf", "lbf")  # that end a name after "_"
+_AXIS = re.compile(r"(?:^|[\W_])(?:f|m|t|force|torque|moment|tau)[ _]?[xyz]$", re.IGNORECASE)  # before n, or nm
 _PRODUCT = re.compile(r"(?<=[^\W\d_])[ .*·⋅・･∙•×-](?=[^\W\d_])")  # N-m, N·mm, lbf in
 _AFTER = re.compile(r"^(.*?[^\s,/])(?:\s*[,/]\s*|\s+in\s+)([^\W\d_]+(?:[ .*·⋅-][^\W\d_]+)?)$")  # Fx/N, Fx, N; Fx in N
 _SINCE = re.compile(r"\s+since\s.*$")  # ms since 2026-05-01 00:00:00
@@ -57,6 +58,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
     >>> split_unit("Force_X [N]"), split_unit("Tx (N-mm)"), split_unit("t_ms"), split_unit("Fx")
     (('Force_X', 'N'), ('Tx', 'Nmm'), ('t', 'ms'), ('Fx', ''))
+    >>> split_unit("force_x_n"), split_unit("tz_nm"), split_unit("gap_nm")
+    (('force_x', 'N'), ('tz', 'Nm'), ('gap_nm', ''))
     >>> split_unit("Fx {N}"), split_unit("时间（毫秒）")
     (('Fx', 'N'), ('时间', 'ms'))
     >>> split_unit("Fx/N"), split_unit("Moment x in Ncm"), split_unit("time, s"), split_unit("imu/a")
@@ -73,7 +76,8 @@ def split_unit(name: str) -> tuple[str, str]:
     if after and placed and (unit := _unit(after[2])):
         return after[1], unit
     head, _, tail = name.strip().rpartition("_")
-    if head and (tail in _TAILS or tail.lower() in ("ms", "us", "ns", "sec", "s")):
+    of_axis = tail in ("n", "nm") and _AXIS.search(head)
+    if head and (tail in _TAILS or of_axis or tail.lower() in ("ms", "us", "ns", "sec", "s")):
         return head, UNITS[tail.lower()]
     return name.strip(), ""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -142,17 +142,28 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         for part, node in parts:
             prefix = node.name.rstrip("/") + "/"
             found = {one.name.removeprefix(prefix): one for one in datasets if one.name.startswith(prefix)}
-            arrays: dict[str, Any] = {
-                key: np.asarray(value) for key, value in [*file.attrs.items(), *node.attrs.items()]
-            }
+            around = [file, node] if turned else [*_around(node), node]
+            arrays: dict[str, Any] = {key: np.asarray(value) for one in around for key, value in one.attrs.items()}
+            objects = _objects(found) if turned else []
+            for key in objects:
+                del found[key.partition(" ")[0]]
             for key, one in _pandas(found).items() if not turned else found.items():
                 arrays |= _arrays(file, key, one, turned, len(found) == 1)
             arrays |= {f"{key}/{name}": texts for key, one in found.items() for name, texts in _titles(one).items()}
             usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
             stated = {key: texts for key, one in found.items() if (texts := stated_units(getattr(one, "attrs", {})))}
-            for table in tables_of(path, f"{name}#{part}" if part else name, usable, part):
+            for table in _without_objects(path, f"{name}#{part}" if part else name, usable, objects, part):
                 arm = {"arm": part} if sides and part else {}
                 yield replace(table, units=units_of(table.columns, stated), facts={**arm, **table.facts})
+
+
+def _around(node: Any) -> list[Any]:
+    """The groups that a group lies in, the outermost first."""
+    parents: list[Any] = []
+    while node.name != "/":
+        node = node.parent
+        parents.insert(0, node)
+    return parents
 
 
 def _titles(item: Any) -> dict[str, NDArray[Any]]:
@@ -246,6 +257,29 @@ def _kind(item: Any) -> str:
     return kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
 
 
+def _objects(found: Mapping[str, Any]) -> list[str]:
+    """The variables that are objects of MATLAB's classes, and the class of each."""
+    those = {key: one for key, one in found.items() if "MATLAB_object_decode" in getattr(one, "attrs", {})}
+    return [f"{key} ({_kind(one)})" for key, one in those.items()]
+
+
+def _without_objects(
+    path: Path, name: str, arrays: Mapping[str, NDArray[Any]], objects: Sequence[str], part: str = ""
+) -> Iterator[Table]:
+    """Tables of the arrays of a MATLAB file beside objects, which are named as left out.
+
+    Raises:
+        InputError: nothing but objects can be signals, or as :func:`tables_of`.
+    """
+    if objects and all(array.size < 2 or array.dtype.kind not in "fiu" for array in arrays.values()):
+        raise InputError(
+            f"{path} holds objects of MATLAB, which are not read: {', '.join(objects[:3])}; save numbers in a "
+            "structure, such as S.t = seconds(T.Time) and S.wrench = T.Variables for a timetable T."
+        )
+    for table in tables_of(path, name, arrays, part):
+        yield replace(table, others=(*table.others, *objects))
+
+
 def _array(item: Any, turned: bool) -> NDArray[Any] | None:
     """A data set of numbers or text; None for anything else."""
     if turned and _kind(item) == "char":
@@ -299,7 +333,8 @@ def matlab_tables(path: Path, name: str) -> Iterator[Table]:
         for key, value in content.items():
             if not key.startswith("__"):
                 _flatten(key, np.asarray(value), arrays)
-    yield from tables_of(path, name, arrays)
+    objects = [key for key, array in arrays.items() if array.dtype.kind == "O"]
+    yield from _without_objects(path, name, {key: one for key, one in arrays.items() if key not in objects}, objects)
 
 
 def _unpacked(path: Path, head: bytes) -> int:
@@ -335,7 +370,11 @@ def _flatten(key: str, value: NDArray[Any], into: dict[str, NDArray[Any]], depth
         raise InputError(f"it holds more than {MAX_MEMBERS} arrays; split it.")
     if depth > 8:
         return
-    if value.dtype.names:
+    if value.dtype.names and value.dtype.names[:3] == ("s0", "s1", "s2"):  # an object, as scipy shows it
+        title, _, kind = (np.asarray(value.reshape(-1)[0][field]).item() for field in value.dtype.names[:3])
+        title, kind = (text.decode() if isinstance(text, bytes) else str(text) for text in (title, kind))
+        into[f"{key if key != 'None' else title} ({kind})"] = np.empty((), object)
+    elif value.dtype.names:
         records = value.reshape(-1)
         for field in value.dtype.names:
             for number, record in enumerate(records):

@@ -87,6 +87,13 @@ def _remarks(notes: list[list[str]], moves: list[list[str]], period: float) -> l
         found.append(f"{were} not sampled evenly and interpolated at {1 / period:.6g} Hz.")
     if held := sum(note.startswith("held:") for each in notes for note in each):
         found.append(f"{plural(held, 'log', 'logs')} held each value for several rows; the repeats were left out.")
+    gaps = [float(note.removeprefix("gap:")) for each in notes for note in each if note.startswith("gap:")]
+    if gaps:
+        have = plural(len(gaps), "recording has", "recordings have")
+        found.append(
+            f"{have} times without samples, the longest of {max(gaps):.3g} s; straight lines stand there, which words "
+            "describe as if they were measured."
+        )
     if parts := sum(note.startswith("restarts:") for each in notes for note in each):
         found.append(f"{plural(parts, 'recording is', 'recordings are')} from tables in which the time starts anew.")
     for encoding, word in WORDS.items():
@@ -163,7 +170,7 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
         likely = next((name for name, values in columns.items() if _states_outcomes(values)), "")
         more = f" The values of {likely!r} may be outcomes." if likely else ""
         text = "No column states the outcome: it is unknown. Name one with --outcome or in a map."
-        report.remarks.append(text + more)
+        report.remarks += [text + more, *_outcome_folders(records)]
     words = sorted({str(word) for word in columns.get("outcome", [])} - {""})
     if words and not {"success", "failure"} & set(words):
         listed = ", ".join(words[:3]) + (", ..." if len(words) > 3 else "")
@@ -187,6 +194,20 @@ def _states_outcomes(values: NDArray[Any]) -> bool:
     words = {str(word).lower() for word in values.tolist()} - {""}
     meant = {OUTCOMES.get(word, "") for word in words}
     return meant == {"success", "failure"} and words.isdisjoint(("0", "1", "true", "false"))
+
+
+def _outcome_folders(records: list[Record]) -> list[str]:
+    """How to take the outcome from folders, if those of one level have names of success and failure."""
+    paths = [PurePosixPath(record.file).parent.parts for record in records]
+    for level in range(1, min(map(len, paths), default=0) + 1):
+        words = {path[level - 1]: OUTCOMES.get(path[level - 1].lower(), "") for path in paths}
+        if set(words.values()) == {"success", "failure"}:
+            meant = ", ".join(f'"{word}" = "{outcome}"' for word, outcome in sorted(words.items()))
+            return [
+                f"The folders {' and '.join(map(repr, sorted(words)))} may be outcomes, not sessions: for these, write "
+                f"in a map [columns.outcome] with folder = {level} and words = {{{meant}}}."
+            ]
+    return []
 
 
 def _folders(records: list[Record]) -> list[str]:

@@ -16,6 +16,12 @@ from rcbht_jax.io.importing.numerals import ungrouped
 
 COMMENT = re.compile(rb"^(?:[#%]|//)(?:[#% ]|//)*")  # what begins one
 NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a", "-", "--"}
+FAULTS = {  # words that programs, sensors and spreadsheets write for a number that they lack
+    "none", "nil", "missing", "invalid", "bad", "err", "error", "#error", "ovf", "ovl", "ovr", "overflow", "overload",
+    "overrange", "over range", "underflow", "#value!", "#div/0!", "#num!", "#ref!", "#name?", "#null!", "---", "----",
+    "?", "nan(ind)", "-nan(ind)", "nan(snan)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind", "1.#inf", "-1.#inf", "inf",
+    "-inf", "+inf", "infinity", "-infinity", "∞", "-∞",
+}  # fmt: skip
 _BLANKS = re.compile(r"\s+(?![\[(][^\W\d][^\s\])]*[\])])")  # but before a unit: Time (s)
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 _BETWEEN_BLANKS = re.compile(r"[+-]?\d+(?:,\d+(?:[eE][+-]?\d+)?)?")  # numbers, some with decimal commas

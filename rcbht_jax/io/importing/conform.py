@@ -78,7 +78,8 @@ def _ordered(time: NDArray[Any], values: NDArray[Any], few: int) -> tuple[NDArra
     if np.ptp(time[order] - time) > 0.1 * np.ptp(time):
         raise InputError(
             f"time starts anew at sample {int(back[0]) + 1}; if the table holds several recordings, name the "
-            "column that separates them with --group."
+            "column that separates them with --group; if its clock was set back, give --source-rate, which replaces "
+            "the stamps."
         )
     return time[order], values[order], [f"unordered:{len(back)}"]
 

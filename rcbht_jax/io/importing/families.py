@@ -13,15 +13,17 @@ from rcbht_jax._util.columns import TIMES, base_and_unit
 from rcbht_jax.io.importing.names import GROUPS, group_base
 
 _NUMBERED = re.compile(r"^(.*?)(\d+)(?:[./](.+))?$")
+_BEFORE = re.compile(r"^((?:.*[\W_])?([^\W\d_]+)[_.\- ]?)(\d+)[_\- ](.+)$")  # run0_time
 Arrays = Mapping[str, NDArray[Any]]
 
 
 def families(arrays: Arrays) -> dict[str, dict[str, NDArray[Any]]]:
     """The arrays of each recording, by its number; none if the numbers separate columns, not recordings.
 
-    Numbers of recordings are those of ``trial_0``, ``trial_1``, of ``log.0.time``, ``log.1.time``, any where arrays of
-    one name differ in length, or that of ``cut.0.force``, ``cut.0.depth``, ... if each has single values, too, and the
-    file holds no other signals. What has no number is shared, but for arrays ``[recording]``.
+    Numbers of recordings are those of ``trial_0``, ``trial_1``, of ``trial0_time``, ``trial1_time``, of ``log.0.time``,
+    ``log.1.time``, any where arrays of one name differ in length, or that of ``cut.0.force``, ``cut.0.depth``, ... if
+    each has single values, too, and the file holds no other signals. What has no number is shared, but for arrays
+    ``[recording]``.
 
     >>> arrays = {"trial_0": np.zeros((9, 2)), "trial_1": np.zeros((7, 2)), "class": np.array(["a", "b"])}
     >>> {part: {name: array.shape for name, array in own.items()} for part, own in families(arrays).items()}
@@ -29,7 +31,9 @@ def families(arrays: Arrays) -> dict[str, dict[str, NDArray[Any]]]:
     """
     heads: dict[str, dict[str, dict[str, NDArray[Any]]]] = {}
     for key, array in arrays.items():
-        if match := _NUMBERED.match(key):
+        if (before := _BEFORE.match(key)) and numbered(before[2]) in GROUPS:
+            heads.setdefault(before[1], {}).setdefault(before[3], {})[before[4]] = array
+        elif match := _NUMBERED.match(key):
             heads.setdefault(match[1], {}).setdefault(match[2], {})[match[3] or ""] = array
     several = {head: parts for head, parts in heads.items() if len(parts) > 1}
     chosen = {head: parts for head, parts in several.items() if _recordings(head, parts)} or _described(several, arrays)

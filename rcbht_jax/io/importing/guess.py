@@ -22,6 +22,7 @@ from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, 
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
+FEWEST = 4  # samples of a recording, in the mean of those of a table
 MAX_CHANNELS = 64  # where every numeric column is one
 _BAD = re.compile(r"anomal|(?<!de)fault|fail|error|defect|collision|unsuccess|reject|fehler|^(?:nok|nio|ng)$")
 _DENIAL = re.compile(r"(?:no|non|not|without|ohne|free|frei)$|[a-z]+(?:less|free|frei)$")
@@ -97,7 +98,8 @@ def _group(table: Table, time: str, free: list[str]) -> str:
     bases = {names.group_base(name): name for name in free} | {base_and_unit(name)[0]: name for name in free}
     for base in names.GROUPS:
         values = table.columns[bases[base]] if base in bases else np.empty(0)
-        if len(_distinct(values)) > 1 and (values.dtype.kind == "U" or _integers(values)):
+        several = 1 < len(_distinct(values)) <= len(values) / FEWEST  # else it counts messages
+        if several and (values.dtype.kind == "U" or _integers(values)):
             return bases[base]
     for name in (bases[base] for base in names.WEAK_GROUPS if base in bases):
         values = table.columns[name]
@@ -138,6 +140,8 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
             if is_outcome(short, _distinct(values).tolist()):
                 columns.setdefault("outcome", Value(name, words=OUTCOMES))
             columns.setdefault(target, Value(name))
+        elif short in names.TOPICS:
+            continue
         elif not text:
             numbers.append(name)
         elif len(_distinct(values)) <= max(MAX_LABELS, len(values) // 20) and not mapping.annotations:
@@ -241,6 +245,21 @@ def more_wrenches(table: Table, mapping: Mapping) -> str:
     return (
         f"{len(found)} wrenches were found, and that of {own} was taken; to import that of {some(others)}, name its "
         "channels with --map."
+    )
+
+
+def nameless(table: Table, mapping: Mapping) -> str:
+    """A remark on channels that have only the numbers of columns without names; "" = they have names.
+
+    >>> nameless(Table("a.csv", {"c0": np.arange(4.0)}), Mapping((Channel("c0"),)))[:40]
+    'Columns have no names, so nothing says w'
+    """
+    columns = [channel.column for channel in mapping.channels]
+    if not columns or not all(re.fullmatch(r"(?:c|values_)\d+", column) for column in columns):
+        return ""
+    return (
+        "Columns have no names, so nothing says which are axes of a wrench: write the mapping with --write-map, give "
+        "its channels the names Fx ... Mz and their units, and import again with --map."
     )
 
 

@@ -29,7 +29,7 @@ from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find
-from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, some
+from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, nameless, some
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.label_studio import unfolded
@@ -262,7 +262,9 @@ def _understood(
     more = "" if base.channels else more_wrenches(table, mapping)
     left = f"Arrays of another shape or kind were left out: {some(table.others)}." if table.others else ""
     lines = f"Lines that are no samples were left out: {some(table.lines)}." if table.lines else ""
-    report.remarks += [text for text in (more, left, lines) if text and text not in report.remarks]
+    words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
+    bare = "" if base.channels else nameless(table, mapping)
+    report.remarks += [text for text in (more, bare, left, lines, words) if text and text not in report.remarks]
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)

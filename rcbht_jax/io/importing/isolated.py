@@ -67,7 +67,7 @@ def isolated(decode: Decode, path: Path, name: str, *libraries: str) -> Iterator
             files = {key: Path(folder, f"{number}-{k}.npy") for k, key in enumerate(table["columns"])}
             columns = {key: np.load(file, allow_pickle=False) for key, file in files.items()}
             intervals = tuple(map(tuple, table["intervals"]))
-            tuples = {key: tuple(table[key]) for key in ("notes", "others", "lines")}
+            tuples = {key: tuple(table[key]) for key in ("notes", "others", "lines", "faults")}
             yield Table(**{**table, "columns": columns, "intervals": intervals, **tuples})
 
 

@@ -25,6 +25,8 @@ LABELS = (
     "category", "fault", "contact", "in_contact", "event", "activity",
 )  # fmt: skip
 
+TOPICS = ("topic", "topic_name")  # of the messages of a log, which are no labels
+
 WHOLE = ("wrench", "force", "forces", "torque", "torques", "moment", "moments", "ft")  # of several axes in one column
 _DEMANDED = {
     "desired", "des", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "setpoint", "next", "err",
@@ -51,7 +53,7 @@ _AXIS_FIRST = re.compile(r"^(|.*[._/ \-])([xyz])[._/ \-]*([^\W\d_]+)((?:[._/ \-]
 _ELEMENT = re.compile(
     r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
     r"((?:_(?:" + _QUALIFIERS + r"|\{arm\}))*)"
-    r"(?:[._/](?:signals[._/])?(?:data|values?))?(_|\[|\(|)(\d+)[\])]?$"
+    r"(?:[._/](?:signals[._/])?(?:data|values?|variables))?(_|\[|\(|)(\d+)[\])]?$"
 )
 _SIX = ("wrench", "force_torque", "forcetorque", "ft", "ft_sensor", "f_ext_hat_k")
 

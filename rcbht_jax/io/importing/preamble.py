@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from rcbht_jax._util.columns import split_unit
+from rcbht_jax._util.columns import FORCES, MOMENTS, split_unit
 from rcbht_jax.io.importing import cells, labview
 from rcbht_jax.io.importing.names import wrenches
 
@@ -88,12 +88,16 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
     rates += [1 / period] if (period := labview.period_in(lines)) > 0 else []
     counts: dict[str, float] = {}
     units: dict[str, str] = {}
+    both = [
+        split_unit(f"x [{text}]")[1] for text in re.split(r"[\[\](),;/\s]+", said.get("units", said.get("unit", "")))
+    ]
     axes = [pair for wrench in wrenches(names) for pair in wrench.items()]
     for quantity, letter in (("force", "F"), ("torque", "M")):
         per = number(said.get(f"counts per unit {quantity}", said.get(f"counts per {quantity}", "")))
         those = [column for axis, column in axes if axis.startswith(letter)]
         counts |= dict.fromkeys(those, per) if per > 0 else {}
         unit = split_unit(f"x [{said.get(f'{quantity} units', '')}]")[1]
+        unit = unit or next((one for one in both if one in {"F": FORCES, "M": MOMENTS}[letter]), "")
         units |= dict.fromkeys(those, unit) if unit else {}
     units |= labview.units_in(lines, names)
     return Stated(next((rate for rate in rates if rate > 0), None), counts, units)
@@ -102,6 +106,10 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
 def _pairs(line: bytes) -> Iterator[tuple[str, str]]:
     """Words and their values: each pair in a cell, between a colon or an equals sign, or in two successive cells.
 
+    A comma may also stand between several values of the only word.
+
+    >>> list(_pairs(b"Units: N, Nm"))
+    [('units', 'N, Nm')]
     >>> list(_pairs(b'"Rate: 7","Force Units: N"')), list(_pairs(b"Rate:,7,Force Units:,N")), list(_pairs(b"Rate;7"))
     ([('rate', '7'), ('force units', 'N')], [('rate', '7'), ('force units', 'N')], [('rate', '7')])
     """
@@ -110,7 +118,9 @@ def _pairs(line: bytes) -> Iterator[tuple[str, str]]:
     within = [re.split(r"\s*[:=]\s*", cell, maxsplit=1) for cell in row]
     if row and all(len(pair) == 2 and pair[1] for pair in within):
         yield from (_stating(*pair) for pair in within)
-    elif len(row) == 2 or (len(row) % 2 == 0 and all(cell.endswith((":", "=")) for cell in row[::2])):
+    elif (len(row) == 2 and not any(within[0][1:])) or (
+        len(row) % 2 == 0 and all(cell.endswith((":", "=")) for cell in row[::2])
+    ):
         yield from (_stating(key, value) for key, value in zip(row[::2], row[1::2], strict=True))
     else:
         pair = re.split(r"\s*[:=]\s*", line.decode("utf-8", "replace").strip(), maxsplit=1)

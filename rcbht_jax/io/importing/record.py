@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import conform
+from rcbht_jax.io.importing import conform, topics
 from rcbht_jax.io.importing.clock import first_second, no_time, seconds_of
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import column_name
@@ -227,7 +227,8 @@ def _check(table: Table, mapping: Mapping) -> None:
 def _record(
     table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: Row, known_stamps: NDArray[np.float64] | None
 ) -> Record:
-    rows, raw, padded = _with_values(table, mapping, rows)
+    logged = rows
+    rows, raw, padded = topics.with_values(table, mapping, rows)
     if known_stamps is not None and len(known_stamps) == len(rows):
         stamps = known_stamps  # to read texts again takes long
     else:
@@ -251,7 +252,12 @@ def _record(
         order = np.argsort(stamps, kind="stable")
         order = order[stamps[order] >= first]
         for track in tracks:
-            intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
+            column = table.columns[track.column]
+            if len(rows) < len(logged) and not topics.filled(column[rows]).any():
+                own = logged[topics.filled(column[logged])]
+                intervals += _of_messages(track, _stamps(table, mapping, own) - first, column[own])
+                continue
+            intervals += stretches(track, stamps[order] - first, column[rows][order])
     notes += [f"saturated:{mapping.axes[axis]}" for axis in conform.saturated(values)]  # a rotation would hide it
     notes += [f"stuck:{mapping.axes[axis]}" for axis in conform.stuck(values)]
     zeros = len(raw) - int(np.flatnonzero(raw.any(1)).max(initial=-1)) - 1
@@ -271,21 +277,6 @@ def _facts(table: Table) -> dict[str, str | float]:
         if short == "success" and is_outcome("success", [fact]):  # a word of "outcome" stays that of its file
             columns.setdefault("outcome", OUTCOMES[text(fact).lower()])
     return columns
-
-
-def _with_values(
-    table: Table, mapping: Mapping, rows: NDArray[Any]
-) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
-    """The rows that have values, these ``[row, channel]``, and notes of what is left out at the end and between."""
-    raw = np.stack([table.columns[channel.column][rows] for channel in mapping.channels], 1)
-    known = ~np.isnan(raw).all(1)
-    held = int(np.flatnonzero(known).max(initial=-1)) + 1 or len(rows)
-    notes = [f"padded:{len(rows) - held}"] if held < len(rows) else []
-    if 1 < (few := int(known.sum())) < held / 2 and mapping.time:  # a log in the steps of something faster
-        notes.append(f"between:{held - few}")
-    else:
-        known = np.arange(len(rows)) < held
-    return rows[known], raw[known], notes
 
 
 def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.float64]:
@@ -350,6 +341,13 @@ def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> 
         if label and label not in track.ignore:
             found.append((track.track, label, start, stop))
     return found
+
+
+def _of_messages(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> list[Interval]:
+    """As :func:`stretches`, for values that hold until the next message, and the last one to the end."""
+    begin = max(int(np.searchsorted(time, 0.0, "right")) - 1, 0)
+    found = stretches(track, np.maximum(time[begin:], 0.0), column[begin:]) if len(time) else []
+    return [*found[:-1], (*found[-1][:3], np.inf)] if found else []
 
 
 def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -48,6 +48,7 @@ class Table:
     notes: tuple[str, ...] = ()
     others: tuple[str, ...] = ()  # arrays of other shapes, which are left out
     lines: tuple[str, ...] = ()  # how lines begin that are no samples, and are left out
+    faults: tuple[str, ...] = ()  # words in columns of numbers, each of which is a missing value
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
 
     @property

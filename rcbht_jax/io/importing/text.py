@@ -36,9 +36,10 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     """The table of a text file.
 
     Names are those of the first line, and a line of units may follow. Columns without one are called c0, c1, ... by
-    their place. Empty cells are missing values. Lines that are no rows are left out: names that are repeated, comments,
-    and words below the last row, such as "mean". A file that is neither UTF-8 nor UTF-16 is read as Shift-JIS or
-    GB 18030 if its bytes go in pairs as theirs do, as Windows-1251 if its words are Cyrillic, else as Windows-1252.
+    their place. Empty cells are missing values, as are words such as "ERR" in columns of numbers. Lines that are no
+    rows are left out: names that are repeated, comments, and words below the last row, such as "mean". A file that is
+    neither UTF-8 nor UTF-16 is read as Shift-JIS or GB 18030 if its bytes go in pairs as theirs do, as Windows-1251 if
+    its words are Cyrillic, else as Windows-1252.
 
     >>> Path("a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
@@ -55,7 +56,8 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
         titles = read_titles(file, path, encoding)
         between = Between(titles.lines, len(titles.names))
         fast = _fast(file, titles.body, titles.delimiter, len(titles.names))
-        read = fast or _slow(path, file, titles, between, encoding)
+        faults: set[str] = set()
+        read = fast or _slow(path, file, titles, between, encoding, faults)
     notes: tuple[str, ...] = (f"preamble:{len(titles.before)}",) if titles.before else ()
     notes += (f"lines:{between.count}",) if between.count else ()
     notes += (encoding,) if encoding in WORDS else ()
@@ -69,7 +71,9 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
             columns[column] = columns[column].astype(np.float64) / counts
     notes += ("counts",) if about.counts else ()
     columns = labview.with_one_time(path, columns) if any(map(labview.ends_header, titles.before)) else columns
-    yield Table(name, columns, about.rate, about.units, notes=notes, lines=tuple(between.left))
+    yield Table(
+        name, columns, about.rate, about.units, notes=notes, lines=tuple(between.left), faults=tuple(sorted(faults))
+    )
 
 
 def _elements(name: str, column: NDArray[np.generic]) -> dict[str, NDArray[np.generic]]:
@@ -114,7 +118,9 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
     return [np.ascontiguousarray(column) for column in table.T]
 
 
-def _slow(path: Path, file: BinaryIO, titles: Titles, between: Between, encoding: str) -> list[NDArray[np.generic]]:
+def _slow(
+    path: Path, file: BinaryIO, titles: Titles, between: Between, encoding: str, faults: set[str]
+) -> list[NDArray[np.generic]]:
     """Row by row: text columns, empty cells, and a message that names the first bad line."""
     file.seek(0)
     before = sum(1 for _ in iter(lambda: file.readline(MAX_TABLE_LINE) if file.tell() < titles.body else b"", b""))
@@ -132,6 +138,7 @@ def _slow(path: Path, file: BinaryIO, titles: Titles, between: Between, encoding
         _flush(path, columns, between.end(columns[0].is_of_words()))
     if not columns or not columns[0].count:
         raise InputError(f"{path} has no rows; expected a table.")
+    faults.update(*(column.faults for column in columns))
     return [column.array() for column in columns]
 
 
@@ -188,6 +195,7 @@ class _Column:
         self._parts: list[NDArray[np.generic]] = []
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
         self.count = 0
+        self.faults: set[str] = set()  # words for numbers that are not there
 
     def add(self, written: tuple[str, ...], lines: list[int]) -> None:
         self.count += len(written)
@@ -213,12 +221,16 @@ class _Column:
 
     def _numbers(self, row: list[str], lines: list[int]) -> NDArray[np.float64]:
         try:
-            if not any("_" in cell for cell in row):
-                return np.array(row, np.float64)
+            if not any("_" in cell for cell in row) and not np.isinf(plain := np.array(row, np.float64)).any():
+                return plain
         except ValueError:
             pass
         values = np.empty(len(row))
         for place, cell in enumerate(row):
+            if cell.lower() in cells.FAULTS:
+                self.faults.add(cell)
+                values[place] = np.nan
+                continue
             if not cells.is_number(cell):
                 where = f"{self._path}, line {lines[place]}, column {self.name}"
                 raise InputError(f"{where}: {cell[:30]!r} is not a number.{two_meanings(cell)}")

@@ -37,6 +37,8 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     """
     if joint := next((name for name in free if JOINT in name and _is_joint(table, name)), ""):
         return replace(mapping, time=joint, time_unit="s")
+    # A table of messages may have empty columns called like a time: they are those of objects, such as a header.
+    free = [name for name in free if table.columns[name].dtype.kind == "U" or np.isfinite(table.columns[name]).any()]
     parsed = {name: base_and_unit(name) for name in free}
     bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if grows(table, name)}
     bases |= {base: name for name, (base, _) in reversed(parsed.items())}
