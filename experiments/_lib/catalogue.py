@@ -228,6 +228,11 @@ EXPERIMENTS = (
         "engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"),
         elsewhere=GPU,
     ),
+    Experiment(
+        "learn_setpoints_gpu", "simulation.learn_setpoints", 18,
+        ("--engine", "warp", "--population", "128", "--trials", "32", "--generations", "15", "--tests", "256"),
+        elsewhere=GPU,
+    ),
     Experiment("simulate_gpu", "simulation.simulate_gpu", 8, ("{work}",), elsewhere=GPU),
     Experiment("native_cores", "simulation.native_cores", 7, elsewhere="needs many cores"),
     Experiment("scaling", "simulation.scaling", 8, ("{work}",), elsewhere="needs several GPUs"),

@@ -9,7 +9,8 @@ A trial may take 40 s: the rear hooks let go seconds into mating, later for a ha
 which suffice for blocks, 10 of 16 trials of a third seed seated, with 40 s 13.
 
 Run on a CPU, resumable: python -m experiments.simulation.learn_setpoints --checkpoint learn.json
-On a GPU: python -m experiments.simulation.learn_setpoints --engine warp --population 256 --trials 32 --generations 15
+On a GPU: python -m experiments.simulation.learn_setpoints --engine warp --population 128 --trials 32 --generations 15
+    --tests 256
 """
 
 from __future__ import annotations
@@ -198,7 +199,8 @@ def main(
     options = (
         f"--engine {engine} --population {population} --trials {trials} --generations {generations} --tests {tests}"
     )
-    write_result("learn_setpoints", f"python -m experiments.simulation.learn_setpoints {options}", result, seed)
+    name = "learn_setpoints" if engine == "native" else "learn_setpoints_gpu"
+    write_result(name, f"python -m experiments.simulation.learn_setpoints {options}", result, seed)
 
 
 if __name__ == "__main__":

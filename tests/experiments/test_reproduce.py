@@ -30,7 +30,7 @@ def test_the_table_names_every_module_that_writes_a_result() -> None:
     writing = {name for name, text in MODULES.items() if re.search(r"\b(write_result|Rows)\(", text)}
     assert {experiment.module for experiment in EXPERIMENTS} >= {name for name in writing if "_lib" not in name}
     assert {experiment.module for experiment in EXPERIMENTS} <= set(MODULES)
-    assert len({experiment.module for experiment in EXPERIMENTS}) == len(EXPERIMENTS)
+    assert len({(experiment.module, experiment.options) for experiment in EXPERIMENTS}) == len(EXPERIMENTS)
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
