@@ -117,7 +117,7 @@ class Info(Command):
         from rcbht_jax.io.label_store import list_tracks
         from rcbht_jax.io.store import SMALL_BYTES, progress_of, read_attrs, read_summary, verify
         from rcbht_jax.io.summary import summary_of
-        from rcbht_jax.learning.tasks import task_names
+        from rcbht_jax.learning.task_choice import task_names
 
         there, expected, axes, size = progress_of(self.store)
         attrs, tasks, verified = read_attrs(self.store), dict[str, Any](), self.check
