@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from numbers import Real
 from typing import Any
 
@@ -43,6 +44,7 @@ TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
     "zeit", "zeitstempel", "temps", "tiempo", "tempo", "czas", "tijd", "время", "时间", "時間", "시간",
 )  # fmt: skip
 
+_AXIS = re.compile(r"[FMT][xyz](?![a-z])", re.I)  # of a force or a moment, without a unit
 _TAILS = ("N", "Nm", "mN", "mNm", "Nmm", "Ncm", "kN", "kNm", "kgf", "lbf")  # that end a name after "_"
 _AXIS = re.compile(r"(?:^|[\W_])(?:f|m|t|force|torque|moment|tau)[ _]?[xyz]$", re.IGNORECASE)  # before n, or nm
 _PRODUCT = re.compile(r"(?<=[^\W\d_])[ .*·⋅・･∙•×-](?=[^\W\d_])")  # N-m, N·mm, lbf in
@@ -150,3 +152,13 @@ def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_]
 
 def _is_nan(value: Any) -> bool:
     return isinstance(value, float) and math.isnan(value)
+
+
+def measured(axes: Sequence[str], units: Sequence[str]) -> str:
+    """What axes measure together: "wrench", or "signal" where not all of them are forces and moments.
+
+    >>> measured(["grip", "Fz"], ["N", ""]), measured(["current", "Fz"], ["A", "N"]), measured(["speed"], [""])
+    ('wrench', 'signal', 'signal')
+    """
+    named = (unit in (*FORCES, *MOMENTS) if unit else _AXIS.match(axis) for axis, unit in zip(axes, units, strict=True))
+    return "wrench" if all(named) else "signal"

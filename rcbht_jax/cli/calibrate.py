@@ -23,7 +23,6 @@ from rcbht_jax.cli.command import (
     Store,
     Task,
     checked_tolerance,
-    chosen_task,
     option,
     progress_bar,
     unset,
@@ -148,6 +147,7 @@ class Calibrate(RuleCommand):
         from rcbht_jax._util import compile_cache
         from rcbht_jax.calibration.sample import read_sample
         from rcbht_jax.io.store import read_table
+        from rcbht_jax.learning.task_choice import chosen_task
         from rcbht_jax.learning.tasks import TaskSpec
 
         self._check()

@@ -109,7 +109,7 @@ Outcomes = Annotated[
     tuple[str, ...], option("Outcomes to use.", "for a track, successes if there are any; for a column, all")
 ]
 Arm = Annotated[str, option("Arm whose wrench to use, if the store has several.", "the last by name, as the right one")]
-ONLY_TRACK = "the only track of the store, else states"
+ONLY_TRACK = "the only track of the store, else states; the outcome if there is nothing else"
 Task = Annotated[str, option("Track of annotations, or column, whose classes to distinguish.", ONLY_TRACK)]
 Boundaries = Annotated[
     str,
@@ -387,12 +387,6 @@ def announce(step: int, steps: int, what: str) -> None:
 def belief_rate(chosen: float | None) -> float | Literal["auto"] | None:
     """The rate of beliefs as an introspector takes it: of an option that is 0 for every window, None for about 10."""
     return "auto" if chosen is None else chosen or None
-
-
-def chosen_task(task: str, recordings: Recordings) -> str:
-    """The task that an option names; where it names none the only track of the recordings, else states."""
-    tracks = recordings.annotations.tracks
-    return task or (tracks[0] if len(tracks) == 1 else "states")
 
 
 def left_out(dropped: dict[str, int]) -> list[str]:

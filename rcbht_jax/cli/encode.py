@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rcbht_jax.types import LabelTracks, Recordings
 
 
+USUAL_SPAN = 0.025  # s, of the paper's windows: 5 samples at 200 Hz
 RESTLESS = 1 / 3  # of the time at rest, beyond which the thresholds do not fit
 
 
@@ -126,10 +127,12 @@ class Encode(RuleCommand):
                 "thresholds do not fit these recordings; try --robot auto."
             )
         if hidden := result["changes_all_constant"]:
-            span = f"{self.window} samples ({1e3 * self.window * result['config']['dt']:.3g} ms)"
+            dt = result["config"]["dt"]
+            longer = max(4 * self.window, round(USUAL_SPAN / dt))
             text += (
                 f"\nEverything on {', '.join(hidden)} is labelled constant, although the values change: within a "
-                f"window of {span}, noise may be steeper than they are; try a longer one (--window {4 * self.window})."
+                f"window of {self.window} samples ({1e3 * self.window * dt:.3g} ms), noise may be steeper than they "
+                f"are; try a longer one (--window {longer}, {1e3 * longer * dt:.3g} ms)."
             )
         return text
 

@@ -30,7 +30,7 @@ from rcbht_jax.errors import InputError
 class Export(Command):
     """Write a store as Parquet, LeRobotDataset v3, MCAP or CSV: a folder with a data card.
 
-    The files contain the wrenches, times, onsets of states, outcomes and labels of the store. An existing folder is
+    The files contain the signals, times, onsets of states, outcomes and labels of the store. An existing folder is
     never replaced.
 
     Example: rcbht export hiro.zarr --format parquet -o hiro-parquet
@@ -98,8 +98,7 @@ class Report(Command):
     trial: Annotated[tuple[str, ...], option("Trials to show; default --max-trials of them, evenly spaced.", "")] = ()
     max_trials: int = 100
     """Number of recordings to show, if --trial names none."""
-    title: str = "Wrench introspection"
-    """Heading of the page."""
+    title: Annotated[str, option("Heading of the page.", "Wrench introspection, or Signal introspection")] = ""
 
     FORMER: ClassVar[dict[str, str]] = {"--most": "--max-trials"}
 

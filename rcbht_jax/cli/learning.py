@@ -28,7 +28,6 @@ from rcbht_jax.cli.command import (
     Sources,
     Task,
     Weighing,
-    chosen_task,
     left_out,
     option,
     progress_bar,
@@ -87,6 +86,7 @@ class _Learning(Command):
     FORMER: ClassVar[dict[str, str]] = {"--arms": "--arm", "--ranks": ""}
 
     def spec(self, recordings: Recordings) -> TaskSpec:
+        from rcbht_jax.learning.task_choice import chosen_task
         from rcbht_jax.learning.tasks import TaskSpec
 
         task = chosen_task(self.task, recordings)

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlotTrial(Command):
-    """Plot one trial: its wrench, the linear fits, the three layers of labels and the state boundaries.
+    """Plot one trial: its signals, the linear fits, the three layers of labels and the state boundaries.
 
-    Of a store without labels, wrench and boundaries are shown; "rcbht encode" makes labels.
+    Of a store without labels, signals and boundaries are shown; "rcbht encode" makes labels.
 
     Example: rcbht plot trial hiro.zarr 20121127-HIROSA-S-05 -o trial.png
     """

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from rcbht_jax.learning.wrench_facts import WrenchFacts
     from rcbht_jax.types import Recordings
 
+FIRST = 5  # trials whose names are shown
+
 
 @dataclass(frozen=True)
 class ImportHiro(Command):
@@ -98,11 +100,12 @@ class Join(Command):
 
 @dataclass(frozen=True)
 class Info(Command):
-    """Summarise a store: recordings by source, session and outcome, annotations, columns, tasks, label tracks.
+    """Summarise a store: recordings by source, session and outcome, names, annotations, columns, tasks, label tracks.
 
     A small store is read whole, which verifies its checksums, and its tasks are examined. For a store larger than
-    256 MiB, only the counts made when it was written are shown; --check reads all of it, part by part. If a store is
-    still being written, the recordings written so far are described.
+    256 MiB, only the counts made when it was written and the names of the first trials are shown; --check reads all of
+    it, part by part. If a store is still being written, the recordings written so far are described. --json lists the
+    names of all trials of a small store.
 
     Example: rcbht info hiro.zarr
     """
@@ -116,19 +119,21 @@ class Info(Command):
         from rcbht_jax.cli.learning import table_and_facts
         from rcbht_jax.io.label_store import list_tracks
         from rcbht_jax.io.store import SMALL_BYTES, progress_of, read_attrs, read_summary, verify
+        from rcbht_jax.io.store_reader import first_trials
         from rcbht_jax.io.summary import summary_of
-        from rcbht_jax.learning.tasks import task_names
+        from rcbht_jax.learning.task_choice import task_names
 
         there, expected, axes, size = progress_of(self.store)
         attrs, tasks, verified = read_attrs(self.store), dict[str, Any](), self.check
         if self.check:
             verify(self.store)
-        if there == expected and size <= SMALL_BYTES:
+        if small := there == expected and size <= SMALL_BYTES:
             recordings, facts = table_and_facts(self.store)
             summary, verified = summary_of(recordings), True
+            trials = list(dict.fromkeys(recordings.trial.tolist()))
             tasks = {name: _task(recordings, name, facts) for name in task_names(recordings)}
         else:
-            summary = read_summary(self.store)
+            summary, trials = read_summary(self.store), first_trials(self.store, FIRST)
         dt = checked_number(f"{self.store}: dt", attrs["dt"])
         return {
             "store": str(self.store),
@@ -137,6 +142,8 @@ class Info(Command):
             "verified": verified,
             "dt": dt,
             "axes": axes,
+            "trials": trials,
+            "all_trials": small or there <= FIRST,
             "groups": [_group(group, dt) for group in summary["groups"]],
             "annotations": summary["annotations"],
             "columns": {name: _column(values) for name, values in summary["columns"].items()},
@@ -167,6 +174,9 @@ class Info(Command):
         for row, count, times in zip(rows, ["count", *sizes], [" seconds (min/median/max)", *seconds], strict=True):
             names = " ".join(f"{text:{width}}" for text, width in zip(row, wide, strict=True))
             lines.append(f"{names}  {count}  {times}")
+        if shown := result["trials"][:FIRST]:
+            more, others = len(result["trials"]) - len(shown), "" if result["all_trials"] else ", ..."
+            lines.append(f"trials: {', '.join(shown)}" + (f" and {more} more" if more else others))
         lines += [f"annotations {track}: {_counts(labels)}" for track, labels in result["annotations"].items()]
         lines += [f"column {name}: {values}" for name, values in result["columns"].items()]
         for name, task in result["tasks"].items():

@@ -29,7 +29,6 @@ from rcbht_jax.cli.command import (
     Sources,
     Store,
     Weighing,
-    chosen_task,
     left_out,
     option,
     progress_bar,
@@ -121,6 +120,7 @@ class TrainOnline(RuleCommand):
     def _heads(self, recordings: Recordings) -> tuple[HeadSpec, ...]:
         """What is learned: a classifier per task, and one that detects when sub-tasks begin."""
         from rcbht_jax.introspection.training import HeadSpec
+        from rcbht_jax.learning.task_choice import chosen_task
         from rcbht_jax.learning.tasks import TaskSpec, track_of
 
         names = self.task or (chosen_task("", recordings),)

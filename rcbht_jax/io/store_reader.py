@@ -30,6 +30,7 @@ from rcbht_jax.io.store_schema import (
     WRENCH_HASH,
     Schema,
     digested,
+    open_store,
     schema_in,
 )
 from rcbht_jax.io.summary import COUNTING, Summary, merged, summary_of
@@ -169,6 +170,27 @@ def read_table(stored: Stored) -> Recordings:
     if not used.all():
         small = {name: values[used] for name, values in small.items()}
     return _recordings(stored, small, np.zeros((int(used.sum()), 0, len(stored.schema.axes)), np.float32))
+
+
+def first_trials(path: Path, count: int) -> list[str]:
+    """Names of the trials of the first recordings, of a store of any size; [] = of version 1 or 2, or not finished.
+
+    Args:
+        path: the store.
+        count: recordings to look at; no others are read.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
+    """
+    group = open_store(path)
+    if int(group.attrs["format_version"]) < 3 or HASH not in group.attrs:  # type: ignore[arg-type]
+        return []
+    stored = Stored.of(path, group)
+    rows = stored.rows()
+    near = rows[:count][rows[:count] < rows[0] + count]  # gaps between them may be long
+    with zarr_io.reading(path):
+        names = parts.read(group, "trial", slice(int(rows[0]), int(near[-1]) + 1), stored.schema.fields["trial"])
+    return list(dict.fromkeys(names[near - rows[0]].tolist()))
 
 
 def read_lengths(stored: Stored) -> NDArray[np.int32]:

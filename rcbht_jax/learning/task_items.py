@@ -62,7 +62,8 @@ def track_items(
     bounds = np.searchsorted(marks.recording[chosen], np.arange(len(recordings) + 1))
     of_trials = [[chosen[bounds[row] : bounds[row + 1]] for row in arms] for arms in rows.tolist()]
     there = [arms for arms in of_trials if all(len(arm) for arm in arms)]
-    leave_out(dropped, "a state is missing" if complete else "no annotation", len(of_trials) - len(there))
+    reason = "a state is missing" if complete else f"no annotation of the track {track}"
+    leave_out(dropped, reason, len(of_trials) - len(there))
     same = [arms for arms in there if all(np.array_equal(marks.code[arms[0]], marks.code[arm]) for arm in arms)]
     leave_out(dropped, "its arms are annotated differently", len(there) - len(same))
     items = np.array([item for arms in same for item in zip(*arms, strict=True)], np.int64).reshape(-1, rows.shape[1])

@@ -26,6 +26,7 @@ from rcbht_jax.features import (
     concatenate_features,
     interval_features,
 )
+from rcbht_jax.learning.task_choice import column_names
 from rcbht_jax.learning.task_items import leave_out, track_items, whole_items
 from rcbht_jax.types import LabelTracks, Recordings
 
@@ -205,19 +206,6 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
         known = ", ".join((*tracks, *column_names(recordings)))
         raise InputError(f"There is no track or column {spec.task!r} for the task; choose one of {known} (--task).")
     return ""
-
-
-def task_names(recordings: Recordings) -> tuple[str, ...]:
-    """Tasks that a data set may answer: tracks, without corrected variants of another one, and columns of text."""
-    tracks = recordings.annotations.tracks
-    variants = {track for track in tracks for other in tracks if track.startswith(f"{other}-")}
-    return (*(track for track in tracks if track not in variants), *column_names(recordings))
-
-
-def column_names(recordings: Recordings) -> tuple[str, ...]:
-    """Columns that can be a task: outcome and the data set's own texts."""
-    texts = (name for name, values in recordings.columns.items() if values.dtype.kind == "U")
-    return ("outcome", *texts)
 
 
 def extract_features(

@@ -1,4 +1,4 @@
-"""One trial: its wrench, axis by axis, each above its three layers of labels."""
+"""One trial: its wrench, or other signals, axis by axis, each above its three layers of labels."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from rcbht_jax._util.arms import title_of
+from rcbht_jax._util.columns import measured
 from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, name
@@ -26,6 +27,7 @@ WIDTH, DPI = 16.0, 100  # inches, 1600 pixels; six axes are 2000 pixels high
 LEFT, RIGHT = 0.062, 0.985  # figure coordinates
 HEAD, FOOT, PANEL, GAP = 1.24, 2.1, 2.505, 0.326  # inches: title and two rows of names, legends, an axis, between two
 SIGNAL, BARE_FOOT = 2.5, 0.7  # height of a signal in heights of its bands; foot in inches where there are no labels
+CLEAR = 0.05  # of the height of a signal, without a value above the bands
 MARGIN = 0.24  # inches above the title
 LINE, ROOM, MOST_ROWS = 16, 2, 14  # of names of states: points of a row, rows that fit into the head, most rows
 LONG = 17, 22  # letters that fit beside a panel in the usual size, and in the small one
@@ -69,7 +71,7 @@ def trial_figure(
     rule: str = "paper",
     seconds: tuple[float, float] | None = None,
 ) -> Figure:
-    """Wrench and state boundaries of one recording, and its fitted lines and labels if it has some.
+    """Signals and state boundaries of one recording, and its fitted lines and labels if it has some.
 
     >>> import rcbht_jax as rj
     >>> recordings = Recordings.from_arrays(np.random.default_rng(0).normal(size=(3, 400, 6)).cumsum(1), 200.0)
@@ -104,6 +106,7 @@ def trial_figure(
         lanes = [_lane(getattr(tracks, layer), index, axis, view) for layer in LAYERS]
         _draw_fits(panel[0], lanes[0], recordings.dt)
         _draw_bands(panel[1], lanes, view)
+        _clear_lowest(panel[0])
         for layer, lane in zip(LAYERS, lanes, strict=True):
             used[layer].update(int(code) for code in lane.label)
     _name_marks(panels[0][0], names)
@@ -111,7 +114,7 @@ def trial_figure(
     top, title = 1 - MARGIN / figure.get_figheight(), plain(_title(recordings, index, window, rule))
     figure.suptitle(title, x=LEFT, y=top, ha="left", va="top", fontsize=14)
     _legends(figure, used)
-    _key(figure, panels[0][0], marks)
+    _key(figure, panels[0][0], marks, measured(recordings.axes, recordings.units))
     return figure
 
 
@@ -142,7 +145,7 @@ def _starts(recordings: Recordings, track: str, index: int) -> list[tuple[str, f
 
 
 def fitted_lines(lane: LabelTrack, dt: float) -> Float[np.ndarray, "slot 2 2"]:
-    """Both end points (s, N or Nm) of the line of every primitive of one axis ``[slot]``.
+    """Both end points (s, unit of the axis) of the line of every primitive of one axis ``[slot]``.
 
     A line runs from the first to the last sample of its span and passes through the mean at its middle.
     """
@@ -222,6 +225,12 @@ def _name_axis(ax: Axes, text: str) -> None:
         lines = [lines[0], cut(lines[1] + lines[2], LONG[1])]
     small: dict[str, Any] = {} if short else {"labelpad": 1.0, "linespacing": 1.0}
     ax.set_ylabel(plain("\n".join(lines)), fontsize=12 if short else 8, **small)
+
+
+def _clear_lowest(ax: Axes) -> None:
+    """Leave out values so near to the lower edge of a panel that they run into the titles of its bands."""
+    low, high = ax.get_ylim()
+    ax.set_yticks([tick for tick in ax.get_yticks().tolist() if low + CLEAR * (high - low) <= tick <= high])
 
 
 def _draw_fits(ax: Axes, primitives: LabelTrack, dt: float) -> None:
@@ -311,10 +320,10 @@ def _legends(figure: Figure, used: dict[str, set[int]]) -> None:
             label_legend(figure, layer, used[layer], (left, 0.16 / figure.get_figheight()), 2)
 
 
-def _key(figure: Figure, ax: Axes, marks: list[Mark]) -> None:
+def _key(figure: Figure, ax: Axes, marks: list[Mark], what: str) -> None:
     """Legend of the lines, in the upper right corner."""
     handles: list[Artist] = [ax.lines[0], *ax.collections]
-    texts = ["wrench", "fitted lines"][: len(handles)]
+    texts = [what, "fitted lines"][: len(handles)]
     for dashed, text in ((False, "start of a state"), (True, "start of a state, harmonised")):
         if any(mark.dashed == dashed for mark in marks):
             handles.append(Line2D([], [], color=_RED, linewidth=1.3, linestyle=_STYLE[dashed]))

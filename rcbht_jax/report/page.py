@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.columns import measured
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.introspector import Introspector
@@ -31,7 +32,7 @@ from rcbht_jax.types import Recordings
 class Options:
     """Content of a report besides the data."""
 
-    title: str = "Wrench introspection"
+    title: str = ""  # "" = what the axes measure, as "Wrench introspection"
     results: Results | None = None  # None = no table of results
     model: IntrospectionModel | None = None  # model whose beliefs are shown over time
     rate: float | Literal["auto"] = "auto"  # beliefs per second, see Introspector
@@ -60,6 +61,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
         abouts.append(about)
         blobs.append(blob)
         progress(1)
+    what = measured(data.recordings.axes, data.recordings.units)
     facts = {
         "dt": data.recordings.dt,
         "axes": data.recordings.axes,
@@ -71,7 +73,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
         "trials": abouts,
     }
     parts = {
-        "TITLE": escape(options.title),
+        "TITLE": escape(options.title or f"{what.capitalize()} introspection"),
         "SECTIONS": _sections(options),
         "STYLE": _asset("report.css"),
         "SUMMARY": _summary(data, len(rows)) + _about_model(data, options.model),

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rcbht_jax._util.untrusted import checked_fields, load_json
 from rcbht_jax.errors import InputError
 
 SCHEMA = "rcbht-results-rows-1"
+PARTS = {"notes": dict, "rows": list, "sources": list}  # of a file
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -70,12 +72,14 @@ def read_results(folder: Path) -> Results:
     records = {path: record for path, record in records.items() if record.get("schema") == SCHEMA}
     for path, record in records.items():
         try:
+            for name, kind in PARTS.items():
+                if not isinstance(record.get(name), kind):
+                    raise InputError(f"it has no {'object' if kind is dict else 'list'} {name!r}")
             notes |= {str(flag): str(sentence) for flag, sentence in record["notes"].items()}
-            rows += [_row(entry, notes) for entry in record["rows"]]
-            sources += [Source(**checked_fields(Source, source)) for source in record["sources"]]
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            reason = f"{type(error).__name__}: {error}"
-            raise InputError(f"{path} does not follow the schema {SCHEMA} ({reason}).") from error
+            rows += [_row(entry, f"row {number}", notes) for number, entry in enumerate(record["rows"], 1)]
+            sources += [_made(Source, one, f"source {number}") for number, one in enumerate(record["sources"], 1)]
+        except InputError as error:
+            raise InputError(f"{path} does not follow the schema {SCHEMA}: {error}.") from error
     if not rows:
         raise InputError(f'{folder} holds no result rows; expected a JSON file with "schema": "{SCHEMA}".')
     return Results(tuple(rows), notes, tuple(sources))
@@ -92,11 +96,30 @@ def _record(path: Path) -> dict[str, Any]:
         raise InputError(f"{path} is not JSON ({error}).") from error
 
 
-def _row(entry: dict[str, Any], notes: dict[str, str]) -> Row:
-    if unknown := set(entry["flags"]) - set(notes):
-        raise KeyError(f"no note for the flag {', '.join(sorted(unknown))}")
-    peer = None if entry["peer"] is None else Peer(**checked_fields(Peer, entry["peer"]))
-    return Row(**checked_fields(Row, entry | {"peer": peer}))
+def _row(entry: Any, where: str, notes: dict[str, str]) -> Row:
+    peer = entry.get("peer") if isinstance(entry, dict) else None
+    if peer is not None:
+        entry = entry | {"peer": _made(Peer, peer, f"the peer of {where}")}
+    row = _made(Row, entry, where)
+    if unknown := set(row.flags) - set(notes):
+        raise InputError(f"{where} has the flag {min(unknown)!r}, for which there is no note")
+    return row
+
+
+def _made(kind: type[T], entry: Any, where: str) -> T:
+    """An object of a file as a dataclass.
+
+    Raises:
+        InputError: it is no object, lacks a field, or has one that is unknown or of another type.
+    """
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} is no object")
+    if missing := [one.name for one in fields(kind) if one.name not in entry]:  # type: ignore[arg-type]
+        raise InputError(f"{where} has no {missing[0]!r}")
+    try:
+        return kind(**checked_fields(kind, entry))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
 
 
 def cells(row: Row) -> tuple[str, str, str, str, str, str]:

@@ -125,6 +125,8 @@ def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.Capture
     assert "30 recordings of Fx (N), " in text
     assert "task states: approach (15), rotation (15), insertion (15), mating (13)" in text
     assert "annotations states: approach (30 in 30 recordings), " in text
+    assert len(info["trials"]) == 15  # once for both arms
+    assert f"trials: {', '.join(info['trials'][:5])} and 10 more\n" in text
 
 
 @pytest.mark.parametrize(

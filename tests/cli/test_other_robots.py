@@ -93,7 +93,8 @@ def test_encode_says_where_noise_hides_all_changes(tmp_path: Path, capsys: pytes
     said = capsys.readouterr().out
     assert "Everything on torque is labelled constant, although the values change: within a window of 5 samples" in said
     assert "(1.25 ms)" in said
-    assert run(capsys, "encode", path, "--window", "80")["changes_all_constant"] == []
+    assert "try a longer one (--window 100, 25 ms)." in said  # as long as the paper's
+    assert run(capsys, "encode", path, "--window", "100")["changes_all_constant"] == []
 
 
 def test_phases_and_columns_are_classified(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -206,8 +206,12 @@ def test_a_growing_or_large_store_is_described(
     large = json.loads(capsys.readouterr().out)
     assert small["verified"]
     assert small["tasks"]
+    assert small["trials"] == store.read_recordings(parted).trial.tolist()
     assert not large["verified"]
-    assert large | {"verified": True, "tasks": small["tasks"]} == small
+    assert (large["trials"], large["all_trials"]) == (small["trials"][:5], False)  # of a million, some are read
+    assert large | {key: small[key] for key in ("verified", "tasks", "trials", "all_trials")} == small
+    assert main(["info", str(parted)]) == 0
+    assert f"trials: {', '.join(small['trials'][:5])}, ...\n" in capsys.readouterr().out
     assert main(["info", str(parted), "--json", "--check"]) == 0
     assert json.loads(capsys.readouterr().out)["verified"]
 

@@ -179,7 +179,7 @@ def test_without_any_sentence(place: Path) -> None:
     missing = np.full((12, 4), np.nan)
     unmarked = marked(synthetic(), missing, missing)
     model = load(place / "one.model")
-    with pytest.raises(InputError, match="12 trials: no annotation"):
+    with pytest.raises(InputError, match="12 trials: no annotation of the track states"):
         classify(model, unmarked, {}, task_of(model))
 
 

@@ -114,3 +114,20 @@ def test_the_legend_of_a_map_is_inside(layer: str) -> None:
     boxes = [text.get_window_extent() for text in figure.legends[0].get_texts()]
     assert len(boxes) == size
     assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes)
+
+
+def test_no_value_runs_into_the_titles_of_the_bands() -> None:
+    wrench = np.full((1, 400, 2), [4.0, 0.0], np.float32)  # the margins of the constant end at round numbers
+    wrench[..., 1] += np.linspace(0, 1, 400)
+    recordings = Recordings.from_arrays(wrench, 200.0, axes=["dead", "grip"], units=["A", "N"])
+    figure = trial_figure(recordings, words(2, [(1, 0, 400)]), 0, window=5)
+    figure.canvas.draw()
+    bands = [ax for ax in figure.axes if str(ax.get_gid()).startswith("labels-")]
+    for signal, band in zip([ax for ax in figure.axes if ax not in bands], bands, strict=True):
+        low, high = signal.get_ylim()
+        shown = [
+            text for text, at in zip(signal.get_yticklabels(), signal.get_yticks(), strict=True) if low <= at <= high
+        ]
+        lowest = min(text.get_window_extent().y0 for text in shown)
+        assert lowest > band.get_yticklabels()[0].get_window_extent().y1
+        assert len(shown) > 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,3 +43,8 @@ def test_the_command_says_what_makes_labels(
     assert '"tracks": null' in capsys.readouterr().out
     assert main.main(["plot", "trial", str(bare), "two", "-o", str(out), "--tracks", "W20"]) == 2
     assert "has no label tracks; run" in capsys.readouterr().err
+
+
+def test_what_is_no_force_is_called_a_signal(recordings: Recordings) -> None:
+    currents = replace(recordings, units=("A",) * 6)
+    assert trial_figure(currents, None, 0).legends[0].texts[0].get_text() == "signal"

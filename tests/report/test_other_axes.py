@@ -46,6 +46,17 @@ def test_report_of_any_number_of_axes(units: tuple[str, ...], tmp_path: Path) ->
         assert [entry["message"] for entry in driver.get_log("browser")] == []
 
 
+@pytest.mark.parametrize(("unit", "title"), [("A", "Signal introspection"), ("N", "Wrench introspection")])
+def test_what_is_no_force_is_not_called_a_wrench(unit: str, title: str, tmp_path: Path) -> None:
+    values = np.random.default_rng(0).normal(size=(1, 400, 1)).cumsum(1)
+    store, page = tmp_path / "s.zarr", tmp_path / "s.html"
+    write_recordings(store, Recordings.from_arrays(values, 200.0, axes=["motor"], units=[unit]), {})
+    assert main(["report", str(store), "-o", str(page)]) == 0
+    assert f"<h1>{title}</h1>" in page.read_text()
+    assert main(["export", str(store), "-o", str(tmp_path / "out"), "--format", "csv"]) == 0
+    assert (tmp_path / "out" / "README.md").read_text().startswith(f"# {title.split()[0]} recordings")
+
+
 def test_a_signal_in_large_units_fills_its_panel(tmp_path: Path) -> None:
     """In kN, where a push is 0.0001; the numbers beside the panel are whole."""
     force = np.random.default_rng(0).normal(size=(1, 401, 1)).cumsum(1) * 1e-5

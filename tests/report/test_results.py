@@ -68,6 +68,34 @@ def test_rows_outside_the_schema_are_one_sentence(changed: dict[str, Any], tmp_p
         read_results(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("changed", "lacks"),
+    [
+        ({"notes": None}, "it has no object 'notes'"),
+        ({"rows": {}}, "it has no list 'rows'"),
+        ({"rows": [7]}, "row 1 is no object"),
+        ({"rows": [{"group": "g", "what": "w"}]}, "row 1 has no 'paper'"),
+        ({"notes": {"other": ""}}, "row 1 has the flag 'few', for which there is no note"),
+        ({"sources": [{"file": "a.json"}]}, "source 1 has no 'command'"),
+        ({"sources": [{"file": 1, "command": "", "date": "", "machine": ""}]}, "source 1: file is '1', which is not"),
+    ],
+)
+def test_what_a_file_of_rows_lacks_is_said(changed: dict[str, Any], lacks: str, tmp_path: Path) -> None:
+    rows_file(tmp_path, **changed)
+    with pytest.raises(InputError) as raised:
+        read_results(tmp_path)
+    assert str(raised.value).partition(f"follow the schema {SCHEMA}: ")[2].startswith(lacks)
+    assert "Error" not in str(raised.value)
+
+
+def test_what_a_peer_lacks_is_said(tmp_path: Path) -> None:
+    rows = json.loads(rows_file(tmp_path).read_text())["rows"]
+    del rows[0]["peer"]["mean"]
+    rows_file(tmp_path, rows=rows)
+    with pytest.raises(InputError, match=r"schema .*: the peer of row 1 has no 'mean'\.$"):
+        read_results(tmp_path)
+
+
 def test_a_folder_without_rows_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("[]")
     with pytest.raises(InputError, match='expected a JSON file with "schema"'):

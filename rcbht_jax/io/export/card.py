@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 import rcbht_jax
+from rcbht_jax._util.columns import measured
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export.dataset import DataSet
@@ -69,7 +70,7 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
     origin = "simulated" if "simulated" in data.attrs else "recorded"
     about = description(data)
     parts = [
-        f"{front}# Wrench recordings",
+        f"{front}# {measured(recordings.axes, recordings.units).capitalize()} recordings",
         f"{plural(len(recordings), 'recording')} of {plural(len(trials), f'{origin} trial')}, "
         f"{plural(samples, 'sample')} at {1 / recordings.dt:g} Hz "
         f"({samples * recordings.dt / 60:.1f} min). A recording is one arm of one trial.",

@@ -84,3 +84,21 @@ def without_properties(records: Sequence[Record]) -> tuple[list[Record], list[st
                     columns={**facts, **record.columns})
         )  # fmt: skip
     return found, names
+
+
+def still_axes(records: Sequence[Record]) -> list[str]:
+    """A remark on each axis that never changes within some recording or all: its sensor may be dead.
+
+    >>> values = np.stack([np.arange(3.0), np.full(3, 0.5)], 1)
+    >>> still_axes([Record("a", np.arange(3.0), values, ("Fz", "Fx"), ("N", "N"))])
+    ['Fx never changes within any recording; is its sensor connected?']
+
+    Args:
+        records: of the same axes.
+    """
+    still = np.array([np.ptp(record.values, axis=0) == 0 for record in records]).sum(0)
+    found = []
+    for axis, count in zip(records[0].axes, still.tolist(), strict=True):
+        where = "any recording" if count == len(records) else f"{count} of {len(records)} recordings"
+        found += [f"{axis} never changes within {where}; is its sensor connected?"] if count else []
+    return found

@@ -21,7 +21,7 @@ from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax._util.untrusted import check_inside, leads_out
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.importing import arrays, columnar, marks
+from rcbht_jax.io.importing import arrays, columnar, listing, marks
 from rcbht_jax.io.importing.arms import PLACE, tables_of_arms
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.blocks import read_blocks
@@ -29,14 +29,14 @@ from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find
-from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, nameless, some
+from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, nameless, some, stated_words
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.label_studio import unfolded
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Lacks, Record, Row, bounded, records
+from rcbht_jax.io.importing.record import Lacks, Record, Row, bounded, records, text
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Interval, Table
@@ -106,6 +106,7 @@ def read_source(
     if not base.channels and not base.bias:
         read = _properties(read, used)
     found = [record for record, _ in read]
+    words = _judge(found, base)
     names = marks.Names(((record.file, record.part) for record in found), [record.arm for record in found])
     _beside(source, read, [track for track in base.annotations if not track.column], names, report)
     _attach(found, tables, names, report)
@@ -119,6 +120,8 @@ def read_source(
     first, rows = used[found[0].name]
     if any(PLACE in channel.column for channel in first.channels):
         first = replace(first, arms=base.arms or tuple(dict.fromkeys(str(one.columns["arm"]) for one in found)))
+    if words:
+        first = replace(first, columns={**first.columns, "outcome": replace(first.columns["outcome"], words=words)})
     first = replace(first, columns={**first.columns, **{column_name(name): Value(name) for name in described}})
     taken = {row.column: row for _, others in used.values() for row in others if row.role != "left out"}
     taken |= {name: Understood(name, f"column {column_name(name)}") for name in described}
@@ -191,12 +194,12 @@ def _read(
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
     marked = list(beside.tables)
     constants: Constants = {}
-    listing: Table | None = None
+    listed: Table | None = None
     if not base.table and source.is_dir():
-        base, listing = marks.with_table(source, base, items, report.remarks)
+        base, listed = listing.with_table(source, base, items, report.remarks)
     tables = {plain_name(one) for one in (base.table, *(track.file for track in base.annotations)) if one}
     files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
-    rows = marks.rows_of(source, base, files, report.warnings, listing)
+    rows = listing.rows_of(source, base, files, report.warnings, listed)
     lacks = Lacks(base)
     for item in progress(items):
         if item.name in tables:
@@ -224,6 +227,8 @@ def _read(
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
     report.warnings += lacks.warnings()
+    if lost := listing.absent(rows, (record for record, _ in found), (name for name, _ in report.skipped)):
+        report.warnings.append((base.table, lost))
     return found, used, marked, constants
 
 
@@ -275,6 +280,15 @@ def _understood(
             report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
         record.intervals[:] = [_from_start(record, interval) for interval in record.intervals]
         yield record, (mapping, understood)
+
+
+def _judge(found: list[Record], base: Mapping) -> dict[str, str]:
+    """Say success and failure for the words of an outcome whose mapping states none; returns what they mean."""
+    words = stated_words(base.columns.get("outcome"), (text(one.columns.get("outcome", "")) for one in found))
+    for columns in (record.columns for record in found if words and "outcome" in record.columns):
+        word = text(columns["outcome"])
+        columns["outcome"] = words.get(word.lower(), word)
+    return words
 
 
 def _warn_of_sources(

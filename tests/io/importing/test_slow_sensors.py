@@ -26,3 +26,18 @@ def test_a_stuck_axis_is_noted(tmp_path: Path) -> None:
     values = noise(0)
     write(tmp_path / "a.csv", np.where(np.arange(200) < 80, values, values[80]))
     assert read_source(tmp_path).recordings.note.tolist() == ["stuck:Fz"]
+
+
+def test_an_axis_that_never_changes_is_remarked_once(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for number in range(3):
+        values = rng.normal(size=(200, 3))
+        values[:, 1] = number
+        values[:, 2] *= number > 0
+        table = np.column_stack([np.arange(200) * 0.01, values])
+        np.savetxt(tmp_path / f"{number}.csv", table, "%.6g", ",", header="t,Fx,Fy,Fz", comments="")
+    remarks = [text for text in read_source(tmp_path).report.remarks if "never changes" in text]
+    assert remarks == [
+        "Fy never changes within any recording; is its sensor connected?",
+        "Fz never changes within 1 of 3 recordings; is its sensor connected?",
+    ]

@@ -36,7 +36,8 @@ def test_a_table_that_lists_recordings_is_found(tmp_path: Path) -> None:
     assert imported.recordings.columns["operator"].tolist() == ["Ann", "Bob", ""]
     assert imported.recordings.outcome.tolist() == ["unknown"] * 3
     assert not imported.report.skipped
-    assert imported.report.warnings == [("day 1/c.csv", "trials.csv has no row for it.")]
+    absent = "1 row is of no recording here, and left out: 'z'."
+    assert imported.report.warnings == [("day 1/c.csv", "trials.csv has no row for it."), ("trials.csv", absent)]
     again = read_source(tmp_path / "runs", mapping=imported.mapping)
     assert again.recordings.columns["result"].tolist() == ["OK", "NOK", ""]
     command = ["import", "csv", str(tmp_path / "runs"), str(tmp_path / "x.zarr"), "--outcome", "result"]
@@ -181,3 +182,62 @@ def test_files_of_annotations_that_a_map_names_are_not_called_unread(tmp_path: P
     )
     assert len(imported.recordings.annotations.of("step").recording) == 4
     assert [text for text in imported.report.remarks if "not read" in text] == ["1 other file was not read: note.pdf."]
+
+
+def test_a_recording_that_a_found_table_names_twice_leaves_the_others_their_outcomes(tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        write(tmp_path / "runs" / f"{name}.csv", noise(ord(name)))
+    (tmp_path / "runs" / "trials.csv").write_text("run,result,next\na,ok,b\nb,nok,b\nc,ok,b\nb,ok,b\nb,ok,b\n")
+    command = ["import", "csv", str(tmp_path / "runs"), str(tmp_path / "x.zarr"), "--outcome", "result", "--json"]
+    assert main(command) == 0
+    assert read_recordings(tmp_path / "x.zarr").outcome.tolist() == ["success"] * 3
+    report = read_source(tmp_path / "runs").report
+    assert report.warnings == [("trials.csv", "has several rows for b.csv; the last one counts.")]
+    assert report.skipped == []
+
+
+def test_a_table_with_as_many_rows_as_recordings_have_events_lists_none(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write(tmp_path / f"{name}.csv", noise(ord(name)))
+    (tmp_path / "events.csv").write_text("run,click\na,yes\na,no\nb,yes\nb,yes\n")
+    imported = read_source(tmp_path)
+    assert "click" not in imported.recordings.columns
+    assert [name for name, _ in imported.report.skipped] == ["events.csv"]
+
+
+def test_rows_of_recordings_that_are_not_there_are_told(tmp_path: Path) -> None:
+    rows = [f"{k % 50 * DT},T{k // 50},{k}" for k in range(150)]
+    (tmp_path / "all.csv").write_text("\n".join(["t,trial,Fz", *rows]))
+    write(tmp_path / "b.csv", noise(1))
+    (tmp_path / "c.csv").write_text("broken")
+    words = ("T0", "all.csv#T2", "b", "c", "d", "T7", "", "d")
+    (tmp_path / "facts.csv").write_text("\n".join(["trial,part", *(f"{word},peg" for word in words)]))
+    mapping = Mapping(table="facts.csv", key="trial", columns={"part": Value(table="part")})
+    report = read_source(tmp_path, mapping=mapping).report
+    assert ("facts.csv", "2 rows are of no recording here, and left out: 'd', 'T7'.") in report.warnings
+
+
+@pytest.mark.parametrize(
+    ("words", "outcomes"),
+    [
+        (("ok", "NOK"), ["success", "failure"]),
+        (("i.O.", "n.i.O."), ["success", "failure"]),
+        (("ok", "weak"), ["ok", "weak"]),  # a class of its own, beside which "ok" may mean anything
+    ],
+)
+@pytest.mark.parametrize("table", [True, False])
+def test_the_words_of_an_outcome_are_understood_where_a_map_states_none(
+    tmp_path: Path, words: tuple[str, str], outcomes: list[str], table: bool
+) -> None:
+    for number, word in enumerate(words):
+        write(tmp_path / f"{number}.csv", noise(number), **({} if table else {"result": word}))
+    (tmp_path / "trials.json").write_text(
+        json.dumps([{"file": "0", "result": words[0]}, {"file": "1.csv", "result": words[1]}])
+    )
+    text = '[columns.outcome]\ntable = "result"\n' if table else '[columns.outcome]\ncolumn = "result"\n'
+    (tmp_path / "a.toml").write_text('table = "trials.json"\n' + text)
+    imported = read_source(tmp_path, "csv", read_mapping(tmp_path / "a.toml"))
+    assert imported.recordings.outcome.tolist() == outcomes
+    write_mapping(tmp_path / "b.toml", imported.mapping)
+    again = read_source(tmp_path, "csv", read_mapping(tmp_path / "b.toml"))
+    assert again.recordings.outcome.tolist() == outcomes

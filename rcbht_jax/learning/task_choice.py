@@ -1,0 +1,61 @@
+"""Which tasks a data set may answer, and which one is meant where none is named."""
+
+from __future__ import annotations
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import Recordings
+
+USUAL_TASK = "states"
+
+
+def task_names(recordings: Recordings) -> tuple[str, ...]:
+    """Tasks that a data set may answer: tracks, without corrected variants of another one, and columns of text.
+
+    >>> import numpy as np
+    >>> rows = [(0, "phase", "push", 0.0, 1.0), (0, "phase-harmonised", "push", 0.1, 1.0)]
+    >>> task_names(Recordings.from_arrays(np.zeros((1, 400, 6)), annotations=rows))
+    ('phase', 'outcome')
+    """
+    return (*_tracks(recordings), *column_names(recordings))
+
+
+def column_names(recordings: Recordings) -> tuple[str, ...]:
+    """Columns that can be a task: outcome and the data set's own texts.
+
+    >>> column_names(Recordings.example())
+    ('outcome',)
+    """
+    texts = (name for name, values in recordings.columns.items() if values.dtype.kind == "U")
+    return ("outcome", *texts)
+
+
+def chosen_task(task: str, recordings: Recordings) -> str:
+    """The named task; where none is named the only track, else states, or the outcome if it is all there is.
+
+    >>> import numpy as np
+    >>> recordings = Recordings.from_arrays(np.zeros((1, 400, 6)))
+    >>> chosen_task("", recordings), chosen_task("type", recordings)
+    ('outcome', 'type')
+
+    Args:
+        task: track or column, which need not be there; "" = none is named.
+        recordings: the data set.
+
+    Raises:
+        InputError: none is named, and several may be meant.
+    """
+    tracks, names = _tracks(recordings), task_names(recordings)
+    if task:
+        return task
+    if len(tracks) == 1:
+        return tracks[0]
+    if USUAL_TASK in names or len(names) == 1:
+        return USUAL_TASK if USUAL_TASK in names else names[0]
+    raise InputError(f"No task is named, and several may be meant; choose one of {', '.join(names)} with --task.")
+
+
+def _tracks(recordings: Recordings) -> tuple[str, ...]:
+    """The tracks without corrected variants of another one."""
+    tracks = recordings.annotations.tracks
+    variants = {track for track in tracks for other in tracks if track.startswith(f"{other}-")}
+    return tuple(track for track in tracks if track not in variants)

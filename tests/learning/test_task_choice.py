@@ -1,0 +1,43 @@
+"""Which task is meant where none is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.learning.task_choice import chosen_task
+from rcbht_jax.types import Recordings
+
+
+@pytest.mark.parametrize(
+    ("tracks", "columns", "chosen"),
+    [
+        (("phase",), {"tool": ["a"]}, "phase"),
+        (("phase", "phase-harmonised", "phase-merged"), {}, "phase"),
+        (("phase", "states"), {}, "states"),
+        (("phase", "op"), {"states": ["a"]}, "states"),
+        ((), {}, "outcome"),
+        ((), {"weight": [1.0]}, "outcome"),  # numbers are no classes
+    ],
+)
+def test_the_task_that_is_plainly_meant_is_taken(
+    tracks: tuple[str, ...], columns: dict[str, list[str] | list[float]], chosen: str
+) -> None:
+    rows = [(0, track, "push", 0.0, 1.0) for track in tracks]
+    recordings = Recordings.from_arrays(np.zeros((1, 400, 6)), annotations=rows, **columns)
+    assert chosen_task("", recordings) == chosen
+    assert chosen_task("anything", recordings) == "anything"
+
+
+@pytest.mark.parametrize(
+    ("tracks", "columns", "names"),
+    [(("phase", "op"), {}, "phase, op, outcome"), ((), {"tool": ["a"]}, "outcome, tool")],
+)
+def test_several_tasks_are_named_with_the_option_to_choose_one(
+    tracks: tuple[str, ...], columns: dict[str, list[str]], names: str
+) -> None:
+    rows = [(0, track, "push", 0.0, 1.0) for track in tracks]
+    recordings = Recordings.from_arrays(np.zeros((1, 400, 6)), annotations=rows, **columns)
+    with pytest.raises(InputError, match=rf"^No task is named, .*; choose one of {names} with --task\.$"):
+        chosen_task("", recordings)
