@@ -72,7 +72,7 @@ class Benchmark:
             scores = validation.holdout_score(learner, items.y, items.trial, splits[0][0], seed).summary()
         else:
             made = validation.cross_validate(learner, items.y, splits, seed)
-            scores = of_folds(made.summary(), len(np.unique(items.trial)))
+            scores = of_folds(made, len(np.unique(items.trial)))
         return rounded(scores) | {"seconds": round(time.perf_counter() - began, 1)}
 
     def about(self, items: LabelledIntervals) -> dict[str, Any]:

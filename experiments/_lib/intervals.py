@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
+from rcbht_jax.learning.validation import CrossValidation
 
 RESAMPLES = 2000
 
 
-def with_width(score: dict[str, Any], trials: int) -> dict[str, Any]:
+def with_width(score: dict[str, Any], trials: float) -> dict[str, Any]:
     """A score with ``mean``, ``low`` and ``high``; where the ends coincide they are Wilson's, by trial.
 
     Args:
@@ -30,9 +31,13 @@ def with_width(score: dict[str, Any], trials: int) -> dict[str, Any]:
     return wilsons
 
 
-def of_folds(summary: dict[str, Any], trials: int) -> dict[str, Any]:
-    """What ``CrossValidation.summary`` gives, each score ``with_width``."""
-    return {name: with_width(part, trials) if isinstance(part, dict) else part for name, part in summary.items()}
+def of_folds(run: CrossValidation, trials: int) -> dict[str, Any]:
+    """What ``CrossValidation.summary`` gives, each score ``with_width``; mean recall as of classes of equal size."""
+    sizes = {"balanced_accuracy": min(trials, run.equal_items)}
+    return {
+        name: with_width(part, sizes.get(name, trials)) if isinstance(part, dict) else part
+        for name, part in run.summary().items()
+    }
 
 
 def without(summary: dict[str, Any]) -> dict[str, Any]:
@@ -41,7 +46,7 @@ def without(summary: dict[str, Any]) -> dict[str, Any]:
             for name, part in summary.items()}  # fmt: skip
 
 
-def by_trial(mean: float, trials: int) -> dict[str, Any]:
+def by_trial(mean: float, trials: float) -> dict[str, Any]:
     """A share of items right with Wilson's interval, each trial counting once: items of a trial are not independent."""
     low, high = wilson(mean * trials, trials)
     return {"mean": mean, "low": low, "high": high, "interval by": "Wilson, by trial"}

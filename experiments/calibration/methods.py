@@ -118,7 +118,7 @@ def folds(repeats: int) -> Callable[[validation.Estimator, LabelledIntervals], d
     def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
         splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
         scores = validation.cross_validate(learner, items.y, splits, SEED)
-        found = of_folds(scores.summary(), len(np.unique(items.trial)))
+        found = of_folds(scores, len(np.unique(items.trial)))
         return {key: rounded(found[key]) for key in ("accuracy", "balanced_accuracy")}
 
     return measure

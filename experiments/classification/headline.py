@@ -23,7 +23,7 @@ from experiments._lib import frozen
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, CONFOUNDS, FAILURES, FOLDS, Benchmark, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import by_trial, with_width
+from experiments._lib.intervals import by_trial, of_folds
 from experiments._lib.tasks import failure_types
 from experiments.classification.grammar import BATCHES, by_batch, fewer_repeats, of_both
 from experiments.classification.probes import held_out
@@ -146,7 +146,7 @@ def scored(
     run = validation.cross_validate(learner, items.y, splits, seed)
     chosen = [_chosen(choice) for repeat in run.chosen for choice in repeat]
     counts = {text: chosen.count(text) for text in sorted(set(chosen))}
-    return {"score": with_width(run.summary()[measure], len(np.unique(items.trial))), "chosen": counts}
+    return {"score": of_folds(run, len(np.unique(items.trial)))[measure], "chosen": counts}
 
 
 def _chosen(choice: dict[str, Any]) -> str:

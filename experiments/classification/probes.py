@@ -98,7 +98,7 @@ class Experiment:
         splits = self.splits(question)
         result = validation.cross_validate(self.learners(question)[view](), items.y, splits, self.seed)
         counts = dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True))
-        scores = of_folds(result.summary(), len(np.unique(items.trial)))
+        scores = of_folds(result, len(np.unique(items.trial)))
         return {"trials": counts, **rounded(without(scores) if view == "majority" else scores)}
 
     def splits(self, question: str) -> list[list[Split]]:

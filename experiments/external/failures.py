@@ -150,7 +150,7 @@ class Experiment:
         y = self.data(name)[1].y
         splits = repeated_folds(y, self.repeats, self.seed)
         made = validation.cross_validate(self.makers()[title](name), y, splits, self.seed)
-        scores = of_folds(made.summary(), len(y))
+        scores = of_folds(made, len(y))
         return rounded(without(scores) if title == "majority" else scores) | {"repeats": self.repeats}
 
 

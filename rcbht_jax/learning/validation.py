@@ -101,6 +101,11 @@ class CrossValidation:
     split: Int[np.ndarray, "repeat fold"]  # number of the test set among the different ones
     items: Int[np.ndarray, " class"]  # tested ones, of the classes that are tested
 
+    @property
+    def equal_items(self) -> float:
+        """Number of items that say as much of mean recall, were their classes of equal size."""
+        return float(len(self.items) ** 2 / (1 / self.items).sum())
+
     def summary(self, trials: int = 0) -> dict[str, Any]:
         """min / mean / max over the folds of a run (averaged over repeats), and corrected 95% intervals.
 
@@ -109,10 +114,9 @@ class CrossValidation:
                 nowhere narrower than Wilson's of independent items, as stratified folds of a rare class would make it.
                 0 = neither.
         """
-        alike = len(self.items) ** 2 / (1 / self.items).sum()  # items of equal classes that say as much of mean recall
         return {
             "accuracy": _interval(self.accuracy, self, trials, float(self.items.sum())),
-            "balanced_accuracy": _interval(self.balanced_accuracy, self, trials, float(alike)),
+            "balanced_accuracy": _interval(self.balanced_accuracy, self, trials, self.equal_items),
             "fold_min_mean_max": [float(f(self.accuracy, axis=1).mean()) for f in (np.min, np.mean, np.max)],
         }
 
