@@ -30,6 +30,7 @@ ROBOT = "hiro"  # its threshold preset labels the trials
 _WIDEST = {
     "AVX-512": {"AVX512_SKX", "X86_V4"}, "AVX2": {"AVX2", "X86_V3"}, "AVX": {"AVX"}, "SVE": {"SVE"}, "NEON": {"ASIMD"},
 }  # fmt: skip
+_OF_THE_LIBRARY = ("_util/compiling.py", "io/hiro/onsets.py")  # what trials and their stored starts depend on
 MOST = 10**9  # trials: more would fill any disk
 
 
@@ -132,7 +133,7 @@ def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
         versions["processor"] = processor()
     made = {"job": asdict(job), "versions": versions}
     if own := own_files(job.preset):
-        made["versions"]["own_sha256"] = [files_hash(path.absolute().parent, [path.absolute()]) for path in own]
+        made["versions"]["own_sha256"] = [files_hash(files[0].parent, files) for files in own]
         made["versions"]["scene_sha256"] = _scene_hash(job.preset)  # they may read other files, such as an MJCF
     if job.window is not None:  # what else the labels depend on
         made["versions"]["encoding_sha256"] = encoding_hash()
@@ -169,7 +170,8 @@ def processor() -> str:
 def code_hash() -> str:
     """Digest of the simulation's sources: shards made by different code must not be mixed."""
     root = Path(__file__).parents[2]
-    return files_hash(root, sorted([*(root / "sim_mjx").rglob("*.py"), *(root / "rcbht_jax/robots").glob("*.py")]))
+    library = [*(root / "rcbht_jax/robots").glob("*.py"), *(root / "rcbht_jax" / one for one in _OF_THE_LIBRARY)]
+    return files_hash(root, sorted([*(root / "sim_mjx").rglob("*.py"), *library]))
 
 
 @cache
