@@ -63,6 +63,7 @@ def test_arrays_and_numpys_numbers_are_plain_in_the_manifest() -> None:
         ({1: 2}, r"spec.shift of the job is \{1: 2\}"),
         (np.array([0.0, np.nan]), r"spec.shift\[1\] of the job is nan"),
     ],
+    ids=["function", "complex", "keys", "nan"],
 )
 def test_what_a_manifest_cannot_hold_is_named(value: Any, words: str) -> None:
     with pytest.raises(InputError, match=words):
