@@ -7,11 +7,9 @@ your own: FILE.py:NAME is the object NAME of a Python file, see docs/howto/own_a
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, partial
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import STATES
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
 from sim_mjx.own_code import own_code
+from sim_mjx.own_files import run_file
 from sim_mjx.presets import DEFAULT, preset
 from sim_mjx.presets.two_arm import TwoArmPreset
 from sim_mjx.randomization import trials
@@ -156,35 +155,16 @@ def named(name: str, known: dict[str, Any], kind: type, what: str) -> Any:
     if not colon:
         names = [*known, SNAP] if what == "assembly" else list(known)
         raise InputError(f"There is no {what} {name!r}; expected one of {', '.join(names)}, or FILE.py:NAME.")
-    found = getattr(_module(path), attribute, None)
+    found = getattr(run_file(path).module, attribute, None)
     if not isinstance(found, kind):
         raise InputError(f"{path} has no {what} named {attribute}.")
     return found
 
 
-@cache
-def _module(path: str) -> Any:
-    file = Path(path)
-    if file.suffix != ".py" or not file.is_file():
-        raise InputError(f"There is no Python file {path}.")
-    spec = spec_from_file_location(f"rcbht_own_{file.stem}", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    folder = str(file.absolute().parent)
-    sys.path.append(folder)  # it may import its neighbours
-    try:
-        spec.loader.exec_module(module)
-    except InputError:  # its message already says what is wrong
-        raise
-    except Exception as error:
-        raise InputError(f"{path} cannot be imported: {error}.") from error
-    finally:
-        sys.path.remove(folder)
-    return module
+def own_files(name: str) -> list[tuple[Path, ...]]:
+    """Python files whose content decides what is simulated: of each file in a name, it and neighbours that it imports.
 
-
-def own_files(name: str) -> list[Path]:
-    """Python files that a name refers to: their content decides what is simulated."""
-    return [Path(half.rpartition(":")[0]) for half in _halves(name) if ":" in half]
+    Raises:
+        InputError: a file cannot be run.
+    """
+    return [run_file(half.rpartition(":")[0]).files for half in _halves(name) if ":" in half]

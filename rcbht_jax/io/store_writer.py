@@ -111,10 +111,8 @@ def parts_of(
     schema = schema_in(open_store(path))
     given = schema_of(recordings, simulation)
     if given.header != schema.header or given.simulation != schema.simulation:
-        raise InputError(
-            f"Part {number} has {given.header} and {sorted(given.simulation)}; all parts of {path} have "
-            f"{schema.header} and {sorted(schema.simulation)}."
-        )
+        this, others = _difference(given, schema)
+        raise InputError(f"Part {number} has {this}; all parts of {path} have {others}.")
     layout, single = schema.layout, parts.Layout(len(schema.layout), 1)
     summary = {SUMMARIES: np.array([json.dumps({"counting": COUNTING, **summary_of(recordings)})])}
     found = [Part(path, single, number, {SUMMARIES: Field("string")}, summary)]
@@ -123,6 +121,17 @@ def parts_of(
         found.append(Part(path / SIMULATION, layout, number, made, simulation, tuple(made)))
     values, hashed = values_of(recordings), tuple(digested(schema.fields))
     return [*found, Part(path, layout, number, schema.fields, values, hashed)]  # its digest last: the part counts then
+
+
+def _difference(given: Schema, schema: Schema) -> tuple[str, str]:
+    """What differs between two schemas, in words: of the first and of the second."""
+    if given.header != schema.header:
+        return str(given.header), str(schema.header)
+    pair = given.simulation, schema.simulation
+    name = next(name for name in sorted({*pair[0], *pair[1]}) if pair[0].get(name) != pair[1].get(name))
+    fields = [one.get(name) for one in pair]
+    words = [f"{SIMULATION}/{name}" + (f" of type {one.dtype} {[*one.shape]}" if one else "") for one in fields]
+    return words[0] if fields[0] else f"no {words[0]}", words[1] if fields[1] else f"no {words[1]}"
 
 
 def has_part(path: Path | str, number: int) -> bool:

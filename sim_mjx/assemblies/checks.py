@@ -146,7 +146,7 @@ def check_like(what: str, like: Any, found: Any) -> None:
         like: a pytree. found: another one.
 
     Raises:
-        InputError: an array has another shape, or holds NaN or no numbers.
+        InputError: an array has another shape, holds NaN or no numbers, or fractions where whole numbers are expected.
     """
     before, after = (jax.tree_util.tree_leaves_with_path(tree) for tree in (like, found))
     old: Any
@@ -160,6 +160,12 @@ def check_like(what: str, like: Any, found: Any) -> None:
             raise InputError(f"{what} changes the shape of {name} from {shapes[0]} to {shapes[1]}.")
         if np.asarray(new).dtype.kind not in "biuf" or np.isnan(new).any():
             raise InputError(f"{what} sets {name} to {new}; expected numbers.")
+        types = [np.asarray(one).dtype for one in (old, new)]
+        if not np.can_cast(types[1], types[0], "same_kind"):
+            raise InputError(
+                f"{what} changes the type of {name} from {types[0]} to {types[1]}; expected one type in every trial, "
+                "such as 0.0, not 0, of a value that is not always whole."
+            )
 
 
 def check_faulty(what: str, nominal: AssemblyTrial, faulty: Any) -> None:

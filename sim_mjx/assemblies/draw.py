@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import Any
 
+import jax
 import numpy as np
 
 from rcbht_jax.errors import InputError
@@ -129,19 +130,30 @@ def _sample(
     task, own = drawn(assembly, spec, rng)
     for like, found in zip(pattern, (task, own), strict=True):
         check_like(f"draw of {assembly.name}", like, found)
+    task, own = (_typed(like, found) for like, found in zip(pattern, (task, own), strict=True))
     trial = AssemblyTrial(
         task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),
-        timeout=np.asarray(assembly.timeout), command_delay=np.array(lag, np.int32), seed=key,
+        timeout=np.asarray(assembly.timeout, np.float64), command_delay=np.array(lag, np.int32), seed=key,
     )  # fmt: skip
     if kind != "none":
         with own_code(what := f"the fault {kind!r} of {assembly.name}"):
             faulty = assembly.faults[kind](trial, spec, rng)
         check_faulty(what, trial, faulty)
-        trial = faulty
+        trial = _typed(trial, faulty)
     if spec.longest is not None:
         trial = replace(trial, timeout=np.minimum(trial.timeout, spec.longest))
     shift = trial.hand[:2] - trial.parts.mount.position[:2]
     return trial, Fault(kind, "", np.array([*shift, trial.hand[5] - trial.parts.mount.turn]))
+
+
+def _typed(like: Any, found: Any) -> Any:
+    """Checked numbers with the types of others: all shards of a store have the same."""
+    types = [np.asarray(leaf).dtype for leaf in jax.tree.leaves(like)]
+    leaves, kind = jax.tree.flatten(found)
+    pairs = zip(leaves, types, strict=True)
+    return jax.tree.unflatten(
+        kind, [leaf if np.asarray(leaf).dtype == dtype else np.asarray(leaf, dtype) for leaf, dtype in pairs]
+    )
 
 
 def sample_batch(

@@ -299,7 +299,8 @@ class _Queue:
         rows = np.minimum(np.arange(size), len(self._trials) - 1)
         params = jax.tree.map(lambda *leaves: np.concatenate(leaves)[rows], *pieces)
         self.pool = jax.device_put((device.fields_of(self._scene, params), as_float32(params)))
-        longest = int(np.ceil(np.max(self._scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
+        # the last two rows: the one in which it times out, and the one in which it has ended and shows what is seated
+        longest = int(np.ceil(np.max(self._scene.program.timeout(params)) / CONTROL_PERIOD)) + 2
         settling = -(-SETTLING // self._scene.substeps)
         self.blocks = max(self.blocks, -(-(settling + longest) // device.STRETCH))
         return True

@@ -82,8 +82,8 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         """Begin an episode in every environment, or in some.
 
         Args:
-            seed: of these and all later episodes; None = go on with the present one. A list has one for each
-                environment, whose episodes then do not depend on the others.
+            seed: of these and all later episodes of the environments that begin one; None = go on with the present
+                one. A list has one for each environment, whose episodes then depend on it and their number alone.
             options: "reset_mask" = where to begin an episode, bool [num_envs]; the others go on.
                 Other options are not used.
 
@@ -93,11 +93,10 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         """
         mask = _mask(options, self.num_envs)
         kept = None if mask is None else _started(self._state)
-        if seed is not None:
-            self._keys = _keys(seed, self._keys)
+        keys = self._keys if seed is None else _keys(seed, self._keys)
         super().reset(seed=None if seed is None or isinstance(seed, Sequence | np.ndarray) else int(seed))
-        self._keys, fresh = self._reset(self.env, self._keys)
-        self._state = fresh if mask is None else self._select(mask, fresh, kept)
+        begun = self._reset(self.env, keys)
+        self._keys, self._state = begun if mask is None else self._select(mask, begun, (self._keys, kept))
         return _host(self._state.obs), _infos(self._state)
 
     def step(self, actions: ArrayLike) -> tuple[Floats, Floats, Bools, Bools, dict[str, Any]]:
@@ -187,12 +186,12 @@ def _reset(env: Environment, keys: Any) -> tuple[Any, State]:
 def _step(env: Environment, mode: Any, state: State, actions: Any, keys: Any) -> tuple[Any, State, tuple[Any, ...]]:
     """Keys, the state from which the next step goes on, and what this step has reached (another with "SameStep")."""
     after = reached = jax.vmap(env.step)(state, actions)
+    # a key advances only where an episode begins, so that the next one does not depend on how long this one takes
     if mode is AutoresetMode.SAME_STEP:
-        keys, fresh = _reset(env, keys)
-        after = select_lanes(reached.done > 0.5, fresh, reached)
+        keys, after = select_lanes(reached.done > 0.5, _reset(env, keys), (keys, reached))
     elif mode is AutoresetMode.NEXT_STEP:
-        keys, fresh = _reset(env, keys)
-        after = reached = select_lanes(state.done > 0.5, fresh, reached)
+        keys, after = select_lanes(state.done > 0.5, _reset(env, keys), (keys, reached))
+        reached = after
     ended, truncated = reached.done > 0.5, reached.info["truncation"] > 0.5
     return keys, after, (reached.obs, reached.reward, ended, truncated, _named(reached))
 

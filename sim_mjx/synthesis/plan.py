@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ ROBOT = "hiro"  # its threshold preset labels the trials
 _WIDEST = {
     "AVX-512": {"AVX512_SKX", "X86_V4"}, "AVX2": {"AVX2", "X86_V3"}, "AVX": {"AVX"}, "SVE": {"SVE"}, "NEON": {"ASIMD"},
 }  # fmt: skip
+_OF_THE_LIBRARY = ("_util/compiling.py", "io/hiro/onsets.py")  # what trials and their stored starts depend on
 MOST = 10**9  # trials: more would fill any disk
 
 
@@ -44,6 +45,11 @@ class SynthesisConfig:
     shard: int = 256  # trials per shard
     spec: Any = field(default_factory=DomainRandomization)  # or the assembly's own distributions
     window: int | None = None  # samples per window of the labels, which have HIRO's thresholds; None = no labels
+
+    def __post_init__(self) -> None:
+        for name in ("trials", "seed", "shard", "window"):
+            if isinstance(value := getattr(self, name), np.integer):  # which JSON does not know
+                object.__setattr__(self, name, int(value))
 
 
 def check(job: SynthesisConfig) -> Scenario:
@@ -121,7 +127,11 @@ def label_attrs(job: SynthesisConfig) -> dict[str, Any]:
 
 
 def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
-    """Everything that determines a shard, as JSON values."""
+    """Everything that determines a shard, as JSON values.
+
+    Raises:
+        InputError: the distributions hold something else than numbers, words, and lists, mappings and arrays of them.
+    """
     versions: dict[str, Any] = {
         "rcbht_jax": rcbht_jax.__version__,
         "jax": jax.__version__,
@@ -130,14 +140,36 @@ def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
     versions |= {"numpy": np.__version__, "sim_mjx_sha256": code_hash()}
     if job.engine != "warp":  # which does not give the same bytes twice
         versions["processor"] = processor()
-    made = {"job": asdict(job), "versions": versions}
+    made: dict[str, Any] = {"job": _plain("", job), "versions": versions}
     if own := own_files(job.preset):
-        made["versions"]["own_sha256"] = [files_hash(path.absolute().parent, [path.absolute()]) for path in own]
+        made["versions"]["own_sha256"] = [files_hash(files[0].parent, files) for files in own]
         made["versions"]["scene_sha256"] = _scene_hash(job.preset)  # they may read other files, such as an MJCF
     if job.window is not None:  # what else the labels depend on
         made["versions"]["encoding_sha256"] = encoding_hash()
         made["thresholds"] = label_limits().tolist()
     return made
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A value as JSON knows it; ``name`` says where it stands.
+
+    Raises:
+        InputError: JSON has nothing for it.
+    """
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float) and np.isfinite(value):
+        return float(value)
+    if isinstance(value, np.ndarray | np.generic | jax.Array) and np.asarray(value).dtype.kind in "biuUf":
+        return _plain(name, np.asarray(value).tolist())
+    if isinstance(value, tuple | list):
+        plain = [_plain(f"{name}[{place}]", one) for place, one in enumerate(value)]
+        return tuple(plain) if isinstance(value, tuple) else plain
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {one.name: getattr(value, one.name) for one in fields(value)}
+    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
+        return {key: _plain(f"{name}.{key}".lstrip("."), one) for key, one in value.items()}
+    raise InputError(f"{name} of the job is {value!r}; expected finite numbers, words, or lists of them.")
 
 
 def _scene_hash(preset: str) -> str:
@@ -169,7 +201,8 @@ def processor() -> str:
 def code_hash() -> str:
     """Digest of the simulation's sources: shards made by different code must not be mixed."""
     root = Path(__file__).parents[2]
-    return files_hash(root, sorted([*(root / "sim_mjx").rglob("*.py"), *(root / "rcbht_jax/robots").glob("*.py")]))
+    library = [*(root / "rcbht_jax/robots").glob("*.py"), *(root / "rcbht_jax" / one for one in _OF_THE_LIBRARY)]
+    return files_hash(root, sorted([*(root / "sim_mjx").rglob("*.py"), *library]))
 
 
 @cache

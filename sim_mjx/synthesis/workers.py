@@ -174,7 +174,7 @@ class _OwnShards:
         self._writing: deque[tuple[int, Future[None]]] = deque()
 
     def batches(self) -> Iterator[tuple[int, Any]]:
-        """Claim missing shards that no worker holds; their numbers and parameters."""
+        """Claim missing shards that no worker holds; numbers and parameters of those that can be drawn."""
         folder = self._draft.folder
         while is_open(folder):
             skip = shards.finished(folder) | set(self.held) | self.done | set(_failed(folder))
@@ -182,8 +182,19 @@ class _OwnShards:
             if claimed is None:
                 return
             shard, claim = claimed
-            self.held[shard] = claim, self._draft.draw(shard)
-            yield shard, self.held[shard][1][0]
+            try:
+                drawn = self._draft.draw(shard)
+            except (InputError, OSError):  # of the input or the machine: the next shard would fail, too
+                claim.release()
+                raise
+            except Exception as error:
+                claim.failed(_reason(error))
+                continue
+            except BaseException:
+                claim.release()
+                raise
+            self.held[shard] = claim, drawn
+            yield shard, drawn[0]
 
     def write(self, writers: Writers, made: Shard) -> None:
         """Begin to write a simulated shard."""

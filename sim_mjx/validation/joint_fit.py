@@ -81,6 +81,8 @@ class JointObjective:
                 start = spans[-1][2].stop if spans else 0
                 batches.append(batch)
                 spans.append((row, name, slice(start, start + share.trials)))
+        if not batches:
+            return losses
         together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
         run = engines.simulate(self.scene, together, self.engine)
         parts = [(row, self.shares[name], sessions.part_of(run, rows)) for row, name, rows in spans]

@@ -213,6 +213,43 @@ def poked(write: Callable[[FieldWriter, Any], None], extra: Callable[[mujoco.MjS
     return changed(female=female, write=write)
 
 
+def test_parameters_have_one_type_in_all_trials() -> None:
+    def own(*numbers: Any, fault: Any = 0.5) -> Any:
+        """Draws these numbers one after the other: for the check, then for the types and the trial of each draw."""
+        left = iter(numbers)
+        return pair(
+            changed(
+                draw=lambda spec, rng: (CLIP.draw(spec, rng)[0], Named(np.asarray(next(left)))),
+                faults={"chip": lambda trial, spec, rng: with_own(trial, material=np.asarray(fault))},
+            ),
+            PANDA,
+        )
+
+    whole = own(0.5, 0.5, 2, 0.5, np.float32(1.5))
+    for value in (2.0, 1.5):
+        drawn = whole.draw(0, 0, whole.spec(nominal_share=1.0))[0].parts.own.material
+        assert (drawn, drawn.dtype) == (value, np.float64)
+    for fault, share in ((0, 0.0), (0, 1.0)):
+        broken = own(0.5, 0.5, 0.5, fault=fault)
+        assert broken.draw(0, 0, broken.spec(nominal_share=share))[0].parts.own.material.dtype == np.float64
+    mixed, what = (
+        own(0, 0, 0, fault=1e-3),
+        r"changes the type of (parts\.own\.)?material from int64 to float64; expected",
+    )
+    with pytest.raises(InputError, match=f"the fault 'chip' of clip {what} one type in every trial, such as 0.0, not"):
+        mixed.draw(0, 0, mixed.spec(nominal_share=0.0))
+    later = own(0, 0, 0.5)
+    with pytest.raises(InputError, match=f"draw of clip {what}"):
+        later.draw(0, 0, later.spec(nominal_share=1.0))
+
+
+def test_a_whole_number_of_seconds_is_a_time_like_others() -> None:
+    timed = pair(changed(timeout=12), PANDA)
+    kinds = {timed.draw(0, 0, timed.spec(nominal_share=share))[0].timeout.dtype for share in (0.0, 1.0)}
+    kinds |= {timed.draw(0, 0, timed.spec(nominal_share=0.0, faults=("early-stop",)))[0].timeout.dtype}
+    assert kinds == {np.dtype(np.float64)}
+
+
 def test_any_geom_can_be_turned_and_moved() -> None:
     """Also one that was compiled in its body's frame, whose own place and turn MuJoCo skips."""
     turn, place = np.array([0.8, 0.0, 0.6, 0.0]), np.array([1e-3, 2e-3, 3e-3])

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import get_type_hints
 
 import pytest
 
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_recordings
-from sim_mjx.registry import get_scenario
+from sim_mjx.own_files import run_file
+from sim_mjx.registry import get_scenario, own_files
 from sim_mjx.synthesis.pipeline import synthesise
-from sim_mjx.synthesis.plan import SynthesisConfig
+from sim_mjx.synthesis.plan import SynthesisConfig, manifest_of
 from tests.support.pages import ROOT
 
 PAGE = ROOT / "docs" / "howto" / "own_assembly.md"
@@ -118,3 +122,69 @@ def test_a_file_may_import_its_neighbours(tmp_path: Path, monkeypatch: pytest.Mo
     before = list(sys.path)
     assert get_scenario("clip@lab/cell.py:ARM").robot == "mine"
     assert sys.path == before
+
+
+MADE_OF_COMMON = """from dataclasses import replace
+from common import Kept, WHO
+from sim_mjx.robots import get_robot
+ARM = replace(get_robot("panda"), name=WHO)
+KEPT = Kept()
+"""
+COMMON = """from __future__ import annotations
+from dataclasses import dataclass
+WHO = "{}"
+@dataclass
+class Kept:
+    size: int = 1
+"""
+
+
+def test_neighbours_of_one_name_are_kept_apart(tmp_path: Path) -> None:
+    for who in ("first", "second"):
+        (tmp_path / who).mkdir()
+        (tmp_path / who / "arm.py").write_text(MADE_OF_COMMON)
+        (tmp_path / who / "common.py").write_text(COMMON.format(who))
+    assert [get_scenario(f"clip@{tmp_path}/{who}/arm.py:ARM").robot for who in ("first", "second")] == [
+        "first",
+        "second",
+    ]
+    assert "common" not in sys.modules
+    for who in ("first", "second"):  # each class finds the module in which it was made
+        kept = run_file(f"{tmp_path}/{who}/arm.py").module.KEPT
+        assert get_type_hints(type(kept)) == {"size": int}
+        assert who == sys.modules[type(kept).__module__].WHO
+
+
+def test_a_neighbour_that_was_imported_before_is_left_to_its_importer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "arm.py").write_text(MADE_OF_COMMON)
+    (tmp_path / "common.py").write_text(COMMON.format("file"))
+    earlier = ModuleType("common")
+    earlier.__file__ = str(tmp_path / "common.py")
+    monkeypatch.setitem(sys.modules, "common", earlier)
+    assert get_scenario(f"clip@{tmp_path}/arm.py:ARM").robot == "file"
+    assert sys.modules["common"] is earlier
+    assert own_files(f"clip@{tmp_path}/arm.py:ARM") == [(tmp_path / "arm.py", tmp_path / "common.py")]
+
+
+def test_the_manifest_covers_what_a_file_imports_from_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "kit").mkdir()
+    (tmp_path / "kit" / "__init__.py").touch()
+    (tmp_path / "kit" / "far.py").write_text(COMMON.format("far"))
+    (tmp_path / "common.py").write_text("from kit.far import Kept, WHO\n")
+    (tmp_path / "arm.py").write_text(MADE_OF_COMMON)
+    (tmp_path / "unused.py").touch()
+    job = SynthesisConfig(f"clip@{tmp_path}/arm.py:ARM", 1, spec=get_scenario("clip@panda").spec())
+    names = ("arm.py", "common.py", "kit/__init__.py", "kit/far.py")
+    assert own_files(job.preset) == [tuple(tmp_path / name for name in names)]
+    before = manifest_of(job)["versions"]["own_sha256"]
+    (tmp_path / "kit" / "far.py").write_text(COMMON.format("another"))
+    assert manifest_of(job)["versions"]["own_sha256"] != before
+
+
+def test_the_digest_of_a_file_without_neighbours_stands_in_work_folders(tmp_path: Path) -> None:
+    (tmp_path / "arm.py").write_text("import numpy\nfrom sim_mjx.robots import get_robot\nARM = get_robot('panda')\n")
+    job = SynthesisConfig(f"clip@{tmp_path}/arm.py:ARM", 1, spec=get_scenario("clip@panda").spec())
+    content = hashlib.sha256((tmp_path / "arm.py").read_bytes()).digest()
+    assert manifest_of(job)["versions"]["own_sha256"] == [hashlib.sha256(b"arm.py" + content).hexdigest()]

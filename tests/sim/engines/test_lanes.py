@@ -127,6 +127,20 @@ def test_trials_longer_than_all_before_fit() -> None:
         jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
+def test_the_last_period_of_a_trial_that_times_out_decides_what_is_seated() -> None:
+    """Its log ends with a page; the tips pass at many times, some of them in that very period."""
+    count, timeout = 64, 99 * 0.005
+    params = dataclasses.replace(
+        plunger_trials(np.full(count, timeout)),
+        home=np.linspace(0.01, 0.03, count)[:, None], speed=np.full(count, 0.1), parts=np.full(count, 5.0),
+    )  # fmt: skip
+    longer = dataclasses.replace(params, timeout=np.where(np.arange(count) < count - 1, timeout, 1.2 * timeout))
+    found, expected = (device.simulate(SCENE, each, "jax") for each in (params, longer))
+    assert found.length[:-1].tolist() == expected.length[:-1].tolist() == [100] * (count - 1)
+    np.testing.assert_array_equal(found.seated[:-1], expected.seated[:-1])
+    assert (found.seated != found.past[:, 99])[:-1].any()
+
+
 def test_a_trial_takes_as_much_room_as_it_lasts() -> None:
     """There is room for nine of the longest trial, hence for all 24, most of which are short."""
     params = plunger_trials(np.array([4.0, *[0.2] * 23]))

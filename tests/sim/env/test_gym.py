@@ -194,6 +194,39 @@ def test_seeds_of_a_list_are_those_of_single_environments(many: VectorEnv) -> No
         VectorEnv(many.env, 3, seed=[1, 2, -1])
 
 
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_an_episode_depends_on_its_seed_and_number_alone(many: VectorEnv, mode: AutoresetMode) -> None:
+    env = VectorEnv(many.env, 3, autoreset_mode=mode)
+
+    def present() -> np.ndarray:
+        return np.array(env._state.data.params.seed)
+
+    env.reset(seed=[4, 5, 6])
+    env.reset()
+    second = present()
+    env.reset()
+    third = present()
+    env.reset(seed=[4, 5, 6])
+    first, last = present(), np.array([True, False, False])
+    for _ in range(19):  # the first one begins again and again, the others go on
+        ended = np.logical_or(*env.step(ONE_SEATS)[2:4])
+        if mode is AutoresetMode.DISABLED and ended.any():
+            env.reset(options={"reset_mask": ended})
+    np.testing.assert_array_equal(present()[1:], first[1:])
+    assert not (present()[0] == first[0]).all()
+    env.reset(options={"reset_mask": ~last})
+    np.testing.assert_array_equal(present()[1:], second[1:])
+    env.reset(seed=7, options={"reset_mask": last})
+    np.testing.assert_array_equal(present()[1:], second[1:])
+    env.reset()
+    np.testing.assert_array_equal(present()[1:], third[1:])
+    env.reset(seed=[4, 5, 6])
+    for _ in range(22 if mode is not AutoresetMode.DISABLED else 0):
+        env.step(np.zeros((3, 6), np.float32))  # all end by time
+    if mode is not AutoresetMode.DISABLED:
+        np.testing.assert_array_equal(present(), second)
+
+
 def test_a_seed_may_have_any_number_of_bits(many: VectorEnv) -> None:
     def drawn(seed: int) -> list[int]:
         return jax.random.key_data(_key(seed)).tolist()

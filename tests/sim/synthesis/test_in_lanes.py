@@ -17,7 +17,7 @@ from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig, manifest_of
 from sim_mjx.synthesis.regroup import Shard
 from sim_mjx.synthesis.workers import Tally
-from tests.support.fake_simulation import JOB, fake_engine, tree
+from tests.support.fake_simulation import JOB, SMALL, fake_engine, tree
 
 MADE = list[int]
 
@@ -113,3 +113,37 @@ def test_an_error_frees_what_was_held(tmp_path: Path, error: Exception, state: s
     synthesise(tmp_path / "lanes.zarr", JOB, simulate=fake_engine)  # the others are made by the batch
     synthesise(tmp_path / "plain.zarr", JOB, simulate=fake_engine)
     assert tree(tmp_path / "lanes.zarr") == tree(tmp_path / "plain.zarr")
+
+
+@pytest.mark.parametrize(
+    ("error", "state"),
+    [(RuntimeError("no number"), "failed"), (InputError("No part."), "released"), (KeyboardInterrupt(), "released")],
+)
+def test_a_shard_that_cannot_be_drawn_is_not_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, state: str
+) -> None:
+    draw = Draft.draw
+
+    def fails(draft: Draft, shard: int) -> Any:
+        if shard == 1:
+            raise error
+        return draw(draft, shard)
+
+    def stream(batches: Iterator[tuple[int, Any]], *_: Callable[[], bool]) -> Iterator[Shard]:
+        for shard, params in batches:
+            yield Shard(shard, fake_rows(params), None)
+
+    monkeypatch.setattr(Draft, "draw", fails)
+    if state == "failed":
+        run(tmp_path, stream, SMALL)
+    else:
+        with pytest.raises(type(error)):
+            run(tmp_path, stream, SMALL)
+    folder = shards.folder_of(tmp_path / "lanes.zarr")
+    board = claims.board(folder)
+    assert [one.state for one in board[shards.task(1)]] == [state]
+    assert not [one for tries in board.values() for one in tries if one.state == "held"]
+    if state == "failed":  # the others are made, and it is tried again
+        assert shards.finished(folder) == {0, 2}
+        monkeypatch.undo()
+        synthesise(tmp_path / "lanes.zarr", SMALL, simulate=fake_engine)

@@ -116,6 +116,11 @@ def test_impossible_parts_are_the_worst_and_others_are_simulated(monkeypatch: py
     np.testing.assert_allclose(seen, [[2e-4, 2e-4]])
 
 
+def test_a_population_of_impossible_parts_is_not_simulated() -> None:
+    objective = JointObjective(hooked(), {"hooked-A": share(), "hooked-B": share()})
+    np.testing.assert_array_equal(objective([{"parts.stop_play": -1.0}] * 3), [2 * IMPOSSIBLE] * 3)
+
+
 def test_a_cut_trial_ends_in_good_time() -> None:
     whole = sessions.trials_of(SESSION_B, 1)
     cut = sessions.trials_of(SESSION_B, 1, longest=13.0)
