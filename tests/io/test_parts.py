@@ -327,25 +327,6 @@ def test_parts_agree(change: dict[str, Any], words: str, tmp_path: Path) -> None
         store_writer.write_part(path, 0, part, {name: values[:4] for name, values in truth().items()})
 
 
-def test_what_differs_between_the_simulations_of_two_parts_is_named(tmp_path: Path) -> None:
-    path, part = begun(tmp_path / "x.zarr"), ragged().take(np.arange(4))
-    some = {name: values[:4] for name, values in truth().items()}
-    name = next(name for name, values in some.items() if values.dtype.kind in "iuf")
-    for changed, words in (
-        (
-            some | {name: some[name].astype(np.float16)},
-            f"Part 0 has simulation/{name} of type float16 .*; all parts of",
-        ),
-        (some | {"more": np.zeros(4)}, r"has simulation/more of type float64 \[\]; .* have no simulation/more\.$"),
-        (
-            {one: some[one] for one in some if one != name},
-            f"has no simulation/{name}; .* have simulation/{name} of type",
-        ),
-    ):
-        with pytest.raises(InputError, match=words):
-            store_writer.write_part(path, 0, part, changed)
-
-
 def test_there_is_a_place_for_each_part_and_no_more(tmp_path: Path) -> None:
     path = begun(tmp_path / "x.zarr")
     some = {name: values[:4] for name, values in truth().items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rcbht_jax.cli.main import main
@@ -43,3 +44,22 @@ def test_info_check_reads_all_of_a_store_of_any_size(
     shutil.copy(parted / "part_summary" / "c" / "1", parted / "part_summary" / "c" / "0")
     assert main(["info", str(parted), "--check"]) == 2
     assert "the summary of part 0 is not that of its recordings" in capsys.readouterr().err
+
+
+def test_what_differs_between_the_simulations_of_two_parts_is_named(tmp_path: Path) -> None:
+    path, part = begun(tmp_path / "x.zarr"), ragged().take(np.arange(4))
+    some = {name: values[:4] for name, values in truth().items()}
+    name = next(name for name, values in some.items() if values.dtype.kind in "iuf")
+    for changed, words in (
+        (
+            some | {name: some[name].astype(np.float16)},
+            f"Part 0 has simulation/{name} of type float16 .*; all parts of",
+        ),
+        (some | {"more": np.zeros(4)}, r"has simulation/more of type float64 \[\]; .* have no simulation/more\.$"),
+        (
+            {one: some[one] for one in some if one != name},
+            f"has no simulation/{name}; .* have simulation/{name} of type",
+        ),
+    ):
+        with pytest.raises(InputError, match=words):
+            store_writer.write_part(path, 0, part, changed)
