@@ -14,6 +14,7 @@ from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.gradient import Batch, GradientOptions, Parameters, calibrate
 from rcbht_jax.calibration.label_durations import fit_windows
 from rcbht_jax.calibration.objective import RIDGE
+from rcbht_jax.calibration.rest import RestSlopes
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.encoding.tolerance import FitLimits
@@ -169,3 +170,29 @@ def test_a_start_of_the_other_rule_or_with_one_limit_twice_is_refused(monkeypatc
 def test_options_out_of_range_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="expected positive numbers, of batch also 0"):
         GradientOptions(**wrong)
+
+
+def test_steps_go_against_the_penalties_at_rates_of_their_own_and_tell_the_loss_without_them(
+    given_shares: list[bool],
+) -> None:
+    """Adam's first step has the size of its rate in every coordinate, against the sign of the derivative."""
+    options = GradientOptions(steps=1, rate=0.01, rate_weights=0.3, decay=1e6)
+    start = gradient._first(np.asarray(gradient._free(preset()), np.float32), 2, options)
+    steep = RestSlopes(np.repeat(3 * LIMITS[:, 3:], 4, axis=1))  # rest is steeper than what is called constant
+    trained = calibrate(corpus(), CONFIG, preset(), options, rest=steep)
+    assert (trained.thresholds.limits[:, 3] > LIMITS[:, 3]).all()
+    np.testing.assert_allclose(trained.parameters.weights, start.weights - 0.3 * np.sign(start.weights), rtol=1e-3)
+    moved = np.abs(np.asarray(trained.parameters.free) - np.asarray(start.free))
+    np.testing.assert_allclose(moved[moved > 0], 0.01, rtol=1e-3)
+    alone = gradient.loss(CONFIG, options, start, gradient.batch_of(corpus(), CONFIG), 1.0)
+    assert trained.history[0][1] == pytest.approx(float(alone), rel=1e-5)
+
+
+def test_the_hinge_is_the_margin_over_the_best_wrong_class(given_shares: list[bool]) -> None:
+    weights, bias = RNG.normal(size=(150, 3)).astype(np.float32), np.array([0.5, -1.5, 0.2], np.float32)
+    parameters = Parameters(gradient._free(preset()), jnp.asarray(weights), jnp.asarray(bias))
+    logits = 4 * SHARES.astype(np.float64) @ weights + bias
+    wrong = np.where(np.eye(3, dtype=bool)[Y], -np.inf, logits).max(-1)
+    margin = np.take_along_axis(logits, Y[..., None], -1)[..., 0] - wrong
+    found = gradient.loss(CONFIG, GradientOptions(loss="hinge"), parameters, gradient.batch_of(corpus(), CONFIG), 1.0)
+    assert float(found) == pytest.approx(np.maximum(1 - margin, 0).mean(), rel=1e-5)
