@@ -215,6 +215,7 @@ def train_head(
     machine = learn(x, snapshots, items, view.spec, *spec.learning, seed, recordings.wrench.shape[2])
     alarm = FAILURE if spec.task.task == "outcome" and FAILURE in items.classes else ""
     head = Head(spec.name, spec.scope, view, machine, alarm)
+    head = replace(head, alarm_hold=spec.hold) if alarm else head
     training = x, items.y[snapshots.interval], items.trial[snapshots.interval]
     if spec.scope == "trial" and not spec.phase:  # the filter over phases takes beliefs as they are
         head = replace(head, progress=_progress(machine, items, snapshots, training, config.dt, seed))
@@ -264,7 +265,9 @@ def _alarm_level(
     if head.progress is not None:
         probability = head.progress(probability, (snapshots.now - snapshots.begin) * config.dt)
     probability = probability[:, alarm]
-    return conformal_threshold(peaks(probability, groups, round(spec.hold * spec.rate) + 1), spec.false_alarms)
+    apart = _every(spec, config) * config.dt  # s; more than 1 / rate where the sensor is slower
+    steps = int(np.ceil(spec.hold / apart - 1e-9)) + 1
+    return conformal_threshold(peaks(probability, groups, steps), spec.false_alarms)
 
 
 def train_model(

@@ -111,9 +111,10 @@ def made_up(kinds: list[int]) -> Recordings:
 
 def test_a_head_learns_its_level():
     data = made_up([0] * 20 + [1] * 8)
-    spec = HeadSpec(TaskSpec("outcome"), ("histogram", "attributes"), rate=20.0, false_alarms=0.05)
+    spec = HeadSpec(TaskSpec("outcome"), ("histogram", "attributes"), rate=20.0, false_alarms=0.05, hold=0.15)
     learnt = train_head(data, spec, CONFIG, preset())
     assert 0 < learnt.alarm_level < 1
+    assert learnt.alarm_hold == spec.hold
     model = IntrospectionModel(CONFIG, np.asarray(preset().limits), (learnt,), "")
     introspector, raised = Introspector(model, rate=20.0), []
     for kind in (0, 1):
