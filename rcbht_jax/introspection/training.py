@@ -13,6 +13,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.encoding.thresholds import limits_of, preset
 from rcbht_jax.encoding.tolerance import FitLimits
+from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import weights
 from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE, TRIAL, TRIAL_RELATIVE
@@ -202,10 +203,13 @@ def train_head(
     ``progress`` is called with the number of snapshots since the last call and the total.
 
     Raises:
-        InputError: fewer than two classes in two trials or more, or too few nominal trials for ``false_alarms``.
+        InputError: fewer than two classes in two trials or more, intervals of a track that overlap, or too few nominal
+            trials for ``false_alarms``.
     """
     items, _ = learnable(labelled_intervals(recordings, spec.task))
-    spec = replace(spec, subtask=bool(track_of(recordings, spec.task)))
+    track = track_of(recordings, spec.task)
+    _check_apart(items, recordings, track)
+    spec = replace(spec, subtask=bool(track))
     snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
     snapshots = since_trial_start(snapshots) if spec.phase else snapshots
     view, total = spec.view, len(snapshots)
@@ -223,6 +227,19 @@ def train_head(
         level = _alarm_level(recordings, spec, config, thresholds, items, head, training, seed)
         head = replace(head, alarm_level=level)
     return head
+
+
+def _check_apart(items: LabelledIntervals, recordings: Recordings, track: str) -> None:
+    """Refuse intervals of which two go on at the same time: a stream has one sub-task at a time."""
+    spans = items.intervals[0]
+    order = np.lexsort((spans.end, spans.start, spans.recording))
+    row, start, end = (part[order] for part in (spans.recording, spans.start, spans.end))
+    if len(both := np.flatnonzero((row[1:] == row[:-1]) & (start[1:] < end[:-1]))):
+        first = int(row[both[0]])
+        raise InputError(
+            f"Intervals of {track} overlap in recording {first} ({recordings.trial[first]}) at "
+            f"{start[both[0] + 1] * recordings.dt:g} s; a stream has one at a time."
+        )
 
 
 def _progress(

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
 from rcbht_jax.features import ABSOLUTE, FeatureSpec, Intervals
 from rcbht_jax.features.online import names, weights
 from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE, TRIAL, TRIAL_RELATIVE
@@ -73,6 +75,14 @@ def test_an_alarm_is_held_for_as_many_snapshots_as_its_time_takes(monkeypatch, r
     recordings = Recordings.from_arrays(np.zeros((2, 10, 6)), rate=1 / dt)
     training._alarm_level(recordings, spec, EncoderConfig(dt=dt), preset(), items, head, rest, 0)
     assert asked == [steps]
+
+
+def test_intervals_that_overlap_are_refused():
+    rows = [(row, "phase", *mark) for row in range(4) for mark in (("x", 0.0, 0.7), ("y", 0.5, 1.0))]
+    data = Recordings.from_arrays(np.zeros((4, 200, 6)), 200, annotations=Annotations.from_rows(rows))
+    for spec in (HeadSpec(TaskSpec("phase")), HeadSpec(TaskSpec("phase"), phase=True)):
+        with pytest.raises(InputError, match=r"Intervals of phase overlap in recording 0 \(.*\) at 0.5 s"):
+            training.train_head(data, spec, EncoderConfig(), preset())
 
 
 @pytest.mark.parametrize("time_alone", [False, True])
