@@ -127,7 +127,7 @@ def _interval(scores: NDArray[np.float64], run: CrossValidation, trials: int, it
     mean, low, high = metrics.corrected_interval(scores, run.test_to_train, split=run.split)
     if trials and not metrics.has_width(low, high):
         low, high = metrics.wilson(mean * trials, trials)
-    elif trials:
+    if trials:
         least = metrics.wilson(mean * items, items)
         low, high = min(low, least[0]), max(high, least[1])
     return {"mean": mean, "low": low, "high": high}

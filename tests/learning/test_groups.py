@@ -119,6 +119,16 @@ def test_stratified_folds_do_not_narrow_the_interval_of_a_rare_class():
     assert recall["high"] - recall["low"] > 0.4
 
 
+def test_mean_recall_without_a_mistake_knows_little_of_a_rare_class():
+    """Of two failures that are found among 100 trials: about as much as of four trials of each class."""
+    y = np.repeat([0, 1], [98, 2])
+    run = cross_validate(lambda train, test, seed: (y[test], {}), y, repeated_folds(y, np.arange(100), 2, 10, 0))
+    found = run.summary(100)
+    items = 4 / (1 / 98 + 1 / 2)
+    assert found["balanced_accuracy"]["low"] == pytest.approx(wilson(items, items)[0])
+    assert found["accuracy"]["low"] == pytest.approx(wilson(100, 100)[0])
+
+
 def test_a_class_that_a_fold_cannot_learn_is_named():
     y = np.array([1, 2, 1, 0, 0, 1, 2, 1])
     operator = np.array([0, 2, 0, 4, 0, 0, 1, 1])
