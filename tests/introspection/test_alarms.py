@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -75,6 +76,16 @@ def test_what_is_said_to_be_promised_is_kept(count):
     assert conformal_threshold(np.zeros(count), least) == 0.0
     with pytest.raises(InputError, match=f"only {least:g} or more; it takes"):
         conformal_threshold(np.zeros(count), 0.98 / (count + 1))
+
+
+def test_peaks_are_in_the_order_of_the_names():
+    p, names = np.array([0.1, 0.9, 0.8, 0.3, 0.2, 0.7]), np.array(["b", "a", "a", "b", "c", "a"])
+    assert peaks(p, names, 2).tolist() == [0.8, 0.1, 0.0]
+    assert peaks(p[:0], names[:0], 2).tolist() == []
+    many = np.repeat([f"trial-{k:05d}" for k in np.random.default_rng(0).permutation(40_000)], 3)
+    begun = perf_counter()
+    assert len(peaks(np.zeros(len(many)), many, 2)) == 40_000
+    assert perf_counter() - begun < 5
 
 
 def test_peaks_are_held_out():
