@@ -204,7 +204,8 @@ def _rest_noise(
     Noise is what straight lines through blocks at rest leave of the signal: however fast it is, white or not.
     """
     windows = max(1, round(BLOCK / (config.window * recordings.dt)))  # of a block, as rest was separated from movement
-    samples = max(windows * config.window, 3)
+    windows = max(windows, -(-3 // config.window))  # whole ones, so that blocks are those of the rest; a line needs 3
+    samples = windows * config.window
     count = min(rest.shape[1] // windows, recordings.wrench.shape[1] // samples)
     cut = np.asarray(recordings.wrench[:, : count * samples], np.float64)
     cut = cut.reshape(len(recordings), count, samples, -1)

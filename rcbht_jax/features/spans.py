@@ -53,17 +53,51 @@ class ClippedSpans:
         return self.end - self.start
 
 
-def clip(track: LabelTrack, intervals: Intervals, layer: str) -> ClippedSpans:
-    """Clip the labels of ``track`` (``[recording, axis, slot]``) to intervals.
+def clip(track: LabelTrack, intervals: Intervals, layer: str, most: int) -> list[ClippedSpans]:
+    """Clip the labels of ``track`` (``[recording, axis, slot]``) to intervals, ``most`` of them at a time.
 
     A label that crosses a boundary keeps its attributes and loses duration.
     """
-    rows = intervals.recording
+    first, stop = _overlapping(track, intervals)
+    parts = [slice(i, i + most) for i in range(0, max(len(intervals), 1), most)]
+    return [_clip(track, intervals.take(part), first[part], stop[part], layer) for part in parts]
+
+
+def _overlapping(
+    track: LabelTrack, intervals: Intervals
+) -> tuple[Int[np.ndarray, "interval axis"], Int[np.ndarray, "interval axis"]]:
+    """First slot, and one past the last slot, between which all labels lie that overlap an interval."""
+    label, t0, t1 = (np.asarray(x) for x in (track.label, track.t0, track.t1))
+    first, stop = (np.zeros((len(intervals), label.shape[1]), np.int64) for _ in range(2))
+    rows, counts = np.unique(intervals.recording, return_counts=True)
+    of_rows = np.split(np.argsort(intervals.recording, kind="stable"), counts.cumsum()[:-1])
+    for row, mine in zip(rows.tolist(), of_rows, strict=False):  # without intervals there is one part and no row
+        used = label[row] > 0
+        # Bounds of all slots before and after, so that empty slots and labels out of order do no harm.
+        ended = np.maximum.accumulate(np.where(used, t1[row], -1), axis=1)
+        begins = np.where(used, t0[row], np.iinfo(t0.dtype).max)[:, ::-1]
+        begins = np.minimum.accumulate(begins, axis=1)[:, ::-1]
+        for axis in range(label.shape[1]):
+            first[mine, axis] = np.searchsorted(ended[axis], intervals.start[mine], side="right")
+            stop[mine, axis] = np.searchsorted(begins[axis], intervals.end[mine], side="left")
+    return first, stop
+
+
+def _clip(
+    track: LabelTrack,
+    intervals: Intervals,
+    lowest: Int[np.ndarray, "interval axis"],
+    stop: Int[np.ndarray, "interval axis"],
+    layer: str,
+) -> ClippedSpans:
     start, end = (x.astype(np.int64)[:, None, None] for x in (intervals.start, intervals.end))
-    code = np.asarray(track.label)[rows].astype(np.int64)
-    first = np.maximum(np.asarray(track.t0)[rows], start) - start
-    last = np.minimum(np.asarray(track.t1)[rows], end) - start
-    inside = (code > 0) & (last > first)
+    axes, slots = np.shape(track.label)[1:]
+    slot = lowest[..., None] + np.arange(min(slots, max(1, int((stop - lowest).max(initial=0)))))
+    place = (intervals.recording[:, None, None], np.arange(axes)[:, None], np.minimum(slot, slots - 1))
+    t0, t1 = (np.asarray(x)[place] for x in (track.t0, track.t1))
+    code = np.asarray(track.label)[place].astype(np.int64)
+    first, last = np.maximum(t0, start) - start, np.minimum(t1, end) - start
+    inside = (code > 0) & (last > first) & (slot < stop[..., None])
     # Used slots to the front; the sort is stable, so they stay in time order.
     width = max(1, int(inside.sum(-1).max(initial=0)))
     order = np.argsort(~inside, axis=-1, kind="stable")[..., :width]
@@ -72,10 +106,11 @@ def clip(track: LabelTrack, intervals: Intervals, layer: str) -> ClippedSpans:
     def gather(x: Num[np.ndarray, "interval axis slot"]) -> Num[np.ndarray, "interval axis word"]:
         return np.where(used, np.take_along_axis(x, order, -1), 0)
 
-    value = {k: gather(np.asarray(getattr(track, k), np.float64)[rows]) for k in ("vmax", "vmin", "avg", "grad")}
+    forces = {k: np.asarray(getattr(track, k))[place] for k in ("vmax", "vmin", "avg", "grad")}
+    value = {k: gather(x.astype(np.float64)) for k, x in forces.items()}
     # A line belongs to the whole span, so its middle stays where it was before the cut.
-    value["middle"] = gather((np.asarray(track.t0)[rows].astype(np.float64) + np.asarray(track.t1)[rows]) / 2 - start)
-    value["whole"] = gather((np.asarray(track.t1)[rows] - np.asarray(track.t0)[rows]).astype(np.float64))
+    value["middle"] = gather((t0.astype(np.float64) + t1) / 2 - start)
+    value["whole"] = gather((t1 - t0).astype(np.float64))
     size = LAYER_SIZES[LAYERS.index(layer)]
     return ClippedSpans(gather(code), gather(first), gather(last), value, (end - start)[:, 0, 0], size, layer)
 

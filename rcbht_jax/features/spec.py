@@ -209,8 +209,8 @@ def longest(tracks: LabelTracks, intervals: Intervals) -> tuple[int, int, int]:
     _check(intervals, int(np.asarray(tracks.primitive.label).shape[0]))
     counts = []
     for layer in LAYERS:
-        parts = [clip(getattr(tracks, layer), part, layer).code for part in _chunks(intervals)]
-        counts.append(max(1, *(int((code > 0).sum(-1).max(initial=0)) for code in parts)))
+        parts = clip(getattr(tracks, layer), intervals, layer, _CHUNK)
+        counts.append(max(1, *(int((part.code > 0).sum(-1).max(initial=0)) for part in parts)))
     return counts[0], counts[1], counts[2]
 
 
@@ -226,10 +226,6 @@ def _check(intervals: Intervals, recordings: int) -> None:
         raise InputError(f"an interval names a recording outside the {recordings} labelled ones.")
 
 
-def _chunks(intervals: Intervals) -> list[Intervals]:
-    return [intervals.take(slice(i, i + _CHUNK)) for i in range(0, max(len(intervals), 1), _CHUNK)]
-
-
 def _layer(
     track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpec, axes: tuple[str, ...]
 ) -> list[Features]:
@@ -243,7 +239,7 @@ def _layer(
         "course": families.course,
         "edges": families.edges,
     }
-    chunks = [clip(track, part, layer) for part in _chunks(intervals)]
+    chunks = clip(track, intervals, layer, _CHUNK)
     parts = [
         _flat([makers[family](words) for words in chunks], family, layer, axes)
         for family in _OF_WORDS

@@ -15,6 +15,7 @@ from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
 
 WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s
+_REBASE = 2**16  # samples after which totals begin anew, at least: they lose digits as they grow
 
 
 Signal = Float[np.ndarray, "time axis"]
@@ -53,7 +54,8 @@ class TrailingStatistics:
     def __init__(self, dt: float, windows: Sequence[float] = WINDOWS) -> None:
         self._dt = dt
         self._counts = [max(2, round(seconds / dt)) for seconds in windows]
-        self._received = 0
+        self._period = max(_REBASE, *self._counts, 1)
+        self._received, self._origin = 0, 0  # samples; that from which they are numbered
         self._level: Signal | None = None  # the first sample; sums of squares of a large level lose what varies
         self._past: Signal = np.zeros((0, 0))  # as many samples as the longest window reads
         self._totals: list[Signal] = []  # of values, squares and moments, up to each of them
@@ -62,13 +64,25 @@ class TrailingStatistics:
         """Rows of new samples."""
         if not len(signal):
             return np.zeros((0, signal.shape[1] * (1 + 5 * len(self._counts))))
+        # Totals begin anew at fixed samples, so that rows do not depend on the pieces.
+        pieces = np.split(signal, range(self._period - self._received % self._period, len(signal), self._period))
+        return np.concatenate([self._rows(piece) for piece in pieces])
+
+    def _rows(self, signal: Signal) -> Table:
+        """Rows of new samples, before the next one from which totals begin anew."""
         if self._level is None:
             self._level = signal[:1]
             self._past = signal[:0]
             self._totals = [np.zeros_like(signal[:1], np.float64)] * 3
+        elif self._received % self._period == 0:
+            self._origin = self._received - len(self._past)
+            self._totals = [
+                np.concatenate([np.zeros_like(part[:1]), np.cumsum(part, 0)])
+                for part in self._parts(self._past, self._origin)
+            ]
         new = signal - self._level
         number = self._received + np.arange(len(new))
-        parts = (new, new**2, new * number[:, None])
+        parts = self._parts(new, self._received)
         totals = [
             np.concatenate([kept[:-1], np.cumsum(np.concatenate([kept[-1:], part]), 0)])
             for kept, part in zip(self._totals, parts, strict=True)
@@ -80,7 +94,7 @@ class TrailingStatistics:
             mean, square, product = ((total[-len(new) :] - total[first - before]) / n for total in totals)
             spread = np.sqrt(np.maximum(square - mean**2, 0))
             width = (n**2 - 1) / 12  # variance of n consecutive sample numbers
-            moment = product - mean * (number + first)[:, None] / 2
+            moment = product - mean * (number + first - 2 * self._origin)[:, None] / 2
             slope = np.where(n > 1, moment / np.maximum(width, 1e-12), 0) / self._dt
             low, high = _extremes(joined[max(len(self._past) - count + 1, 0) :], count)
             columns += [mean + self._level, spread, slope, low[-len(new) :] - mean, high[-len(new) :] - mean]
@@ -88,6 +102,11 @@ class TrailingStatistics:
         self._past, self._totals = joined[-keep:], [total[-keep - 1 :] for total in totals]
         self._received += len(new)
         return np.concatenate(columns, 1)
+
+    def _parts(self, values: Signal, first: int) -> tuple[Signal, Signal, Signal]:
+        """Values, squares and moments, whose totals are needed; ``first`` is the number of the first sample."""
+        number = first - self._origin + np.arange(len(values))
+        return values, values**2, values * number[:, None]
 
 
 def _extremes(signal: Signal, count: int) -> tuple[Signal, Signal]:

@@ -87,7 +87,9 @@ def peaks(
     probability: Float[np.ndarray, " snapshot"], groups: Shaped[np.ndarray, " snapshot"], steps: int
 ) -> Float[np.ndarray, " trial"]:
     """:func:`sustained_peak` of every trial, in the order of the names in ``groups``."""
-    return np.array([sustained_peak(probability[groups == trial], steps) for trial in np.unique(groups)])
+    counts = np.unique(groups, return_counts=True)[1]
+    trials = np.split(probability[np.argsort(groups, kind="stable")], counts.cumsum()[:-1]) if len(counts) else []
+    return np.array([sustained_peak(trial, steps) for trial in trials])
 
 
 def held_out(

@@ -127,7 +127,7 @@ class Introspector:
         k: certainty level: a belief is certain when its probability exceeds ``k``, 0.5 to 1 (paper: 0.70 to 0.95).
         margin: a certain belief stays certain until its probability falls below ``k - margin``.
         hold: seconds for which an alarm must stay above its level (the classifier's own, else ``k``) before it is
-            raised, and below 0.5 before it is cleared.
+            raised, and below 0.5 before it is cleared; None = those for which the classifier's level was computed.
         detect: find the start of each sub-task with the model's classifier "phase" instead of :meth:`begin`; see
             :class:`rcbht_jax.introspection.alarms.PhaseFilter`. Features of the sub-task then start at its detection.
         words: also report each published label, as a :class:`rcbht_jax.events.Word`.
@@ -154,7 +154,7 @@ class Introspector:
         rate: float | Literal["auto"] | None = "auto",
         k: float = CERTAINTY_LEVELS[0],
         margin: float = 0.05,
-        hold: float = 0.1,
+        hold: float | None = None,
         detect: bool = False,
         words: bool = False,
     ) -> None:
@@ -167,7 +167,9 @@ class Introspector:
         self._limits = jax.device_put(model.stacked_limits.astype(np.float32), host_device())
         self._heads = tuple(jax.device_put(head_arrays(head), host_device()) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
-        self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
+        self._alarms = {
+            h.name: Alarm(h.alarm_level or k, h.alarm_hold if hold is None else hold) for h in model.heads if h.alarm
+        }
         detector = _detector(model) if detect else None
         self._detector = detector.name if detector else ""
         self._phases = PhaseFilter(detector.classes) if detector else None

@@ -56,10 +56,11 @@ class Head:
         alarm: the class that raises an anomaly; "" = none does.
         alarm_level: probability above which it does; 0 = the introspector's own level.
         progress: calibrates the probabilities by the time since the interval began; None = no such calibration.
+        alarm_hold: s for which the probability must stay above ``alarm_level``.
 
     Raises:
-        InputError: features that a stream cannot compute or that the classifier does not know, or an unknown scope or
-            class.
+        InputError: features that a stream cannot compute or that the classifier does not know, an unknown scope or
+            class, or a level or time out of range.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Head:
     alarm: str = ""
     alarm_level: float = 0.0
     progress: ProgressCalibration | None = None
+    alarm_hold: float = 0.1
 
     def __post_init__(self) -> None:
         check_online(self.view.spec)
@@ -78,6 +80,8 @@ class Head:
             raise InputError(f"head {self.name} has no class {self.alarm}; it has {', '.join(self.classes)}.")
         if not 0 <= self.alarm_level < 1:
             raise InputError(f"head {self.name} has the alarm level {self.alarm_level:g}; expected 0 to 1.")
+        if not 0 <= self.alarm_hold < float("inf"):
+            raise InputError(f"head {self.name} holds its alarm for {self.alarm_hold:g} s; expected zero or more.")
         if self.progress is not None and len(self.progress.prior) != len(self.classes):
             raise InputError(
                 f"head {self.name} has {len(self.classes)} classes; its calibration has {len(self.progress.prior)}."
@@ -183,7 +187,7 @@ def save(path: Path | str, model: IntrospectionModel) -> None:
         prefix = f"{number}."
         members, described = svm_members(head.machine.svm, prefix)
         arrays |= members | {prefix + "sigmoid": head.machine.sigmoid}
-        plain = {name: getattr(head, name) for name in ("name", "scope", "alarm", "alarm_level")}
+        plain = {name: getattr(head, name) for name in ("name", "scope", "alarm", "alarm_level", "alarm_hold")}
         progress = {} if head.progress is None else {"progress": asdict(head.progress)}
         heads.append({**plain, "view": asdict(head.view), **described, **progress})
     rest = {k: getattr(model, k) for k in ("data_hash", "version", "extra")}
@@ -223,7 +227,8 @@ def _read_head(
     view = FeatureView(spec, bool(seen["provisional"]))
     machine = ProbabilisticSvm(svm, sigmoid)
     name, alarm = checked_texts("a head's name and alarm", [meta["name"], meta["alarm"]])
-    # Files older than alarm levels and calibration by progress lack them.
+    # Files older than alarm levels, their hold times and calibration by progress lack them.
     level, progress = checked_number("alarm_level", meta.get("alarm_level", 0.0)), meta.get("progress")
     calibration = progress and ProgressCalibration(**checked_fields(ProgressCalibration, progress))
-    return Head(name, meta["scope"], view, machine, alarm, level, calibration)
+    hold = checked_number("alarm_hold", meta.get("alarm_hold", 0.1))
+    return Head(name, meta["scope"], view, machine, alarm, level, calibration, hold)

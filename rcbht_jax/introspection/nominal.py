@@ -73,7 +73,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
     folds: Any = 10
     random_state: Any = 0
 
-    _least: ClassVar = {"rate": 1e-9, "score_rate": 1e-9, "memory": 1e-9, "folds": 1}  # smallest value of a parameter
+    _least: ClassVar = {"rate": 1e-9, "score_rate": 1e-9, "memory": 1e-9, "folds": 2}  # smallest value of a parameter
 
     def fit(self, X: Any, y: Any = None, groups: ArrayLike | None = None) -> Monitor:
         """Learn from nominal recordings of one skill, each from the beginning of the skill.
@@ -258,7 +258,7 @@ class MonitorStream:
                 rate.
         """
         monitor = self._monitor
-        read, names = read_signal(samples, 1 / monitor.rate)
+        read, names = read_signal(samples, 1 / float(monitor.rate))
         new = whole_series(np.asarray(read, np.float64), least=0)
         check_learned(names, monitor, "The samples")
         if new.shape[1] != monitor.n_features_in_:
@@ -382,15 +382,15 @@ class NominalMonitor(Monitor):
         return np.concatenate([changes, values], 1)
 
     def _prepare(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> None:
-        self.levels_ = unbiased(parts, groups) if self.levels is None else tuple(self.levels)
+        self.levels_ = unbiased(parts, groups) if self.levels is None else tuple(map(int, self.levels))
         if not set(self.levels_) <= set(range(axes := parts[0].shape[1])):
             raise InputError(f"levels are {self.levels}; expected numbers of axes, 0 to {axes - 1}.")
 
     def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
         first = self._count(self.baseline)
         described = [self._describe(part, part[:first], part[:0], np.arange(len(part))) for part in parts]
-        slack = self.slack * self.rate / self.score_step
-        return make_bank(described, groups, slack, self.drift, self.neighbours)
+        slack = float(self.slack * self.rate / self.score_step)
+        return make_bank(described, groups, slack, float(self.drift), int(self.neighbours))
 
     def _score(
         self, model: Bank, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]

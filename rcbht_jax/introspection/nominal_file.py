@@ -44,11 +44,18 @@ def save(path: Path | str, file: MonitorFile) -> None:
         "axes": file.axes,
         "units": file.units,
         "where": file.where,
-        "parameters": file.monitor.get_params(),
+        "parameters": {name: _plain(value) for name, value in file.monitor.get_params().items()},
         "levels": file.monitor.levels_,
-        **{name: getattr(bank, name) for name in _NUMBERS},
+        **{name: _plain(getattr(bank, name)) for name in _NUMBERS},
     }
     write_archive(path, meta, {"peaks": file.monitor.peaks_, **{name: getattr(bank, name) for name in _ARRAYS}})
+
+
+def _plain(value: Any) -> Any:
+    """A parameter as JSON knows it: NumPy's numbers and arrays become Python's."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def load(path: Path | str) -> MonitorFile:

@@ -60,7 +60,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             recordings of ``fit``.
 
     Attributes:
-        classes_: sorted class indices.
+        classes_: sorted class indices; one without a sample at a decision (every 25 ms) is never believed.
         axes_: names of the axes and their units.
         thresholds_: gradient thresholds of the words.
         tolerance_: tolerances ``[axis]`` of the words; None by the paper's rule.
@@ -89,11 +89,12 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
 
         Args:
             recordings: one row per recording, of any axes.
-            y: class of each sample of each recording; UNKNOWN = not annotated.
+            y: class of each sample of each recording; UNKNOWN = not annotated. Recordings without an annotated
+                decision teach nothing but the limits of the words.
 
         Raises:
-            InputError: fewer than two classes, labels whose lengths differ from the recordings', an unknown rule, or a
-                tolerance that does not fit the axes or the rule.
+            InputError: fewer than two classes in all or at the decisions, labels whose lengths differ from the
+                recordings', an unknown rule, or a tolerance that does not fit the axes or the rule.
         """
         expect("The data set", recordings, Recordings)
         if [np.shape(part) for part in y] != [(count,) for count in recordings.length.tolist()]:
@@ -114,9 +115,16 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         self._limits = limits_for(config, self.thresholds_, self.tolerance, recordings.wrench, recordings.length)
         self.tolerance_ = np.asarray(self._limits.tolerance) if isinstance(self._limits, FitLimits) else None
         rng = np.random.default_rng(self.random_state)
-        completed, labels, group = _completed(recordings, y, rng)
-        tables = self._tables(completed)
         every = decision_period(recordings.dt)
+        decided = [np.setdiff1d(np.asarray(part)[::every], [UNKNOWN]) for part in y]
+        if (count := len(np.unique(np.concatenate(decided)))) < 2:
+            found = plural(count, "class", "classes")
+            raise InputError(
+                f"At the decisions, one in {plural(every, 'sample')}, the labels have {found}; two are needed."
+            )
+        taught = np.flatnonzero([len(part) > 0 for part in decided])
+        completed, labels, group = _completed(recordings.take(taught), [y[row] for row in taught.tolist()], rng)
+        tables = self._tables(completed)
         labels = [part[::every] for part in labels]
         self.first_ = self._learn(tables, labels)
         beliefs = self._held_out_beliefs(tables, labels, group)

@@ -57,7 +57,7 @@ class SegmenterFile:
         (encoder, limits), (axes, units) = segmenter.encoder(), segmenter.axes_
         if segmenter.offline:
             raise InputError("A segmenter that reads later samples cannot follow a stream; leave out --offline.")
-        forests = (Forest.of(segmenter.first_), Forest.of(segmenter.second_))
+        forests = (Forest.of(forest, segmenter.classes_) for forest in (segmenter.first_, segmenter.second_))
         classes = tuple(labels[code] for code in segmenter.classes_)
         return cls(track, classes, axes, units, bool(segmenter.words), encoder, limits, *forests)
 

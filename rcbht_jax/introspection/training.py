@@ -13,6 +13,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.encoding.thresholds import limits_of, preset
 from rcbht_jax.encoding.tolerance import FitLimits
+from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import weights
 from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE, TRIAL, TRIAL_RELATIVE
@@ -202,10 +203,13 @@ def train_head(
     ``progress`` is called with the number of snapshots since the last call and the total.
 
     Raises:
-        InputError: fewer than two classes in two trials or more, or too few nominal trials for ``false_alarms``.
+        InputError: fewer than two classes in two trials or more, intervals of a track that overlap, or too few nominal
+            trials for ``false_alarms``.
     """
     items, _ = learnable(labelled_intervals(recordings, spec.task))
-    spec = replace(spec, subtask=bool(track_of(recordings, spec.task)))
+    track = track_of(recordings, spec.task)
+    _check_apart(items, recordings, track)
+    spec = replace(spec, subtask=bool(track))
     snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
     snapshots = since_trial_start(snapshots) if spec.phase else snapshots
     view, total = spec.view, len(snapshots)
@@ -215,6 +219,7 @@ def train_head(
     machine = learn(x, snapshots, items, view.spec, *spec.learning, seed, recordings.wrench.shape[2])
     alarm = FAILURE if spec.task.task == "outcome" and FAILURE in items.classes else ""
     head = Head(spec.name, spec.scope, view, machine, alarm)
+    head = replace(head, alarm_hold=spec.hold) if alarm else head
     training = x, items.y[snapshots.interval], items.trial[snapshots.interval]
     if spec.scope == "trial" and not spec.phase:  # the filter over phases takes beliefs as they are
         head = replace(head, progress=_progress(machine, items, snapshots, training, config.dt, seed))
@@ -222,6 +227,19 @@ def train_head(
         level = _alarm_level(recordings, spec, config, thresholds, items, head, training, seed)
         head = replace(head, alarm_level=level)
     return head
+
+
+def _check_apart(items: LabelledIntervals, recordings: Recordings, track: str) -> None:
+    """Refuse intervals of which two go on at the same time: a stream has one sub-task at a time."""
+    spans = items.intervals[0]
+    order = np.lexsort((spans.end, spans.start, spans.recording))
+    row, start, end = (part[order] for part in (spans.recording, spans.start, spans.end))
+    if len(both := np.flatnonzero((row[1:] == row[:-1]) & (start[1:] < end[:-1]))):
+        first = int(row[both[0]])
+        raise InputError(
+            f"Intervals of {track} overlap in recording {first} ({recordings.trial[first]}) at "
+            f"{start[both[0] + 1] * recordings.dt:g} s; a stream has one at a time."
+        )
 
 
 def _progress(
@@ -264,7 +282,9 @@ def _alarm_level(
     if head.progress is not None:
         probability = head.progress(probability, (snapshots.now - snapshots.begin) * config.dt)
     probability = probability[:, alarm]
-    return conformal_threshold(peaks(probability, groups, round(spec.hold * spec.rate) + 1), spec.false_alarms)
+    apart = _every(spec, config) * config.dt  # s; more than 1 / rate where the sensor is slower
+    steps = int(np.ceil(spec.hold / apart - 1e-9)) + 1
+    return conformal_threshold(peaks(probability, groups, steps), spec.false_alarms)
 
 
 def train_model(

@@ -196,12 +196,13 @@ def score(
 ) -> EvaluationResult:
     """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits.
 
-    ``facts`` are used to find copies; ``groups`` ``[item]``, by default the trials, are never split by folds; all other
-    arguments are those of :func:`evaluate`.
+    ``facts`` are used to find copies; ``groups`` ``[item]``, by default the trials, are never split by folds, nor by
+    those in which hyper-parameters are chosen, unless a training part has too few; all other arguments are those of
+    :func:`evaluate`.
     """
     groups = items.trial if groups is None else groups
     estimators = {
-        "svm": validation.nested_svm(matrices, items.y, items.trial, protocol.grid, weights, progress),
+        "svm": validation.nested_svm(matrices, items.y, groups, protocol.grid, weights, progress, items.trial),
         "duration": validation.forest(items.seconds, items.y),
         "majority": validation.majority(items.y),
     }

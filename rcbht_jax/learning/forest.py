@@ -43,12 +43,21 @@ class Forest:
     share: Float[np.ndarray, "node klass"]
 
     @classmethod
-    def of(cls, forest: Any) -> Forest:
-        """The trees of a fitted scikit-learn ensemble for classification."""
+    def of(cls, forest: Any, classes: Int[np.ndarray, " klass"] | None = None) -> Forest:
+        """The trees of a fitted scikit-learn ensemble for classification.
+
+        Args:
+            forest: the ensemble.
+            classes: sorted, among them all that it learned; one that it did not learn has no share. None = those.
+        """
         trees = [estimator.tree_ for estimator in forest.estimators_]
         root = np.cumsum([0, *(tree.node_count for tree in trees[:-1])])
         leaf = np.concatenate([tree.children_left for tree in trees]) < 0
         value = np.concatenate([tree.value[:, 0] for tree in trees])
+        share = value / value.sum(1, keepdims=True)
+        if classes is not None:
+            known, share = share, np.zeros((len(share), len(classes)))
+            share[:, np.searchsorted(classes, forest.classes_)] = known
         left, right = (
             np.concatenate([getattr(tree, side) + first for tree, first in zip(trees, root, strict=True)])
             for side in ("children_left", "children_right")
@@ -59,7 +68,7 @@ class Forest:
             np.where(leaf, 0.0, np.concatenate([tree.threshold for tree in trees])),
             np.where(leaf, 0, left).astype(np.int32),
             np.where(leaf, 0, right).astype(np.int32),
-            value / value.sum(1, keepdims=True),
+            share,
         )
 
     def probabilities(self, x: Float[np.ndarray, "row feature"]) -> Float[np.ndarray, "row klass"]:

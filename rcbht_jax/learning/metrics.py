@@ -50,7 +50,8 @@ def balanced_accuracy(y_true: Ints, y_pred: Ints) -> float:
 def confusion(y_true: Ints, y_pred: Ints, classes: int) -> NDArray[np.int64]:
     """Counts ``[true class, predicted class]``."""
     _same(y_true, y_pred)
-    return np.bincount(y_true * classes + y_pred, minlength=classes * classes).reshape(classes, classes)
+    pairs = y_true.astype(np.int64) * classes + y_pred.astype(np.int64)  # which eight bits need not hold
+    return np.bincount(pairs, minlength=classes * classes).reshape(classes, classes)
 
 
 def _same(y_true: Ints, y_pred: Ints) -> None:

@@ -51,9 +51,9 @@ def track_items(
     longest = int(recordings.length.max())
     start = nearest_samples(marks.start, longest, recordings.dt)
     end = np.nan_to_num(nearest_samples(marks.end, longest, recordings.dt), nan=-1.0)
-    # What lasts beyond the record is cut off there; an unknown end is before every start.
-    end = np.minimum(end, recordings.length[marks.recording])
-    usable = (start >= 0) & (end > start)
+    # What lasts beyond the record is cut off at its ends; an unknown end is before every start.
+    start, end = np.maximum(start, 0.0), np.minimum(end, recordings.length[marks.recording])
+    usable = end > start
     if complete:
         usable &= _complete(marks, usable, len(recordings))[marks.recording]
     if classes:
@@ -69,7 +69,7 @@ def track_items(
     items = np.array([item for arms in same for item in zip(*arms, strict=True)], np.int64).reshape(-1, rows.shape[1])
     left = np.isin(marks.recording, rows[:, 0]) & ~usable
     if not complete and not classes and left.any():
-        leave_out(dropped, "intervals that are empty, begin after the record or have no known end", int(left.sum()))
+        leave_out(dropped, "intervals that are empty, lie outside the record or have no known end", int(left.sum()))
     return Found(
         marks.recording[items].astype(np.int64), labels[marks.code[items[:, 0]]],
         start[items].astype(np.int64), end[items].astype(np.int64),

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
+from rcbht_jax.learning.class_groups import groups_of_classes
 from rcbht_jax.learning.svm import Grid, Split, Weight, grouped_folds, predictions, select
 
 with needs_extra("learn"):
@@ -40,12 +41,15 @@ def nested_svm(
     grid: Grid,
     weights: Mapping[str, Weight] | None = None,
     progress: Callable[[int], Any] | None = None,
+    trials: NDArray[Any] | None = None,
 ) -> Estimator:
     """Estimator: an SVM whose kernel, cost, scaling and feature matrix are selected inside the training rows.
 
     Args:
         candidates, y, groups, grid, weights: as in :func:`rcbht_jax.learning.svm.select`.
         progress: called with 1 after each prediction.
+        trials: ``[item]``, of which the groups consist. They take the place of groups in the selection where the
+            training rows have too few of these: fewer than two classes with two groups. None = the groups.
 
     Raises:
         InputError: a matrix has another number of items or a value that is not finite.
@@ -60,7 +64,9 @@ def nested_svm(
 
     def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
         training = {name: x[train] for name, x in doubles.items()}
-        spec = select(training, y[train], groups[train], grid, seed, weights)
+        few = (groups_of_classes(y[train], groups[train], np.unique(y[train])) > 1).sum() < 2
+        apart = groups if trials is None or not few else trials
+        spec = select(training, y[train], apart[train], grid, seed, weights)
         weight = (weights or {}).get(spec.features)
         predicted = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
         if progress:
@@ -125,7 +131,7 @@ def _interval(scores: NDArray[np.float64], run: CrossValidation, trials: int, it
     mean, low, high = metrics.corrected_interval(scores, run.test_to_train, split=run.split)
     if trials and not metrics.has_width(low, high):
         low, high = metrics.wilson(mean * trials, trials)
-    elif trials:
+    if trials:
         least = metrics.wilson(mean * items, items)
         low, high = min(low, least[0]), max(high, least[1])
     return {"mean": mean, "low": low, "high": high}

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rcbht_jax.calibration import rest_runs
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.gradient import FIT_TEMPERATURE, GradientOptions, calibrate
 from rcbht_jax.calibration.label_durations import fit_windows, label_durations
@@ -133,6 +134,17 @@ def test_rest_is_constant_with_the_tolerance_of_rest():
     np.testing.assert_allclose(found.limits.tolerance[1], found.limits.tolerance[0] * 1e-3, rtol=0.5)
     twice = fit_rest_limits(at_rest(0, 0.1), CONFIG).limits.tolerance
     np.testing.assert_allclose(twice, 2 * found.limits.tolerance, rtol=0.05)
+
+
+def test_noise_at_rest_is_that_of_the_blocks_at_rest():
+    """At 2 Hz, a window is longer than the blocks of rest, and two samples are too few for a line."""
+    rng = np.random.default_rng(0)
+    wrench = rng.normal(size=(4, 1200, 1)) * 0.01
+    wrench[:, 600:] += np.cumsum(rng.normal(size=(4, 600, 1)) * 3, 1)
+    recordings = Recordings.from_arrays(wrench, rate=2, axes=["grip"])
+    rest = {window: rest_thresholds(recordings, window).rest for window in (2, 4)}
+    found = {w: rest_runs._rest_noise(recordings, calm, FitConfig(w, recordings.dt))[0] for w, calm in rest.items()}
+    assert found[2] < 2 * found[4] < 0.2
 
 
 def test_penalties_are_the_share_of_rest_that_words_do_not_call_constant():

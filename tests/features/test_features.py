@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import tracemalloc
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -244,6 +245,29 @@ def test_chunks_of_sentences_do_not_change_the_features():
     together = interval_features(tracks, intervals(*rows), ALL).values
     alone = np.concatenate([interval_features(tracks, intervals(r), ALL).values for r in rows[::10]])
     np.testing.assert_array_equal(together[::10], alone)
+
+
+def test_an_interval_costs_the_labels_that_it_holds():
+    """Not those of its recording: memory, and so time, of 64 minutes of labels for every sentence."""
+    rng, shape = np.random.default_rng(0), (1, 6, 20_000)
+    length = rng.integers(0, 20, shape)  # some slots are empty
+    t1 = length.cumsum(-1).astype(np.int32)
+    label = np.where(length > 0, rng.integers(1, 7, shape), 0).astype(np.int8)
+    fields = [*(rng.normal(size=shape).astype(np.float32) for _ in range(4))]
+    track = LabelTrack(label, (t1 - length).astype(np.int32), t1, t1, *fields)
+    rows = [(0, start, start + 400) for start in range(0, 64 * 2_000, 2_000)]
+    spec = FeatureSpec(("histogram", "attributes"), ("primitive",))
+    tracemalloc.start()
+    found = interval_features(LabelTracks(track, track, track), intervals(*rows), spec).values
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6
+    for row in (0, 30, 63):  # labels that overlap the interval, and no others
+        near = (t1 > rows[row][1] - 50) & (t1 - length < rows[row][2] + 50)
+        few = np.flatnonzero(near.any((0, 1)))
+        cut = LabelTrack(*(getattr(track, name)[..., few] for name in track.__dataclass_fields__))
+        alone = interval_features(LabelTracks(cut, cut, cut), intervals(rows[row]), spec).values
+        np.testing.assert_array_equal(found[row], alone[0])
 
 
 def test_dense_and_compact_tracks_give_the_same_features():

@@ -99,6 +99,23 @@ def test_pieces_of_a_stream_give_the_rows_of_the_whole(sizes):
         assert len(rows) == sum(map(len, pieces))
 
 
+def test_slopes_of_a_long_stream_keep_their_digits():
+    rng, dt = np.random.default_rng(5), 1e-3
+    signal = 10 + 0.02 * rng.normal(size=(300_000, 1))
+    signal[0] = 0
+    table = trailing_statistics(signal, dt, (0.05,))
+    time = (np.arange(50) - 24.5) * dt
+    slopes = np.lib.stride_tricks.sliding_window_view(signal[:, 0], 50) @ time / (time @ time)
+    assert np.abs(table[49:, 3] - slopes).max() < 2e-5
+    for sizes in (70_001, 2**16):  # totals begin anew every 2^16 samples
+        stream, ends = TrailingStatistics(dt, (0.05,)), range(sizes, len(signal), sizes)
+        assert np.array_equal(np.concatenate([stream.push(piece) for piece in np.split(signal, ends)]), table)
+    brief = TrailingStatistics(dt, (0.05, 70.0))  # a window may be longer than that
+    rows = np.concatenate([brief.push(piece) for piece in np.split(signal, range(999, len(signal), 50_000))])
+    assert np.array_equal(rows, trailing_statistics(signal, dt, (0.05, 70.0)))
+    assert rows[-1, 6] == pytest.approx(signal[-70_000:].mean())
+
+
 def test_words_of_a_stream_are_those_known_at_each_time():
     """Word by word as published, of three axes of which one says nothing."""
     signal = np.random.default_rng(4).normal(size=(400, 3)).cumsum(0) * [1.0, 0.2, 0.0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -77,6 +78,16 @@ def test_what_is_said_to_be_promised_is_kept(count):
         conformal_threshold(np.zeros(count), 0.98 / (count + 1))
 
 
+def test_peaks_are_in_the_order_of_the_names():
+    p, names = np.array([0.1, 0.9, 0.8, 0.3, 0.2, 0.7]), np.array(["b", "a", "a", "b", "c", "a"])
+    assert peaks(p, names, 2).tolist() == [0.8, 0.1, 0.0]
+    assert peaks(p[:0], names[:0], 2).tolist() == []
+    many = np.repeat([f"trial-{k:05d}" for k in np.random.default_rng(0).permutation(40_000)], 3)
+    begun = perf_counter()
+    assert len(peaks(np.zeros(len(many)), many, 2)) == 40_000
+    assert perf_counter() - begun < 5
+
+
 def test_peaks_are_held_out():
     """Each trial has a column of its own that gives it away: a machine that saw the trial would know it."""
     rng = np.random.default_rng(1)
@@ -111,9 +122,10 @@ def made_up(kinds: list[int]) -> Recordings:
 
 def test_a_head_learns_its_level():
     data = made_up([0] * 20 + [1] * 8)
-    spec = HeadSpec(TaskSpec("outcome"), ("histogram", "attributes"), rate=20.0, false_alarms=0.05)
+    spec = HeadSpec(TaskSpec("outcome"), ("histogram", "attributes"), rate=20.0, false_alarms=0.05, hold=0.15)
     learnt = train_head(data, spec, CONFIG, preset())
     assert 0 < learnt.alarm_level < 1
+    assert learnt.alarm_hold == spec.hold
     model = IntrospectionModel(CONFIG, np.asarray(preset().limits), (learnt,), "")
     introspector, raised = Introspector(model, rate=20.0), []
     for kind in (0, 1):

@@ -192,6 +192,20 @@ def test_a_head_may_have_an_alarm_level_of_its_own(tmp_path):
         replace(heads[1], alarm_level=1.5)
 
 
+def test_an_alarm_is_held_for_the_time_of_its_level(tmp_path):
+    signal = trial(1, 81)
+    heads = tuple(replace(head, alarm_hold=0.3 if head.alarm else 0.1) for head in model().heads)
+    model_files.save(tmp_path / "m", replace(model(), heads=heads))
+    back = model_files.load(tmp_path / "m")
+    held, asked = Introspector(back).push(signal), Introspector(model(), hold=0.3).push(signal)
+    assert held == asked
+    assert held != Introspector(model()).push(signal)
+    assert Introspector(back, hold=0.1).push(signal) == Introspector(model()).push(signal)
+    for wrong in (-0.1, float("inf")):
+        with pytest.raises(InputError, match="holds its alarm for"):
+            replace(heads[1], alarm_hold=wrong)
+
+
 def test_model_file_keeps_everything(tmp_path):
     path = tmp_path / "m"
     model_files.save(path, model())
@@ -207,12 +221,13 @@ def test_files_of_0_1_are_read(tmp_path):
     path = tmp_path / "m"
     model_files.save(path, model())
     members, meta = archive_of(path)
-    added = ("view", "alarm_level", "progress")  # since then
+    added = ("view", "alarm_level", "alarm_hold", "progress")  # since then
     heads = [{k: v for k, v in head.items() if k not in added} | {"sight": head["view"]} for head in meta["heads"]]
     write_archive(path, meta | {"heads": heads}, members)
     back = model_files.load(path)
     assert [head.view for head in back.heads] == [head.view for head in model().heads]
     assert [head.progress for head in back.heads] == [None] * 3
+    assert [head.alarm_hold for head in back.heads] == [0.1] * 3
 
 
 def test_model_files_that_do_not_fit(tmp_path):

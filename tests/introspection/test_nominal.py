@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -232,6 +233,22 @@ def test_a_file_gives_the_same_scores(tmp_path: Path) -> None:
         nominal_file.load(path)
 
 
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        {"levels": np.array([0]), "lags": np.array([0.2, 0.4]), "folds": np.int64(5)},
+        {"levels": (1.0,), "neighbours": 2.0, "rate": np.float32(20), "drift": np.float32(0.25)},
+        {"levels": (np.int64(1),), "neighbours": np.int32(2), "slack": np.float64(0.1)},
+    ],
+)
+def test_numbers_of_any_type_are_parameters_and_are_kept_in_a_file(kinds: dict[str, Any], tmp_path: Path) -> None:
+    monitor, series = NominalMonitor(**kinds).fit(pushes(9, 0)), pushes(1, 1)[0]
+    nominal_file.save(tmp_path / "m", nominal_file.MonitorFile(monitor, ("Fz", "Mx"), ()))
+    again = nominal_file.load(tmp_path / "m").monitor
+    np.testing.assert_array_equal(again.scores(series), monitor.scores(series))
+    assert again.threshold(0.2) == monitor.threshold(0.2)
+
+
 def test_every_group_is_scored_without_itself() -> None:
     series, groups = pushes(12, 0), np.arange(12) % 3
     nominal = np.arange(12) < 9
@@ -307,6 +324,7 @@ def test_alarms_are_judged_by_the_onset() -> None:
         (NominalMonitor(levels=(0.5,)), pushes(3, 0), r"levels \(0.5,\)"),
         (NominalMonitor(neighbours=1.5), pushes(3, 0), "neighbours 1.5"),
         (NominalMonitor(memory=0), pushes(3, 0), "memory is 0"),
+        (NominalMonitor(folds=1), pushes(3, 0), "folds is 1; expected 2"),
         (NominalMonitor(score_rate=1e-300), pushes(3, 0), "score_rate is 1e-300"),
         (QuantileBand(share=2), pushes(3, 0), "share is 2"),
         (GaussianProcessBand(points=1), pushes(3, 0), "points is 1"),

@@ -171,6 +171,15 @@ def test_recordings_without_annotation_are_labelled():
     assert (result.predicted[0] == truth).mean() > 0.9
 
 
+@pytest.mark.parametrize("count", [2, 4])
+def test_recordings_without_annotation_teach_nothing(count: int):
+    data = made(count, seed=3)
+    parts = [data.annotations.of_samples(row, "phase", n, data.dt) for row, n in enumerate(data.length.tolist())]
+    some = [parts[0], *(np.full_like(part, UNKNOWN) for part in parts[1:])]
+    segmenter = WrenchSegmenter(words=False, **TREES).fit(data, some)
+    assert (segmenter.predict(data)[0] == parts[0]).mean() > 0.9
+
+
 def test_what_cannot_be_learnt_is_said():
     data = made(2)
     with pytest.raises(InputError, match="no annotations"):

@@ -16,6 +16,7 @@ from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.introspection.segmenter_file import SegmenterFile, load, save
 from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 from rcbht_jax.io.store import read_recordings, write_recordings
+from rcbht_jax.learning.segment_metrics import UNKNOWN
 from rcbht_jax.types import Recordings
 
 RATE = 100
@@ -56,6 +57,26 @@ def test_a_stream_in_any_pieces_gives_the_beliefs_of_the_whole(options, tmp_path
         assert [
             event for part in parts for event in stream.push(signal[part], round(10 + float(part[-1]) / RATE, 6))
         ] == whole
+
+
+def test_a_class_between_two_decisions_is_kept_in_the_file_and_never_believed(tmp_path: Path) -> None:
+    """A snap of 10 ms, where a decision comes every 25 ms."""
+    rng, time = np.random.default_rng(0), np.arange(2000)
+    force = rng.normal(size=(9, 2000, 1)) * 0.1 + 5 * (time >= 1000)[:, None]
+    data = Recordings.from_arrays(force, rate=1000, axes=["grip"], units=["N"])
+    y = np.where(time < 1001, 0, 2)
+    y[1001:1011] = 1
+    segmenter = WrenchSegmenter(trees=5, words=False).fit(data, [y] * 9)
+    save(tmp_path / "s", SegmenterFile.of(segmenter, "phase", ("free", "snap", "contact")))
+    events = SegmenterStream(load(tmp_path / "s")).push(force[0])
+    expected = segmenter.predict_proba(data.take(np.array([0])))[0][::25]
+    assert expected.shape == (80, 3)
+    assert not expected[:, 1].any()
+    np.testing.assert_allclose([event.probabilities for event in events], expected, atol=1e-12)
+    y = np.where(time == 25, 1, UNKNOWN)
+    y[1010:1020] = 0
+    with pytest.raises(InputError, match="decisions, one in 25 samples, the labels have 1 class; two are needed"):
+        segmenter.fit(data, [y] * 9)
 
 
 def test_what_cannot_be_streamed_is_refused(tmp_path: Path) -> None:

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from rcbht_jax.annotations import Annotations
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
 from rcbht_jax.features import ABSOLUTE, FeatureSpec, Intervals
 from rcbht_jax.features.online import names, weights
 from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE, TRIAL, TRIAL_RELATIVE
+from rcbht_jax.introspection import training
+from rcbht_jax.introspection.chain import FeatureView
+from rcbht_jax.introspection.model import Head
 from rcbht_jax.introspection.training import (
     HeadSpec,
     learn,
     regular_snapshots,
     training_snapshots,
 )
-from rcbht_jax.learning.probability import fit_probabilistic
-from rcbht_jax.learning.svm import Grid
+from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
+from rcbht_jax.learning.svm import Grid, SvmSpec, fit
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec
+from rcbht_jax.types import Recordings
 
 
 def sentences_of(lengths: list[int]) -> LabelledIntervals:
@@ -44,6 +54,35 @@ def test_picked_looks(early):
     assert (np.sum(first < 1000) > 5) == early
     assert len(every.now[every.interval == 3]) == 1
     assert np.sum(every.interval == 0) == 500
+
+
+@pytest.mark.parametrize(
+    ("rate", "hold", "dt", "steps"),
+    [(10.0, 0.1, 0.005, 2), (10.0, 0.5, 0.5, 2), (10.0, 0.7, 0.5, 3), (10.0, 0.12, 0.005, 3), (20.0, 0.1, 0.005, 3)],
+)
+def test_an_alarm_is_held_for_as_many_snapshots_as_its_time_takes(monkeypatch, rate, hold, dt, steps):
+    """A sensor may be slower than the snapshots that are asked for."""
+    svm = fit(np.arange(4.0)[:, None], np.arange(4) // 2, ("failure", "success"), SvmSpec("linear", 1.0))
+    machine, asked = ProbabilisticSvm(svm, np.array([[-2.0, 0.0]])), []
+    head = Head("outcome", "trial", FeatureView(FeatureSpec(("elapsed",))), machine, "failure")
+    items = sentences_of([400] * 4)
+    items = replace(items, classes=("failure", "success"))
+    monkeypatch.setattr(training, "snapshot_features", lambda *rest: np.zeros((len(rest[1]), 1)))
+    monkeypatch.setattr(training, "held_out", lambda machine, x, y, groups, stream, *rest: np.zeros((len(stream), 2)))
+    monkeypatch.setattr(training, "peaks", lambda p, groups, count: asked.append(count) or np.zeros(99))
+    spec = HeadSpec(TaskSpec("outcome"), rate=rate, hold=hold, false_alarms=0.05)
+    rest = np.zeros((4, 1)), np.zeros(4, int), np.array(list("abcd"))
+    recordings = Recordings.from_arrays(np.zeros((2, 10, 6)), rate=1 / dt)
+    training._alarm_level(recordings, spec, EncoderConfig(dt=dt), preset(), items, head, rest, 0)
+    assert asked == [steps]
+
+
+def test_intervals_that_overlap_are_refused():
+    rows = [(row, "phase", *mark) for row in range(4) for mark in (("x", 0.0, 0.7), ("y", 0.5, 1.0))]
+    data = Recordings.from_arrays(np.zeros((4, 200, 6)), 200, annotations=Annotations.from_rows(rows))
+    for spec in (HeadSpec(TaskSpec("phase")), HeadSpec(TaskSpec("phase"), phase=True)):
+        with pytest.raises(InputError, match=r"Intervals of phase overlap in recording 0 \(.*\) at 0.5 s"):
+            training.train_head(data, spec, EncoderConfig(), preset())
 
 
 @pytest.mark.parametrize("time_alone", [False, True])

@@ -51,6 +51,25 @@ def test_no_fold_divides_what_the_group_names():
         scored(group="operator", train_on=("A",), test_on=("B",))
 
 
+def test_parameters_are_chosen_without_dividing_a_group():
+    """Who the operator is tells nothing about others, though it tells everything about further trials of the same."""
+    rng = np.random.default_rng(0)
+    operator = np.repeat(np.arange(16), 4)
+    y = rng.permutation(np.repeat([0, 1], 8))[operator]
+    items = LabelledIntervals(
+        ("a", "b"), y, np.arange(64).astype(str), np.full(64, "A"),
+        (Intervals(np.arange(64), np.zeros(64, int), np.full(64, 10), 0.005),), {},
+    )  # fmt: skip
+    who = rng.normal(size=(16, 4))[operator] + 0.02 * rng.normal(size=(64, 4))
+    matrices = {"who": who, "signal": 3 * y[:, None] + rng.normal(size=(64, 1))}
+    grid = Grid(("rbf",), (10.0,), (True,), inner=4)
+    protocol = EvaluationProtocol(folds=4, repeats=1, grid=grid, group="operator")
+    found = score(items, matrices, protocol, {}, {}, groups=operator)
+    assert {line.split()[0] for line in found.chosen} == {"signal"}
+    by_trial = score(items, matrices, replace(protocol, group="trial"), {}, {})
+    assert {line.split()[0] for line in by_trial.chosen} == {"who"}
+
+
 def test_no_session_may_teach_the_trial_that_another_tests():
     """Items of other origins than a store, in which a trial has one session."""
     rows = np.arange(8)
@@ -98,6 +117,16 @@ def test_stratified_folds_do_not_narrow_the_interval_of_a_rare_class():
     near = np.array([[0.5, 0.49, 0.5], [0.5, 0.5, 0.5]])  # mean recall: of the three failures, hardly anything is known
     recall = replace(run, balanced_accuracy=near, split=np.arange(6).reshape(2, 3)).summary(53)["balanced_accuracy"]
     assert recall["high"] - recall["low"] > 0.4
+
+
+def test_mean_recall_without_a_mistake_knows_little_of_a_rare_class():
+    """Of two failures that are found among 100 trials: about as much as of four trials of each class."""
+    y = np.repeat([0, 1], [98, 2])
+    run = cross_validate(lambda train, test, seed: (y[test], {}), y, repeated_folds(y, np.arange(100), 2, 10, 0))
+    found = run.summary(100)
+    items = 4 / (1 / 98 + 1 / 2)
+    assert found["balanced_accuracy"]["low"] == pytest.approx(wilson(items, items)[0])
+    assert found["accuracy"]["low"] == pytest.approx(wilson(100, 100)[0])
 
 
 def test_a_class_that_a_fold_cannot_learn_is_named():

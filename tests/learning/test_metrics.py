@@ -31,6 +31,13 @@ def test_scores_equal_scikit_learn(pairs):
     np.testing.assert_array_equal(metrics.confusion(truth, said, 4), table)
 
 
+@pytest.mark.parametrize("kind", [np.int8, np.uint8, np.uint64])
+def test_classes_may_be_of_any_type_of_integer(kind):
+    y = np.arange(20, dtype=kind)
+    assert metrics.balanced_accuracy(y, y) == 1
+    np.testing.assert_array_equal(metrics.confusion(y, y, 20), np.eye(20))
+
+
 def test_corrected_interval_by_hand():
     # s^2 = 0.02/3, J = 4: error = sqrt((1/4 + 1/4) * s^2), t(3) = 3.18245.
     mean, low, high = metrics.corrected_interval(np.array([0.5, 0.6, 0.6, 0.7]), 0.25)

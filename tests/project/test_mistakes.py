@@ -95,7 +95,7 @@ NUMBERS = {
     "rj.Introspector(None)": "expected IntrospectionModel",
     "rj.Introspector(introspector.model, rate='x')": "rate of beliefs is 'x'",
     "rj.Introspector(introspector.model, k='x')": "certainty level is 'x'",
-    "rj.Introspector(introspector.model, hold=None)": "hold time is 'None'",
+    "rj.Introspector(introspector.model, hold='x')": "hold time is 'x'",
     "introspector.push(pd.DataFrame(np.ones((50, 6)), columns=recordings.axes[::-1]))": "samples have the axes Mz, My",
     "detector.push(pd.DataFrame({'Fx': [1.0]}))": "samples have the axes Fx; the stream has Fz",
     "introspector.push(np.ones((50, 6)), time='now')": "time is 'now'; expected a number",
