@@ -66,7 +66,7 @@ def times_by_grammar(wrench: np.ndarray, edges: np.ndarray, limits: np.ndarray) 
     spans = Intervals(rows, edges[:, :-1].ravel(), edges[:, 1:].ravel(), CONFIG.dt)
     parts = []
     for layer, size in zip(LAYERS, LAYER_SIZES, strict=True):
-        words = clip(getattr(tracks, layer), spans, layer)
+        (words,) = clip(getattr(tracks, layer), spans, layer, len(spans))
         parts.append(weighted_counts(words.code, words.duration, size))
     return np.concatenate(parts, -1).reshape(4, 4, 6, -1)
 
