@@ -44,7 +44,8 @@ TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
     "zeit", "zeitstempel", "temps", "tiempo", "tempo", "czas", "tijd", "время", "时间", "時間", "시간",
 )  # fmt: skip
 
-_AXIS = re.compile(r"[FMT][xyz](?![a-z])", re.I)  # of a force or a moment, without a unit
+_QUANTITIES = r"(?:[FMT]|(?:force|torque|moment|tau)[ _]?)"
+_WRENCH = re.compile(rf"(?:^[FMT][ _]|(?:^|[\W_]){_QUANTITIES})[xyz](?![a-z])", re.I)  # of a wrench, without a unit
 _TAILS = ("N", "Nm", "mN", "mNm", "Nmm", "Ncm", "kN", "kNm", "kgf", "lbf")  # that end a name after "_"
 _AXIS = re.compile(r"(?:^|[\W_])(?:f|m|t|force|torque|moment|tau)[ _]?[xyz]$", re.IGNORECASE)  # before n, or nm
 _PRODUCT = re.compile(r"(?<=[^\W\d_])[ .*·⋅・･∙•×-](?=[^\W\d_])")  # N-m, N·mm, lbf in
@@ -159,6 +160,11 @@ def measured(axes: Sequence[str], units: Sequence[str]) -> str:
 
     >>> measured(["grip", "Fz"], ["N", ""]), measured(["current", "Fz"], ["A", "N"]), measured(["speed"], [""])
     ('wrench', 'signal', 'signal')
+    >>> {measured([axis], [""]) for axis in ("Fx_left", "Fz2", "Fx wrist", "wrist_fz", "Mz_tool", "force_x", "F_x")}
+    {'wrench'}
+    >>> {measured([axis], [""]) for axis in ("offset", "pos_m_x", "buffy", "fxy")}
+    {'signal'}
     """
-    named = (unit in (*FORCES, *MOMENTS) if unit else _AXIS.match(axis) for axis, unit in zip(axes, units, strict=True))
+    pairs = zip(axes, units, strict=True)
+    named = (unit in (*FORCES, *MOMENTS) if unit else _WRENCH.search(axis) for axis, unit in pairs)
     return "wrench" if all(named) else "signal"
