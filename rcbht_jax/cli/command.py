@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rcbht_jax.types import Recordings
 
 
-OUTPUTS = ("out", "mcap", "plot", "checkpoint", "write_map")  # options that name what is written
+OUTPUTS = ("out", "mcap", "plot", "checkpoint", "write_map", "write_model")  # options that name what is written
 
 
 class MadeBy(NamedTuple):

@@ -87,10 +87,10 @@ class Segment(Command):
         with progress_bar("segment", "models") as bar:
             keep = self.write_model is not None
             result = segment(recordings.take(np.flatnonzero(chosen)), segmenter, protocol, bar.update, keep)
-        if self.write_model is not None:
-            save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes))
         with atomic_write(self.out) as draft:
             draft.write_text(_table(result), encoding="utf-8")
+        if self.write_model is not None:
+            save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes))
         model = {} if self.write_model is None else {"model": str(self.write_model)}
         return {"out": str(self.out), **model, "causal": not self.offline, "rule": self.rule, **result.to_json()}
 

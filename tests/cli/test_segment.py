@@ -51,3 +51,22 @@ def test_a_table_of_intervals(store, tmp_path, capsys):
 def test_what_it_refuses(store, words, said, capsys):
     assert main(["segment", str(store), *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_place_for_the_model_that_does_not_exist_is_said_at_once(store, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("rcbht_jax.io.store.read_recordings", lambda path: pytest.fail("work was begun"))
+    out = ["-o", str(tmp_path / "segments.csv")]
+    assert main(["segment", str(store), *out, "--write-model", str(tmp_path / "none" / "x.segmenter")]) == 2
+    assert "none is not a folder; create it first" in capsys.readouterr().err
+    assert main(["segment", str(store), *out, "--write-model", out[1]]) == 2
+    assert "segments.csv is to be written and is used as" in capsys.readouterr().err
+
+
+def test_the_table_stays_where_the_model_cannot_be_written(store, tmp_path, monkeypatch):
+    def full(path: Path, segmenter: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("rcbht_jax.introspection.segmenter_file.save", full)
+    out = tmp_path / "segments.csv"
+    assert main(["segment", str(store), "-o", str(out), "--write-model", str(tmp_path / "x.segmenter")]) != 0
+    assert out.read_text().startswith("recording,trial")
