@@ -61,7 +61,8 @@ def read_results(folder: Path) -> Results:
     """Read every ``*.json`` of a folder whose ``"schema"`` is :data:`SCHEMA`; other files are ignored.
 
     Raises:
-        InputError: no such folder, no row in files with that schema, or one that does not follow it.
+        InputError: no such folder, no row in files with that schema, one that does not follow it, or two files with
+            different notes for one flag.
     """
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; give one that holds a JSON file of result rows.")
@@ -75,8 +76,11 @@ def read_results(folder: Path) -> Results:
             for name, kind in PARTS.items():
                 if not isinstance(record.get(name), kind):
                     raise InputError(f"it has no {'object' if kind is dict else 'list'} {name!r}")
-            notes |= {str(flag): str(sentence) for flag, sentence in record["notes"].items()}
-            rows += [_row(entry, f"row {number}", notes) for number, entry in enumerate(record["rows"], 1)]
+            mine = {str(flag): str(sentence) for flag, sentence in record["notes"].items()}
+            if other := [flag for flag, sentence in mine.items() if notes.get(flag, sentence) != sentence]:
+                raise InputError(f"another file has another note for the flag {other[0]!r}")
+            notes |= mine
+            rows += [_row(entry, f"row {number}", mine) for number, entry in enumerate(record["rows"], 1)]
             sources += [_made(Source, one, f"source {number}") for number, one in enumerate(record["sources"], 1)]
         except InputError as error:
             raise InputError(f"{path} does not follow the schema {SCHEMA}: {error}.") from error

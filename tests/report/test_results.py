@@ -107,3 +107,15 @@ def test_a_folder_without_rows_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("{")
     with pytest.raises(InputError, match=r"a\.json is not JSON"):
         read_results(tmp_path)
+
+
+def test_notes_belong_to_their_file(tmp_path: Path) -> None:
+    rows_file(tmp_path).rename(tmp_path / "a.json")
+    rows_file(tmp_path, notes={"few": "Only <three> trials.", "own": ""})
+    assert len(read_results(tmp_path).rows) == 4
+    rows_file(tmp_path, notes={"few": "Forty trials."})
+    with pytest.raises(InputError, match=r"rows.json does not .*: another file has another note for the flag 'few'"):
+        read_results(tmp_path)
+    rows_file(tmp_path, notes={})
+    with pytest.raises(InputError, match=r"rows.json does not .*: row 1 has the flag 'few', for which there is no"):
+        read_results(tmp_path)
