@@ -158,7 +158,8 @@ def fitted_lines(lane: LabelTrack, dt: float) -> Float[np.ndarray, "slot 2 2"]:
 def _view(recordings: Recordings, index: int, seconds: tuple[float, float] | None) -> _View:
     duration = float(recordings.length[index] * recordings.dt)
     start, stop = (0.0, duration) if seconds is None else seconds
-    if not 0 <= start < min(stop, duration):
+    times = np.arange(recordings.length[index]) * recordings.dt
+    if not (0 <= start < min(stop, duration) and ((times >= start) & (times <= stop)).any()):
         raise InputError(f"No sample lies between {start:g} s and {stop:g} s; the recording lasts {duration:g} s.")
     return _View(start, min(stop, duration), recordings.dt)
 

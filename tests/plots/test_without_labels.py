@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.cli import main
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import AXES
 from rcbht_jax.plots import trial_figure
@@ -48,3 +49,9 @@ def test_the_command_says_what_makes_labels(
 def test_what_is_no_force_is_called_a_signal(recordings: Recordings) -> None:
     currents = replace(recordings, units=("A",) * 6)
     assert trial_figure(currents, None, 0).legends[0].texts[0].get_text() == "signal"
+
+
+@pytest.mark.parametrize("seconds", [(0.001, 0.004), (1.996, 3.0)])
+def test_a_part_between_two_samples_is_refused(recordings: Recordings, seconds: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="No sample lies between"):
+        trial_figure(recordings, None, 0, seconds=seconds)
