@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
 
+from rcbht_jax.errors import InputError
+from rcbht_jax.labels import AXES
 from rcbht_jax.reference.encode import encode, sample_times
 from rcbht_jax.reference.tracks import to_tracks
 from rcbht_jax.robots.snap_assembly import RECORDED
@@ -49,8 +51,13 @@ def encode_dataset(
         host arrays ``[recording, axis, slot]``, unused slots at the end.
 
     Raises:
-        InputError: a recording is too short or holds values that are not finite.
+        InputError: the axes are not those of a wrench in its usual order, or a recording is too short or holds values
+            that are not finite.
     """
+    if recordings.axes != AXES:  # the original programs tell forces from moments by their place
+        raise InputError(
+            f"The axes are {' '.join(recordings.axes)}; the offline program expects {' '.join(AXES)}, in this order."
+        )
     rows = []
     known = RECORDED in recordings.annotations.tracks
     onsets = recordings.starts(RECORDED) if known else np.full((len(recordings), 1), np.nan)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.reference.dataset import as_written, encode_dataset
 from rcbht_jax.types import Recordings
 
@@ -34,3 +36,10 @@ def test_store_labels_equal_the_golden_tables(hiro_recordings: Recordings, golde
                 span = slice(golden[f"{key}_off"][table], golden[f"{key}_off"][table + 1])
                 label = getattr(tracks, layer).label[row, axis]
                 np.testing.assert_array_equal(label[label > 0], golden[key][span, column])
+
+
+def test_axes_in_another_order_are_refused() -> None:
+    push = np.linspace(0, 20, 400)[:, None] * np.ones(6)
+    turned = Recordings.from_arrays([push], 200.0, axes=("Mx", "My", "Mz", "Fx", "Fy", "Fz"))
+    with pytest.raises(InputError, match=r"axes are Mx My Mz Fx Fy Fz; .* expects Fx Fy Fz Mx My Mz, in this order"):
+        encode_dataset(turned)
