@@ -222,7 +222,8 @@ class LabelTracks(ByValue):
 def padded(parts: Sequence[NDArray[np.floating]]) -> tuple[NDArray[np.floating], NDArray[np.int32]]:
     """Recordings ``[time, axis]`` of the same axes under each other, zero at the end, and their lengths."""
     length = np.array([len(part) for part in parts], np.int32)
-    wrench = np.zeros((len(parts), max(length.max(), 1), parts[0].shape[1]), parts[0].dtype)
+    shape, kinds = (len(parts), max(length.max(), 1), parts[0].shape[1]), {part.dtype for part in parts}
+    wrench = np.zeros(shape, np.result_type(*kinds))  # whatever their order
     for row, part in zip(wrench, parts, strict=True):
         row[: len(part)] = part
     return wrench, length

@@ -239,8 +239,7 @@ def _harms(output: Path, other: Path) -> bool:
         here, there = output.resolve(), other.resolve()
     except (OSError, ValueError, RuntimeError):  # no name of a file: opening it reports that
         return False
-    inside = (here == there, _is_whole(there) and there in here.parents, _is_whole(here) and here in there.parents)
-    return any(inside)
+    return here == there or (_is_whole(there) and there in here.parents) or (_is_whole(here) and here in there.parents)
 
 
 def check_place(path: Path, folder: Folder | None) -> None:
@@ -291,6 +290,12 @@ class EncodingCommand(Command):
         ),
         MadeBy('"rcbht calibrate STORE.zarr -o {path}"'),
     ] = None
+
+    def check_inputs(self) -> None:
+        """Refuse two choices of thresholds as well."""
+        super().check_inputs()
+        if self.robot is not None and self.thresholds is not None:
+            raise InputError("--robot and --thresholds both choose thresholds; leave out one of them.")
 
     def read_limits(self, recordings: Recordings, store: Path, scale: float = 1.0) -> tuple[AnyLimits, dict[str, Any]]:
         """The limits of the file, of a robot's preset or of these recordings, and where they come from.

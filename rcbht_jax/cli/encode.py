@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 
 USUAL_SPAN = 0.025  # s, of the paper's windows: 5 samples at 200 Hz
+_ONLINE = ("thresholds", "window", "scale", "gate", "adj_exempt", "contact_first", "pipe", "rule", "latency_cap")
 RESTLESS = 1 / 3  # of the time at rest, beyond which the thresholds do not fit
 
 
@@ -45,9 +47,17 @@ class Encode(RuleCommand):
     adj_exempt: Flag = True
     """Merge repeated adjustments; by default they stay separate, which distinguishes AL from SH (online)."""
     contact_first: Flag = False
-    """Allow an impulse only as the first of a pair, never as the second (online)."""
+    """Allow an impulse as the first of a pair, never as the second of a pair that another primitive begins (online)."""
     pipe: Literal["two-slot", "one-slot"] = "two-slot"
     """Filter of each layer; one-slot compares a new label only with the accumulated one (online)."""
+    robot: Annotated[
+        Literal["auto", "hiro", "baxter", "pa10"] | None,
+        option(
+            "Robot whose preset gives the gradient thresholds; auto = from rest and contacts in what is encoded, which "
+            "only the online encoder can.",
+            "hiro for recordings of HIRO and simulated ones, and offline; else auto",
+        ),
+    ] = field(default=None, kw_only=True)
     rule: Annotated[
         Literal["paper", "similar", "fit"],
         option(
@@ -77,12 +87,7 @@ class Encode(RuleCommand):
 
         check_writable(self.store)
         name = self.name or self._default_name()
-        if (self.thresholds is not None or self.scale != 1) and self.mode == "offline":
-            raise InputError(
-                "--thresholds and --scale are for the online encoder; leave them out, or use --mode online."
-            )
-        if self.rule != "paper" and self.mode == "offline":
-            raise InputError("--rule is for the online encoder; leave it out, or use --mode online.")
+        self._check_mode()
         checked_tolerance(self.rule, self.tolerance)
         if not 0 < self.scale < float("inf"):
             raise InputError(f"--scale is {self.scale}; expected a positive number.")
@@ -147,7 +152,16 @@ class Encode(RuleCommand):
         words += [] if self.robot in (None, "hiro") else [self.robot]
         words += [] if self.thresholds is None else [self.thresholds.stem]
         words += [] if self.scale == 1 else [f"x{self.scale:g}"]
-        return "-".join([f"online-W{self.window}", *words])
+        name = "-".join([f"online-W{self.window}", *words])
+        return re.sub(r"[^A-Za-z0-9._-]+", "-", name.replace("e+", "e"))  # 2e+06 is not to become 2e-06
+
+    def _check_mode(self) -> None:
+        """Refuse options of the other mode, which would be ignored."""
+        other = "offline" if self.mode == "online" else "online"
+        names = ("version", "clean") if self.mode == "online" else _ONLINE
+        for name in names:
+            if getattr(self, name) != getattr(Encode, name):
+                raise InputError(f"--{name.replace('_', '-')} is for --mode {other}; leave it out, or use that mode.")
 
     def _online(self) -> _Run:
         from rcbht_jax.encoding.batch import encode_batch

@@ -40,7 +40,7 @@ class EncoderConfig:
         dt: seconds between samples.
         gate: pair primitives only if amplitudes agree within a factor of 2 and durations within a factor of 5.
         adj_exempt: keep repeated adjustments separate, so that alignments and shifts can be distinguished.
-        contact_first: impulses are only the first of a pair.
+        contact_first: impulses are never the second of a pair that another primitive begins.
         pipe: "two-slot", or "one-slot" which compares each arrival with the accumulator.
         rule: time-amplitude rule, "paper" or the reference's older "similar".
         latency_cap: longest time in s that a run waits after its successor has begun; None = no limit.

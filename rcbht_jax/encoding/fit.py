@@ -51,7 +51,7 @@ class FitConfig:
         dt: seconds between samples.
         gate: pair primitives only if amplitudes agree within a factor of 2 and durations within a factor of 5.
         adj_exempt: keep repeated adjustments separate, so that alignments and shifts can be distinguished.
-        contact_first: impulses are only the first of a pair.
+        contact_first: impulses are never the second of a pair that another primitive begins.
         latency_cap: longest time in s that a composition or behaviour waits for its successor; None = no limit.
         impulse_below: a steep run longer than this many seconds is a big gradient, not an impulse.
         noise_below: single compositions shorter than this many seconds become noise.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rcbht_jax.cli.encode import Encode
 from rcbht_jax.cli.main import all_commands, main
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.learning.model_io import load
@@ -195,3 +197,29 @@ def test_any_words_give_a_sentence_or_help(
     assert status in (0, 2)
     assert status == 2 or "usage" in out
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--clean"], "--clean is for --mode offline; leave it out"),
+        (["--version", "wip"], "--version is for --mode offline"),
+        (["--mode", "offline", "--window", "20"], "--window is for --mode online; leave it out"),
+        (["--mode", "offline", "--no-gate"], "--gate is for --mode online"),
+        (["--mode", "offline", "--latency-cap", "0.1"], "--latency-cap is for --mode online"),
+        (["--robot", "pa10", "--thresholds", "limits.json"], "--robot and --thresholds both choose thresholds"),
+    ],
+)
+def test_encode_refuses_what_it_would_ignore(
+    words: list[str], said: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("limits.json").touch()
+    assert main(["encode", str(store), *words, "--name", "ignored"]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_default_name_is_one_that_the_store_takes() -> None:
+    limits, tolerance = Path("my limits (2).json"), (2e6,)
+    name = Encode(Path("x.zarr"), thresholds=limits, rule="fit", tolerance=tolerance)._default_name()
+    assert name == "online-W5-fit-tol2e06-my-limits-2-"

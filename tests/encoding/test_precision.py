@@ -17,6 +17,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.soft import soft_encode
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
+from rcbht_jax.types import padded
 from tests.support.trees import assert_trees_equal
 
 WRENCH = np.random.default_rng(0).normal(size=(2, 60, 2)).cumsum(1).astype(np.float32)
@@ -129,3 +130,11 @@ def test_a_state_in_double_precision_takes_samples_in_double_precision(rule: str
         values = np.asarray(words.avg)[np.asarray(words.label) > 0]
     assert len(values) == 2
     np.testing.assert_allclose(values, 1 / 3, rtol=1e-14)
+
+
+def test_the_order_of_recordings_does_not_choose_their_precision() -> None:
+    single, double = np.zeros((9, 1), np.float32), np.full((9, 1), 1 / 3)
+    for parts in ([single, double], [double, single]):
+        wrench, _ = padded(parts)
+        assert wrench.dtype == np.float64
+        assert (wrench == 1 / 3).any()
