@@ -23,7 +23,7 @@ from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
 _FIELDS = tuple(f.name for f in fields(LabelTrack))
 _MOST_SLOTS = 128
-_PIECE_WINDOWS = 64
+_PIECE_WINDOWS, _PIECE_SAMPLES = 64, 4096  # fewer windows where the data have fewer, but so many samples
 
 
 @dataclass(frozen=True)
@@ -95,15 +95,15 @@ def encode_batch(
     """
     limits, axes = _checked(config, thresholds, wrench, length), wrench.shape[2]
     rule = rule_of(config)
-    schedule = plan(length, _PIECE_WINDOWS * config.window)
+    whole = 1 << max(-(-int(length.max()) // config.window) - 1, 0).bit_length()  # a power of two: few programs
+    schedule = plan(length, min(_PIECE_WINDOWS, max(whole, _PIECE_SAMPLES // config.window)) * config.window)
     slots = schedule.recording.shape[1]
     state = rule.init(config, (slots * axes,), jax.dtypes.canonicalize_dtype(wrench.dtype))
     rows = _Rows(axes)
     for recording, offset in zip(schedule.recording, schedule.offset, strict=True):
         piece, count, lane_limits = _gather(wrench, length, limits, recording, offset, schedule.samples)
         lane_count = np.repeat(count, axes)
-        fresh = jnp.asarray(np.repeat(offset == 0, axes))
-        lanes = jnp.asarray(lane_limits)
+        fresh, lanes = jnp.asarray(np.repeat(offset == 0, axes)), jnp.asarray(lane_limits)
         state, tracks = _piece(config, lanes, state, fresh, jnp.asarray(piece), jnp.asarray(lane_count))
         rows.add(tracks, recording)
         done = (recording >= 0) & (offset + schedule.samples >= length[recording])

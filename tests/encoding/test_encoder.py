@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
 
-from rcbht_jax.encoding import encoder
+import rcbht_jax as rj
+from rcbht_jax.encoding import batch, encoder
 from rcbht_jax.encoding.batch import Schedule, encode_batch, plan
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.stream import Encoder
@@ -276,3 +277,19 @@ def test_what_is_empty_is_published_as_zeros_without_derivatives() -> None:
     assert rows == [[0, 0, last] for last in (3, 0, 5, 9, 7, 1, 8, 2)]
     found = jax.grad(lambda values: sum(jnp.sum(leaf) for leaf in jax.tree.leaves(track(values))[4:]))(values)
     np.testing.assert_allclose(found, [[0, 0, 1], [0, 0, 1], [0, 0, 0.2], [0, 0, 0.2]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("rule", ["paper", "fit"])
+def test_long_windows_take_memory_by_the_data_and_keep_their_labels(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes = []
+
+    def noted(length: np.ndarray, samples: int) -> batch.Schedule:
+        sizes.append(samples)
+        return plan(length, samples)
+
+    monkeypatch.setattr(batch, "plan", noted)
+    wrench = np.random.default_rng(0).normal(size=(2, 9000, 1)).cumsum(1).astype(np.float32)
+    few = rj.encode(wrench, 200, window=1000, rule=rule)
+    monkeypatch.setattr(batch, "_PIECE_SAMPLES", 64000)
+    assert few == rj.encode(wrench, 200, window=1000, rule=rule)
+    assert sizes == [16000, 64000]
