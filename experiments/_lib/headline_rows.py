@@ -51,10 +51,10 @@ STREAMED = {
 # Row of zero_shot_stream.json -> what it is called.
 STREAMED_SIMULATED = {
     "simulated to A and B": "states, real trials, tared, streamed, beginnings not given, zero shot",
-    "A alone to B": "the same, session A to session B",
-    "B alone to A": "the same, session B to session A",
-    "simulated and A to B": "the same, session A and simulated trials to session B",
-    "simulated and B to A": "the same, session B and simulated trials to session A",
+    "A alone to B": "states, tared, streamed, trained on session A alone, tested on B",
+    "B alone to A": "states, tared, streamed, trained on session B alone, tested on A",
+    "simulated and A to B": "states, tared, streamed, trained on session A and simulated trials, tested on B",
+    "simulated and B to A": "states, tared, streamed, trained on session B and simulated trials, tested on A",
 }
 # Boundaries of zero_shot.json -> what it is called.
 ZERO_SHOT = {
