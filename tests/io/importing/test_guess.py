@@ -11,6 +11,7 @@ from rcbht_jax.io.importing.guess import guess, outcome_words
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.names import wrenches
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.labels import AXES
 
 N = 30
 
@@ -271,6 +272,12 @@ def test_the_unit_of_bare_stamps_follows_from_their_steps(steps: float, unit: st
     first = 5e12 if unit == "ns" else 0.0  # since the machine started
     mapping, _ = guess(Table("a.csv", {"timestamp": first + np.arange(N) * steps, "Fz": np.ones(N)}))
     assert mapping.time_unit == unit
+
+
+@pytest.mark.parametrize("step", [0.01, 1.0, 2.0])
+def test_seconds_since_1970_are_seconds_in_steps_of_any_size(step: float) -> None:
+    mapping, _ = guess(Table("a.csv", {"timestamp": 1.7e9 + np.arange(N) * step, **dict.fromkeys(AXES, np.ones(N))}))
+    assert mapping.time_unit == "s"
 
 
 def test_an_arm_that_changes_separates_recordings() -> None:
