@@ -28,7 +28,7 @@ from rcbht_jax.io.importing.blocks import read_blocks
 from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
-from rcbht_jax.io.importing.find import Item, chosen, find
+from rcbht_jax.io.importing.find import Item, chosen, find, is_export
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, nameless, some, stated_words
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
@@ -91,14 +91,11 @@ def read_source(
             raise InputError(
                 f"{source} was written by rcbht export and is read as it is; leave out --map and its options."
             )
-        return _exported(source, items[0])
+        return _exported(source, items[0], others)
     report = ImportReport()
     others = [name for name in others if name not in marks.described_by(base, items)]
     beside = sidecars_of(source, items, others)
-    if others := [name for name in others if name not in beside.files]:
-        listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
-        were = plural(len(others), "other file was", "other files were")
-        report.remarks.append(f"{were} not read: {listed}.")
+    report.remarks += _unread(source, [name for name in others if name not in beside.files])
     if beside.files:
         were = plural(len(beside.files), "JSON document describes recordings", "JSON documents describe recordings")
         report.remarks.append(f"{were}: {some(beside.files)}.")
@@ -177,11 +174,23 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
     return readers[item.kind](item.path, item.name or (spelled(item.path.name) if item.kind == "zarr" else ""))
 
 
-def _exported(source: Path, item: Item) -> Imported:
+def _unread(source: Path, others: list[str]) -> list[str]:
+    """Remarks on what was not read of a source."""
+    exports = [name for name in others if is_export(source / name)]
+    were = plural(len(exports), "folder that rcbht export wrote was", "folders that rcbht export wrote were")
+    how = f"{were} not read: {some(exports)}. Import each alone, and join the stores: rcbht join."
+    others = [name for name in others if name not in exports]
+    listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
+    rest = f"{plural(len(others), 'other file was', 'other files were')} not read: {listed}."
+    return ([how] if exports else []) + ([rest] if others else [])
+
+
+def _exported(source: Path, item: Item, others: list[str]) -> Imported:
     check_inside(source, source)
-    recordings = read_export(source)
+    recordings = read_export(item.path)
     names = [f"{trial}/{arm}" for trial, arm in zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True)]
-    report = ImportReport(names, remarks=[f"{spelled(source.name)} was written by rcbht export; read as it is."])
+    report = ImportReport(names, remarks=[f"{spelled(item.path.name)} was written by rcbht export; read as it is."])
+    report.remarks += _unread(source, others)
     report.content_sha256 = _digest(source, [item])
     return Imported(recordings, Mapping(), report)
 
