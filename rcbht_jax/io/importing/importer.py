@@ -25,18 +25,21 @@ from rcbht_jax.io.importing import arrays, columnar, listing, marks
 from rcbht_jax.io.importing.arms import PLACE, tables_of_arms
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.blocks import read_blocks
+from rcbht_jax.io.importing.bounds import bounded
 from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
+from rcbht_jax.io.importing.given import from_start
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, nameless, some, stated_words
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.label_studio import unfolded
+from rcbht_jax.io.importing.lacks import Lacks
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Lacks, Record, Row, bounded, records, text
+from rcbht_jax.io.importing.record import Record, Row, records, text
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Interval, Table
@@ -287,7 +290,7 @@ def _understood(
             report.warnings.append((record.name, f"{base.table} has no row for it."))
         if "changes:outcome" in record.notes:
             report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
-        record.intervals[:] = [_from_start(record, interval) for interval in record.intervals]
+        report.warnings += [(record.name, doubt) for doubt in record.doubts]
         yield record, (mapping, understood)
 
 
@@ -344,10 +347,15 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
             report.warnings.append((table.name, str(error)))
             continue
         meant = {word: names.meant(word if marks.is_naming(table.columns) else own) for word, _ in rows}
+        own_rows: dict[int, list[Interval]] = {}
         for word, interval in rows:
             for place in meant[word] if names.of_one_trial(meant[word]) else ():
-                record = found[place]
-                record.intervals.append(_from_start(record, interval))
+                own_rows.setdefault(place, []).append(interval)
+        for place, intervals in own_rows.items():
+            record = found[place]
+            moved, doubts = from_start(intervals, record.origin, record.end, record.period)
+            record.intervals.extend(moved)
+            report.warnings += [(record.name, f"{doubt[:-1]} ({table.name}).") for doubt in doubts]
         twofold = [word or own for word, places in meant.items() if places and not names.of_one_trial(places)]
         report.warnings += [(table.name, marks.ambiguous(word)) for word in twofold]
         if not any(meant.values()):
@@ -367,13 +375,6 @@ def named_after(name: str) -> str:
     """
     stem = PurePosixPath(name).with_suffix("").as_posix()
     return next((stem.removesuffix(ending) for ending in _ENDINGS if stem.endswith(ending)), "")
-
-
-def _from_start(record: Record, interval: Interval) -> Interval:
-    """An interval in s from the first sample, converted if its times can only be on the recording's clock."""
-    track, label, start, end = interval
-    late = record.end <= start < record.origin + record.end and (start >= record.origin - 1e-6 or end > record.origin)
-    return (track, label, max(start - record.origin, 0.0), end - record.origin) if late else interval
 
 
 def _bounded(record: Record, report: ImportReport) -> Record:
