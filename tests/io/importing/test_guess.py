@@ -9,7 +9,7 @@ from rcbht_jax._util.columns import base_and_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.guess import guess, outcome_words
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
-from rcbht_jax.io.importing.names import wrenches
+from rcbht_jax.io.importing.names import column_name, wrenches
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.labels import AXES
 
@@ -359,3 +359,11 @@ def test_what_is_true_in_a_column_that_denies_an_error_is_a_success(column: str)
 def test_the_unit_of_a_speed_of_rotation_is_known() -> None:
     columns = {"t": np.arange(9.0), "speed [rpm]": np.arange(9.0) ** 2}
     assert guess(Table("a.csv", columns))[0].units == ("rpm",)
+
+
+@pytest.mark.parametrize("text", ["remark of the operator " * 20, "é" * 300, "部品" * 90])
+def test_a_long_title_becomes_a_name_that_a_store_accepts(text: str) -> None:
+    """The import ended with an error of the file system."""
+    assert len(column_name(text).encode()) <= 200
+    assert column_name(text) != column_name(text + "!?x")
+    assert column_name("zarr.json") == "c_zarr.json"
