@@ -107,7 +107,8 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     columns = {kind: table.columns[name] for kind, (name, _) in fields.items()}
     count = len(columns["label"])
     texts = columns["start"].dtype.kind == "U"
-    for key in {"start", "end", "duration"} & set(columns):
+    unit = 1.0  # s, of the start
+    for key in (key for key in ("start", "end", "duration") if key in columns):
         name, seconds = fields[key]
         if columns[key].dtype.kind == "U":
             try:
@@ -115,7 +116,10 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
             except ValueError:
                 raise InputError(f"{table.name}: column {name} is text; expected seconds or times.") from None
         else:
-            columns[key] = columns[key] * (seconds or SECONDS[unit_by_size(columns[key])])
+            # a duration is too small to show its unit
+            seconds = seconds or (unit if key == "duration" else SECONDS[unit_by_size(columns[key])])
+            columns[key] = columns[key] * seconds
+            unit = seconds if key == "start" else unit
     ends = columns.get("end", columns["start"] + columns.get("duration", np.nan))
     ends = np.where(texts & (ends < columns["start"] - DAY / 2), ends + DAY, ends)  # times of day around midnight
     tracks = columns.get("track", np.full(count, track.track))
