@@ -325,11 +325,12 @@ def _beside(
     source: Path, read: list[tuple[Record, Item]], tracks: list[Track], names: marks.Names, report: ImportReport
 ) -> None:
     """Add the intervals that files beside the recordings hold; a missing file leaves the others."""
+    known = [dict[Path, marks.Marks]() for _ in tracks]
     for place, (record, item) in enumerate(read):
         file = Path(plain_name(source.name if item.path == source else str(item.path.relative_to(source))))
-        for track in tracks:
+        for track, held in zip(tracks, known, strict=True):
             try:
-                intervals = marks.track_intervals(source, file, track, names, place, report.warnings)
+                intervals = marks.track_intervals(source, file, track, names, place, report.warnings, held)
             except InputError as error:
                 report.warnings.append((record.name, _reason(error, source)))
                 continue
