@@ -19,6 +19,8 @@ VARIABLES: dict[str, str] = {
 }  # fmt: skip
 SHORTEST, LONGEST = 1e-9, 1e6  # s between samples: beyond these it is another unit
 NAME = re.compile(r"[^\W\d][\w.-]*")  # of a column
+LONGEST_NAME = 200  # bytes of a column's name in UTF-8: it is that of a folder
+RESERVED = ("zarr.json", "part_sha256")  # names of Zarr's and of the store's own files beside the columns
 
 
 def validate(recordings: Recordings, gaps: bool = False) -> None:
@@ -98,5 +100,10 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
             )
         if not NAME.fullmatch(name) or name in VARIABLES:
             raise InputError(f"{name!r} is not a name for a column; expected letters, digits and _ - . only.")
+        if len(name.encode()) > LONGEST_NAME or name in RESERVED:
+            raise InputError(
+                f"{name[:40]!r} is not a name for a column; expected at most {LONGEST_NAME} bytes, and not "
+                f"{' or '.join(RESERVED)}."
+            )
         if np.asarray(values).dtype.kind == "U":
             _check_text(f"column {name}", values.tolist())

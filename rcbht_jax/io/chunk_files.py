@@ -40,7 +40,7 @@ def write_shards(
     chunk: tuple[int, ...],
     shard: tuple[int, ...],
 ) -> None:
-    """Write an array as consecutive shards along one axis.
+    """Write an array as consecutive shards along one axis, and delete those that lie behind it.
 
     Args:
         folder: of the array's chunks ("c").
@@ -53,6 +53,15 @@ def write_shards(
         part = values[(slice(None),) * axis + (slice(start, start + shard[axis]),)]
         rest = (0,) * (values.ndim - axis - 1)
         _replace(folder.joinpath(*map(str, (*prefix, number, *rest))), _shard(part, chunk, shard))
+    _drop(folder.joinpath(*map(str, prefix)), -(-values.shape[axis] // shard[axis]), values.ndim - axis - 1)
+
+
+def _drop(folder: Path, first: int, depth: int) -> None:
+    """Delete the shards from a number on: those of values that were longer."""
+    if not folder.is_dir():
+        return
+    for name in (one for one in os.listdir(folder) if one.isdecimal() and int(one) >= first):
+        folder.joinpath(name, *["0"] * depth).unlink(missing_ok=True)
 
 
 def _shard(values: NDArray[Any], chunk: tuple[int, ...], shard: tuple[int, ...]) -> bytes | None:

@@ -50,7 +50,7 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
 
     Raises:
         InputError: fewer than two stores, one of them twice, a store that cannot be read, other axes, units or periods,
-            or two different recordings of one name; ``out`` exists and ``overwrite`` is false.
+            or two different recordings of one name; ``out`` is one of the stores, or exists and ``overwrite`` is false.
     """
     if len(paths) < 2:
         raise InputError(f"Expected at least two stores to join, not {len(paths)}.")
@@ -58,6 +58,8 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
         raise InputError(f"{twice} is named twice; name each store once.")
     if not 0 <= tare_seconds < float("inf"):
         raise InputError(f"The tare is {tare_seconds} s; expected zero or more.")
+    if any(path.resolve() == out.resolve() for path in paths):
+        raise InputError(f"{out} is one of the stores to join, and would lose its label tracks; choose another name.")
     store.check_target(out, overwrite)
     parts = [store.read_recordings(path) for path in paths]
     _check(paths, parts)

@@ -279,9 +279,10 @@ def list_tracks(path: Path | str) -> list[str]:
 
 
 def _folder(path: Path, name: str) -> Path:
-    if not (isinstance(name, str) and NAME.fullmatch(name)):
+    if not (isinstance(name, str) and NAME.fullmatch(name)) or name == "zarr.json":  # Zarr's own file
         raise InputError(
-            f"{str(name)[:40]!r} is not a name for label tracks; expected up to 200 letters, digits and . _ - only."
+            f"{str(name)[:40]!r} is not a name for label tracks; expected up to 200 letters, digits and . _ - only, "
+            "and not zarr.json."
         )
     return path / LABELS / name
 

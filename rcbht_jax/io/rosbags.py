@@ -113,6 +113,19 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
             yield found if isinstance(found, Malformed) else sample_of(found[2], found[1])
 
 
+def topics_of(path: Path) -> set[str]:
+    """The topics of a bag.
+
+    >>> topics_of(Path("assembly.mcap"))  # doctest: +SKIP
+    {'/wrench'}
+
+    Raises:
+        InputError: as :func:`open_bag`.
+    """
+    with open_bag(path) as reader:
+        return {connection.topic for connection in reader.connections}
+
+
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
     """A reader of a bag.
@@ -192,21 +205,28 @@ def messages(reader: Bag, connections: Sequence[Any]) -> Iterator[tuple[Any, int
             yield Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")
 
 
-def is_wrench(axes: Sequence[str]) -> bool:
-    """Whether axes are those of a wrench, in its order, by the first letters of their names.
+def is_wrench(axes: Sequence[str], units: Sequence[str] = ()) -> bool:
+    """Whether axes are those of a wrench, in its order and its units, by the letters in their names.
 
-    >>> is_wrench(["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]), is_wrench([f"joint{number}" for number in range(6)])
+    >>> is_wrench(["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]), is_wrench(["Fz", "Fx", "Fy", "Tz", "Tx", "Ty"])
     (True, False)
+
+    Args:
+        axes: their names; without the letters x, y and z they are in order.
+        units: of the axes, "" = unknown; () = all unknown.
     """
-    return "".join(axis[:1] for axis in axes).upper() in ("FFFMMM", "FFFTTT")
+    kinds = "".join(axis[:1] for axis in axes).upper()
+    letters = "".join(next((letter for letter in axis[1:].lower() if letter in "xyz"), "") for axis in axes)
+    right = all(unit in ("", own) for unit, own in zip(units, ("N",) * 3 + ("Nm",) * 3, strict=False))
+    return kinds in ("FFFMMM", "FFFTTT") and letters in ("", "xyzxyz") and right
 
 
 class McapWriter:
     """Context manager that writes a stream as an MCAP file for Foxglove and PlotJuggler.
 
-    Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where axes are not those of one), ``/labels``
-    (codes and names per axis), ``/words`` (as they are published), ``/belief/HEAD``, ``/monitor`` (the scores of a
-    nominal monitor) and ``/events`` (JSON). The file
+    Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where axes or units are not those of one),
+    ``/labels`` (codes and names per axis), ``/words`` (as they are published), ``/belief/HEAD``, ``/monitor``
+    (the scores of a nominal monitor) and ``/events`` (JSON). The file
     appears when the block ends; also when an error or an interruption ends it, with what was written until then, if
     anything was. A trial whose stamps do not continue those before begins a second after their end. Stamps of ROS begin
     in 1970 and end in 2038: if the first message lies outside, it is at time zero; single messages outside get the
@@ -216,10 +236,10 @@ class McapWriter:
         InputError: the folder of the file does not exist.
     """
 
-    def __init__(self, path: Path, axes: Sequence[str] = AXES) -> None:
+    def __init__(self, path: Path, axes: Sequence[str] = AXES, units: Sequence[str] = ()) -> None:
         if not path.parent.is_dir():
             raise InputError(f"{path.parent} is not a folder; create it first.")
-        self._path, self._axes, self._is_wrench = path, list(axes), is_wrench(axes)
+        self._path, self._axes, self._is_wrench = path, list(axes), is_wrench(axes, units)
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         for kind, text in (
             ("Labels", _LABELS),

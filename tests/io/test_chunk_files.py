@@ -76,6 +76,18 @@ def test_what_is_all_zeros_has_no_file(tmp_path: Path) -> None:
     assert not (tmp_path / "c" / "1").exists()
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_fewer_values_leave_no_shards_of_those_before(axis: int, tmp_path: Path) -> None:
+    shape = (40, 3) if axis == 0 else (1, 40, 3)
+    chunk = (4, 3) if axis == 0 else (1, 4, 3)
+    array = array_at(tmp_path / "a", shape, "float32", chunk, (*chunk[:axis], 8, 3))
+    for count in (40, 9):
+        values = np.ones((*shape[:axis], count, 3), np.float32)
+        chunk_files.write_shards(tmp_path / "a" / "c", (0,) * axis, values, axis, chunk, (*chunk[:axis], 8, 3))
+    found = np.moveaxis(np.asarray(array[...]), axis, 0)
+    assert (found[:9].all(), found[9:].any()) == (True, False)
+
+
 @pytest.mark.parametrize("rows", [1, 3, ROWS])
 def test_a_chunk_of_fewer_rows_is_filled_up(rows: int, tmp_path: Path) -> None:
     values = noise((rows, 5), "float32")

@@ -128,6 +128,15 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "never.zarr").exists()
 
 
+def test_a_store_is_not_joined_onto_itself(tmp_path: Path) -> None:
+    """Its label tracks would be lost."""
+    paths = [written(tmp_path / f"{seed}.zarr", recordings(seed)) for seed in (1, 2)]
+    before = store.read_attrs(paths[0])
+    with pytest.raises(InputError, match="is one of the stores to join"):
+        join_stores(paths, tmp_path / "2.zarr" / ".." / "1.zarr", overwrite=True)
+    assert store.read_attrs(paths[0]) == before
+
+
 def test_the_command_joins_and_never_replaces_what_it_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (str(written(tmp_path / f"{seed}.zarr", recordings(seed))) for seed in (1, 2))
     out = str(tmp_path / "both.zarr")

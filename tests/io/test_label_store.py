@@ -79,6 +79,7 @@ def test_tracks_join_the_store(path: Path) -> None:
         ("../escape", 3, "not a name"),
         ("", 3, "not a name"),
         (".hidden", 3, "not a name"),
+        ("zarr.json", 3, "and not zarr.json"),
         ("taken", 3, "has label tracks taken already"),
         ("other", 2, "expected \\[3 recordings"),
     ],

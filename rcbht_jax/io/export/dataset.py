@@ -203,16 +203,17 @@ def _at_samples(word: dict[str, NDArray[Any]], samples: int) -> Int8[np.ndarray,
 def states_at_samples(recordings: Recordings, row: int) -> Int16[np.ndarray, " sample"]:
     """Code of the annotated label at each sample (:meth:`rcbht_jax.annotations.Annotations.choose`); -1 = none.
 
-    An interval whose end is unknown lasts until the next one begins.
+    Of several intervals the one that begins last counts. One whose end is unknown lasts until the next begins.
     """
-    samples = np.arange(recordings.length[row])
-    state = np.full(len(samples), -1, np.int16)
+    length = int(recordings.length[row])
+    state = np.full(length, -1, np.int16)
     track = recordings.annotations.choose()
     if not track:
         return state
     marks = recordings.annotations.of_recording(row).of(track)
-    starts, ends = (nearest_samples(times, len(samples), recordings.dt) for times in (marks.start, marks.end))
-    for code, start, end in zip(marks.code, starts, ends, strict=True):
-        state[samples >= start] = code
-        state[samples >= end] = -1  # never where the end is unknown
+    starts, ends = (nearest_samples(times, length, recordings.dt) for times in (marks.start, marks.end))
+    ends = np.where(np.isnan(ends), np.append(starts[1:], length), ends)
+    edges = np.stack([starts, ends], 1).clip(0, length).astype(int)
+    for code, (first, last) in zip(marks.code, edges.tolist(), strict=True):
+        state[first:last] = code
     return state

@@ -140,8 +140,8 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
             _mcap_recording(block, row, folder / f"{block.first + row:06d}.mcap")
             progress(1)
     layout = (
-        "* `NNNNNN.mcap`: recording N, from time 0: `/wrench` (geometry_msgs/WrenchStamped; `/signal` where axes are "
-        "not those of one), `/labels` (whenever one changes; online labels appear when they were published), "
+        "* `NNNNNN.mcap`: recording N, from time 0: `/wrench` (geometry_msgs/WrenchStamped; `/signal` where axes or "
+        "units are not those of one), `/labels` (whenever one changes; online labels appear when they were published), "
         "`/events` (starts of annotated intervals);\n"
         "* `trials.csv`: one row per recording: names, outcome, further columns;\n"
         "* `annotations.csv`: one row per annotated interval, where there are some;\n"
@@ -155,7 +155,7 @@ def _mcap_recording(block: Block, row: int, path: Path) -> None:
     recordings, samples = block.recordings, int(block.recordings.length[row])
     codes = None if block.tracks is None else codes_at_samples(block.tracks, row, samples)
     begins = recordings.annotations.begins(row, samples, recordings.dt)
-    with McapWriter(path, recordings.axes) as mcap:
+    with McapWriter(path, recordings.axes, recordings.units) as mcap:
         for sample, values in enumerate(recordings.wrench[row, :samples].astype(float).tolist()):
             time = sample * recordings.dt
             if sample in begins:

@@ -24,6 +24,7 @@ from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
 _OURS = ("recording", "samples", "seconds")
@@ -56,7 +57,7 @@ def read_export(folder: Path) -> Recordings:
         elif (folder / "wrench").is_dir():
             values = [_csv(folder / "wrench" / f"{number:06d}.csv", axes) for number in range(count)]
         else:
-            values = [_mcap(folder / f"{number:06d}.mcap", axes) for number in range(count)]
+            values = [_mcap(folder / f"{number:06d}.mcap", axes, units) for number in range(count)]
     if not values or any(len(column) != len(values) for column in table.values()):
         raise InputError(f"{folder} has {plural(len(values), 'recording')}; its table of trials has another number.")
     types = _types(about)
@@ -173,11 +174,14 @@ def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[
         yield wrench[first:last]
 
 
-def _mcap(path: Path, axes: tuple[str, ...]) -> NDArray[np.float32]:
+def _mcap(path: Path, axes: tuple[str, ...], units: tuple[str, ...]) -> NDArray[np.float32]:
     from rcbht_jax.io.importing.bags import read_bag_tables  # rosbags is an extra of its own
-    from rcbht_jax.io.rosbags import is_wrench
+    from rcbht_jax.io.rosbags import is_wrench, topics_of
 
-    [table] = read_bag_tables(path, path.name, "/wrench" if is_wrench(axes) else "/signal")  # as McapWriter has it
+    topic = "/wrench" if is_wrench(axes, units) else "/signal"  # as McapWriter has it
+    if topic == "/signal" and len(axes) == len(AXES) and topics_of(path).isdisjoint({topic}):
+        topic = "/wrench"  # an export from before axes out of order, or in other units, became signals
+    [table] = read_bag_tables(path, path.name, topic)
     values = [column for key, column in table.columns.items() if key != "stamp"]
     if len(values) != len(axes):
         raise InputError(

@@ -109,12 +109,12 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
 
 
 def _listed(source: Path, kind: str) -> tuple[list[Item], list[str]]:
-    """What to read of a folder of files, and the names of other files in it."""
+    """What to read of a folder of files, and the names of other files in it; an export is read only by itself."""
     items, documents, others = list[Item](), list[Item](), list[str]()
     for folder, folders, files in os.walk(source):
         here = Path(folder)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        if here != source and (whole := _whole(here)):
+        if here != source and (whole := _whole(here, foreign=not is_export(here))):
             name = spelled(here.relative_to(source).as_posix())
             if whole == "zarr" and (kind not in ("auto", whole) or _is_own(here)):
                 others.append(name)
@@ -133,6 +133,14 @@ def _listed(source: Path, kind: str) -> tuple[list[Item], list[str]]:
                     others.append(relative)
         if len(items) + len(documents) + len(others) > MAX_FILES:
             raise InputError(f"{source} holds more than {MAX_FILES} files; import its folders one by one.")
+    exports = [item for item in items if item.kind == "export"]
+    if exports and len(items) == len(exports) > 1:
+        named = ", ".join(item.name for item in exports[:5])
+        raise InputError(
+            f"{source} holds several exports ({named}); import each alone, and join the stores: rcbht join."
+        )
+    if len(items) > len(exports):
+        items, others = [item for item in items if item not in exports], others + [item.name for item in exports]
     if not items:
         return documents, others
     # beside other files, JSON describes recordings
@@ -171,13 +179,31 @@ def _is_own(folder: Path) -> bool:
     return isinstance(attributes, dict) and str(attributes.get("format", "")).startswith(OWN)
 
 
-def _whole(folder: Path) -> str:
-    """The kind of a folder that is one recording or data set; "" = a folder of files."""
+def is_export(folder: Path) -> bool:
+    """Whether a folder was written by ``rcbht export``; other programs call a file ``dataset.json``, too.
+
+    >>> is_export(Path("runs"))
+    False
+    """
+    try:
+        return str(read_object(folder / "dataset.json").get("made_by", "")).startswith("rcbht-jax")
+    except InputError:
+        return False
+
+
+def _whole(folder: Path, foreign: bool = False) -> str:
+    """The kind of a folder that is one recording or data set; "" = a folder of files.
+
+    Args:
+        folder: to look at.
+        foreign: its ``dataset.json`` is not that of an export.
+    """
     marks = {
         "dataset.json": "export", "meta/info.json": "lerobot", "metadata.yaml": "bag", ".zgroup": "zarr",
         "zarr.json": "zarr",
     }  # fmt: skip
-    return next((kind for mark, kind in marks.items() if (folder / mark).is_file()), "")
+    known = (kind for mark, kind in marks.items() if not (foreign and kind == "export") and (folder / mark).is_file())
+    return next(known, "")
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:

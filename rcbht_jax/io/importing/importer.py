@@ -25,18 +25,21 @@ from rcbht_jax.io.importing import arrays, columnar, listing, marks
 from rcbht_jax.io.importing.arms import PLACE, tables_of_arms
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.blocks import read_blocks
+from rcbht_jax.io.importing.bounds import bounded
 from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
-from rcbht_jax.io.importing.find import Item, chosen, find
+from rcbht_jax.io.importing.find import Item, chosen, find, is_export
+from rcbht_jax.io.importing.given import from_start
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, nameless, some, stated_words
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.label_studio import unfolded
+from rcbht_jax.io.importing.lacks import Lacks
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Lacks, Record, Row, bounded, records, text
+from rcbht_jax.io.importing.record import Record, Row, records, text
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Interval, Table
@@ -91,14 +94,11 @@ def read_source(
             raise InputError(
                 f"{source} was written by rcbht export and is read as it is; leave out --map and its options."
             )
-        return _exported(source, items[0])
+        return _exported(source, items[0], others)
     report = ImportReport()
     others = [name for name in others if name not in marks.described_by(base, items)]
     beside = sidecars_of(source, items, others)
-    if others := [name for name in others if name not in beside.files]:
-        listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
-        were = plural(len(others), "other file was", "other files were")
-        report.remarks.append(f"{were} not read: {listed}.")
+    report.remarks += _unread(source, [name for name in others if name not in beside.files])
     if beside.files:
         were = plural(len(beside.files), "JSON document describes recordings", "JSON documents describe recordings")
         report.remarks.append(f"{were}: {some(beside.files)}.")
@@ -177,11 +177,23 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
     return readers[item.kind](item.path, item.name or (spelled(item.path.name) if item.kind == "zarr" else ""))
 
 
-def _exported(source: Path, item: Item) -> Imported:
+def _unread(source: Path, others: list[str]) -> list[str]:
+    """Remarks on what was not read of a source."""
+    exports = [name for name in others if is_export(source / name)]
+    were = plural(len(exports), "folder that rcbht export wrote was", "folders that rcbht export wrote were")
+    how = f"{were} not read: {some(exports)}. Import each alone, and join the stores: rcbht join."
+    others = [name for name in others if name not in exports]
+    listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
+    rest = f"{plural(len(others), 'other file was', 'other files were')} not read: {listed}."
+    return ([how] if exports else []) + ([rest] if others else [])
+
+
+def _exported(source: Path, item: Item, others: list[str]) -> Imported:
     check_inside(source, source)
-    recordings = read_export(source)
+    recordings = read_export(item.path)
     names = [f"{trial}/{arm}" for trial, arm in zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True)]
-    report = ImportReport(names, remarks=[f"{spelled(source.name)} was written by rcbht export; read as it is."])
+    report = ImportReport(names, remarks=[f"{spelled(item.path.name)} was written by rcbht export; read as it is."])
+    report.remarks += _unread(source, others)
     report.content_sha256 = _digest(source, [item])
     return Imported(recordings, Mapping(), report)
 
@@ -278,7 +290,7 @@ def _understood(
             report.warnings.append((record.name, f"{base.table} has no row for it."))
         if "changes:outcome" in record.notes:
             report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
-        record.intervals[:] = [_from_start(record, interval) for interval in record.intervals]
+        report.warnings += [(record.name, doubt) for doubt in record.doubts]
         yield record, (mapping, understood)
 
 
@@ -313,11 +325,12 @@ def _beside(
     source: Path, read: list[tuple[Record, Item]], tracks: list[Track], names: marks.Names, report: ImportReport
 ) -> None:
     """Add the intervals that files beside the recordings hold; a missing file leaves the others."""
+    known = [dict[Path, marks.Marks]() for _ in tracks]
     for place, (record, item) in enumerate(read):
         file = Path(plain_name(source.name if item.path == source else str(item.path.relative_to(source))))
-        for track in tracks:
+        for track, held in zip(tracks, known, strict=True):
             try:
-                intervals = marks.track_intervals(source, file, track, names, place, report.warnings)
+                intervals = marks.track_intervals(source, file, track, names, place, report.warnings, held)
             except InputError as error:
                 report.warnings.append((record.name, _reason(error, source)))
                 continue
@@ -335,10 +348,15 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
             report.warnings.append((table.name, str(error)))
             continue
         meant = {word: names.meant(word if marks.is_naming(table.columns) else own) for word, _ in rows}
+        own_rows: dict[int, list[Interval]] = {}
         for word, interval in rows:
             for place in meant[word] if names.of_one_trial(meant[word]) else ():
-                record = found[place]
-                record.intervals.append(_from_start(record, interval))
+                own_rows.setdefault(place, []).append(interval)
+        for place, intervals in own_rows.items():
+            record = found[place]
+            moved, doubts = from_start(intervals, record.origin, record.end, record.period)
+            record.intervals.extend(moved)
+            report.warnings += [(record.name, f"{doubt[:-1]} ({table.name}).") for doubt in doubts]
         twofold = [word or own for word, places in meant.items() if places and not names.of_one_trial(places)]
         report.warnings += [(table.name, marks.ambiguous(word)) for word in twofold]
         if not any(meant.values()):
@@ -358,13 +376,6 @@ def named_after(name: str) -> str:
     """
     stem = PurePosixPath(name).with_suffix("").as_posix()
     return next((stem.removesuffix(ending) for ending in _ENDINGS if stem.endswith(ending)), "")
-
-
-def _from_start(record: Record, interval: Interval) -> Interval:
-    """An interval in s from the first sample, converted if its times can only be on the recording's clock."""
-    track, label, start, end = interval
-    late = record.end <= start < record.origin + record.end and (start >= record.origin - 1e-6 or end > record.origin)
-    return (track, label, max(start - record.origin, 0.0), end - record.origin) if late else interval
 
 
 def _bounded(record: Record, report: ImportReport) -> Record:

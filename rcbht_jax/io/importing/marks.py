@@ -23,6 +23,7 @@ from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.timing import unit_by_size
 
+Marks = dict[int | None, list[Interval]]  # of one file, by recording; None = of any
 _NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
 _LABELS = ("label", "text", "description", *LABELS)
 _STARTS = (
@@ -107,7 +108,8 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     columns = {kind: table.columns[name] for kind, (name, _) in fields.items()}
     count = len(columns["label"])
     texts = columns["start"].dtype.kind == "U"
-    for key in {"start", "end", "duration"} & set(columns):
+    unit = 1.0  # s, of the start
+    for key in (key for key in ("start", "end", "duration") if key in columns):
         name, seconds = fields[key]
         if columns[key].dtype.kind == "U":
             try:
@@ -115,7 +117,10 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
             except ValueError:
                 raise InputError(f"{table.name}: column {name} is text; expected seconds or times.") from None
         else:
-            columns[key] = columns[key] * (seconds or SECONDS[unit_by_size(columns[key])])
+            # a duration is too small to show its unit
+            seconds = seconds or (unit if key == "duration" else SECONDS[unit_by_size(columns[key])])
+            columns[key] = columns[key] * seconds
+            unit = seconds if key == "start" else unit
     ends = columns.get("end", columns["start"] + columns.get("duration", np.nan))
     ends = np.where(texts & (ends < columns["start"] - DAY / 2), ends + DAY, ends)  # times of day around midnight
     tracks = columns.get("track", np.full(count, track.track))
@@ -219,7 +224,13 @@ def described_by(mapping: Mapping, items: Iterable[Item]) -> set[str]:
 
 
 def track_intervals(
-    source: Path, file: Path, track: Track, names: Names, place: int, warnings: list[tuple[str, str]]
+    source: Path,
+    file: Path,
+    track: Track,
+    names: Names,
+    place: int,
+    warnings: list[tuple[str, str]],
+    read: dict[Path, Marks] | None = None,
 ) -> list[Interval]:
     """The intervals of a track that a file beside a recording holds.
 
@@ -230,23 +241,17 @@ def track_intervals(
         names: of all recordings.
         place: of the recording among them.
         warnings: gets words that mean several recordings.
+        read: gets what files hold, and serves for the next recording with the same track, names and warnings.
 
     Raises:
         InputError: the file is missing or not a table of intervals.
     """
     if track.file:
         path = beside(source, file, track.file)
-        [table] = read_csv(path, path.name)
-        if not is_intervals(table.columns):
-            raise InputError(f"{path} has columns {', '.join(table.columns)}; expected label, start and end.")
-        rows = intervals_of(table, track)
-        if is_naming(table.columns):
-            meant = {word: names.meant(word) for word, _ in rows}
-            twofold = (word for word, places in meant.items() if places and not names.of_one_trial(places))
-            ambiguities = [(path.name, ambiguous(word)) for word in twofold]
-            warnings += [row for row in ambiguities if row not in warnings]  # the file may be read for every recording
-            rows = [row for row in rows if place in meant[row[0]] and names.of_one_trial(meant[row[0]])]
-        return [interval for _, interval in rows]
+        read = {} if read is None else read
+        if path not in read:  # a file of all recordings is read once
+            read[path] = _marks_in(path, track, names, warnings)
+        return list(read[path].get(place, read[path].get(None, ())))
     if track.starts:
         return _successive(beside(source, file, track.starts), track)
     ends, ids = (_lines(beside(source, file, pattern)) for pattern in (track.ends, track.ids))
@@ -262,6 +267,25 @@ def track_intervals(
     words = [track.words.get(label, label) for label in labels]
     spans = zip(words, times[:-1], times[1:], strict=True)
     return [(track.track, label, start, end) for label, start, end in spans if label not in track.ignore]
+
+
+def _marks_in(path: Path, track: Track, names: Names, warnings: list[tuple[str, str]]) -> Marks:
+    """The intervals of a table by recording."""
+    [table] = read_csv(path, path.name)
+    if not is_intervals(table.columns):
+        raise InputError(f"{path} has columns {', '.join(table.columns)}; expected label, start and end.")
+    rows = intervals_of(table, track)
+    if not is_naming(table.columns):
+        return {None: [interval for _, interval in rows]}
+    meant = {word: names.meant(word) for word in dict.fromkeys(word for word, _ in rows)}
+    twofold = {word: ambiguous(word) for word, places in meant.items() if places and not names.of_one_trial(places)}
+    ambiguities = [(path.name, sentence) for sentence in twofold.values()]
+    warnings += [row for row in ambiguities if row not in warnings]  # of another track, or another call
+    found: Marks = {}
+    for word, interval in rows:
+        for place in meant[word] if word not in twofold else ():
+            found.setdefault(place, []).append(interval)
+    return found
 
 
 def _successive(path: Path, track: Track) -> list[Interval]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections import Counter
 from collections.abc import Iterable
 
 from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, split_unit
+from rcbht_jax.io.checks import LONGEST_NAME, RESERVED
 from rcbht_jax.labels import AXES
 
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanoseconds")
@@ -210,4 +212,8 @@ def column_name(text: str) -> str:
     'type_of_part_A_B'
     """
     name = re.sub(r"[^\w.-]+", "_", text).strip("_.-")
-    return name if re.match(r"[^\W\d]", name) else f"c_{name}"
+    name = name if re.match(r"[^\W\d]", name) and name not in RESERVED else f"c_{name}"
+    if len(name.encode()) <= LONGEST_NAME:
+        return name
+    mark = hashlib.sha256(name.encode()).hexdigest()[:8]  # keeps apart what begins alike
+    return f"{name.encode()[: LONGEST_NAME - 9].decode(errors='ignore')}_{mark}"

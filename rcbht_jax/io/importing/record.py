@@ -18,6 +18,7 @@ from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform, topics
 from rcbht_jax.io.importing.clock import first_second, no_time, seconds_of
+from rcbht_jax.io.importing.given import Given
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.table import Interval, Table
@@ -46,6 +47,7 @@ class Record:
     origin: float = 0.0  # s, of the first sample on the source's clock
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
     listed: bool = False  # in the table of recordings
+    doubts: list[str] = field(default_factory=list)  # about its annotations
 
     @property
     def file(self) -> str:
@@ -69,9 +71,14 @@ class Record:
         return "" if parent == "." else parent
 
     @property
+    def period(self) -> float:
+        """Mean time between two samples, s."""
+        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+
+    @property
     def end(self) -> float:
         """One period after the last sample, s."""
-        return float(self.time[-1] + (self.time[-1] - self.time[0]) / (len(self.time) - 1))
+        return float(self.time[-1]) + self.period
 
 
 def records(
@@ -107,6 +114,7 @@ def records(
         if 0 < len(starts) < MAX_GROUPS:
             parts = {str(number): part for number, part in enumerate(np.split(parts[""], starts), 1)}
             table = replace(table, notes=(*table.notes, f"restarts:{len(starts)}"))
+    given = _given(table, mapping, parts)
     for value, part in parts.items():
         name = f"{table.name}#{value}" if value else table.name
         place = "#".join(filter(None, [table.part, value]))
@@ -114,9 +122,43 @@ def records(
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
                 record = _record(table, mapping, part, name, row or {}, stamps)
-            yield replace(record, part=place, listed=row is not None)
+            begin = record.origin if mapping.time else record.origin + part[0] * record.period
+            intervals, doubts = given.of(begin, record.end, record.period)
+            intervals += record.intervals
+            yield replace(record, part=place, listed=row is not None, intervals=intervals, doubts=doubts)
         except InputError as error:
             yield name, str(error)
+    if lost := given.lost:
+        yield table.name, lost
+
+
+def _given(table: Table, mapping: Mapping, parts: dict[str, NDArray[Any]]) -> Given:
+    """The annotations of a table; those of a file of several recordings are of the one on whose stretch they lie."""
+    arms = mapping.group and mapping.columns.get("arm", Value()).column == mapping.group  # of the same trial
+    if not table.intervals or len(parts) == 1 or arms:
+        return Given(table.intervals)
+    try:
+        rows, _, _ = topics.with_values(table, mapping, np.sort(np.concatenate(list(parts.values()))))
+        stamps = _stamps(table, mapping, rows)
+    except InputError:  # which every recording says
+        return Given(table.intervals, shared=True)
+    known = stamps[np.isfinite(stamps)]
+    if mapping.time:
+        steps = np.diff(known)
+        whole = len(known) > 1 and bool((steps >= 0).all() or (steps <= 0).all())
+    else:
+        whole = len(known) > 1 and all((np.diff(part) == 1).all() for part in parts.values())
+    if not whole:
+        return Given(table.intervals, shared=True)
+    period = float(np.ptp(known)) / (len(known) - 1)
+    origin = _on_clock(table, mapping, rows, float(known.min()))
+    return Given(table.intervals, (origin, float(np.ptp(known)) + period, period))
+
+
+def _on_clock(table: Table, mapping: Mapping, rows: NDArray[Any], first: float) -> float:
+    """The first of the times of rows on the source's clock; times of text begin at their own."""
+    texts = table.columns[mapping.time][rows] if mapping.time else rows
+    return first + (first_second(texts.tolist()) if texts.dtype.kind == "U" else 0.0)
 
 
 def _groups(table: Table, name: str) -> dict[str, NDArray[Any]]:
@@ -181,35 +223,6 @@ def no_column(table: Table, name: str) -> str:
     return f"{table.name} has no column {name!r}; it has {', '.join(list(table.columns)[:20])}."
 
 
-class Lacks:
-    """Tables without a column of annotations, or one that describes recordings: these are imported without it."""
-
-    def __init__(self, mapping: Mapping) -> None:
-        """Take the mapping of all tables."""
-        tracks = {track.column: f"annotations {track.track}" for track in mapping.annotations if track.column}
-        facts = {value.column: f"column {name}" for name, value in mapping.columns.items() if value.column}
-        self._roles, self._held = tracks | facts, set[str]()
-        self._lacking: list[tuple[str, str, str]] = []  # table, column, sentence
-
-    def add(self, table: Table) -> None:
-        """Take a table from which recordings were read."""
-        for column in self._roles:
-            if column in table.columns or column in table.facts:
-                self._held.add(column)
-            else:
-                self._lacking.append((table.name, column, no_column(table, column)))
-
-    def warnings(self) -> list[tuple[str, str]]:
-        """A warning about each table that lacks a column.
-
-        Raises:
-            InputError: no table has the column.
-        """
-        if wrong := next((sentence for _, column, sentence in self._lacking if column not in self._held), ""):
-            raise InputError(wrong)
-        return [(name, f"has no column {column!r}, so no {self._roles[column]}.") for name, column, _ in self._lacking]
-
-
 def _check(table: Table, mapping: Mapping) -> None:
     check_columns(table, mapping)
     named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
@@ -247,7 +260,7 @@ def _record(
     given = {target: _value(table, source, rows, row) for target, source in mapping.columns.items()}
     columns = _facts(table) | {target: value for target, value in given.items() if value is not None}
     notes += [f"changes:{target}" for target, value in given.items() if value is None]
-    intervals = list(table.intervals)
+    intervals = list[Interval]()
     if tracks := [track for track in mapping.annotations if track.column in table.columns]:
         order = np.argsort(stamps, kind="stable")
         order = order[stamps[order] >= first]
@@ -263,8 +276,7 @@ def _record(
     zeros = len(raw) - int(np.flatnonzero(raw.any(1)).max(initial=-1)) - 1
     notes += [*padded, f"zeros:{zeros}"] if conform.HELD <= zeros < len(raw) else padded
     values = _moved(mapping, time, values)
-    texts = table.columns[mapping.time][counted] if mapping.time else raw
-    origin = float(first) + (first_second(texts.tolist()) if texts.dtype.kind == "U" else 0.0)
+    origin = _on_clock(table, mapping, counted, float(first))
     return Record(name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], origin)
 
 
@@ -370,25 +382,3 @@ def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float
     if not triples:
         raise InputError("a rotation needs channels named Fx Fy Fz or Mx My Mz.")
     return values
-
-
-def bounded(record: Record) -> tuple[Record, list[str]]:
-    """The recording without its impossible intervals, and what was wrong with them.
-
-    An interval that begins after the end, or whose start is missing, is left out; the others stay. An infinite end is
-    that of the recording.
-    """
-    last = record.end
-    kept, problems = [], []
-    for track, label, start, end in record.intervals:
-        if not np.isfinite(start):
-            problems.append(f"{track} {label!r} has no start; left out, the other annotations are kept.")
-        elif not -1e-9 <= start < last:
-            where = "before the beginning" if start < 0 else f"after the end ({last:.6g} s)"
-            problems.append(f"{track} {label!r} at {start:.6g} s is {where}; left out, the other annotations are kept.")
-        elif end < start:
-            problems.append(f"{track} {label!r} ends before it begins ({end:.6g} < {start:.6g} s); its end is unknown.")
-            kept.append((track, label, start, float("nan")))
-        else:
-            kept.append((track, label, start, last if end == np.inf else end))
-    return replace(record, intervals=kept), problems

@@ -174,6 +174,8 @@ def _unit(table: Table, name: str) -> str:
     if _in_days(values):
         return "d"
     known, unit = values[np.isfinite(values)], unit_by_size(values)
+    if len(known) and known.min() >= 1e9 and known.max() < 1e10:  # s since 1970, however slow the log
+        return "s"
     with np.errstate(over="ignore"):
         steps = _steps(known)
     if not (steps > 0).any():

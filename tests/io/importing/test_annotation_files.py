@@ -150,3 +150,12 @@ def test_other_json_is_no_export_or_has_whole_rows(tasks: list[Any]) -> None:
     cells = np.array(['[{"labels": [' + json.dumps(tasks), json.dumps(tasks)])
     table = Table("a.csv", {"csv": np.array(["a.csv", "b.csv"]), "label": cells})
     assert unfolded(table) is table
+
+
+@pytest.mark.parametrize(("title", "scale"), [("start_ms", 1000), ("start [us]", 1e6), ("start", 1)])
+def test_a_duration_without_a_unit_has_that_of_its_start(title: str, scale: float, tmp_path: Path) -> None:
+    write(tmp_path)
+    rows = [f"{label},{start * scale},{(end - start) * scale}\n" for label, start, end in LABELS]
+    (tmp_path / "run1_labels.csv").write_text(f"label,{title},duration\n" + "".join(rows))
+    marks = read_source(tmp_path).recordings.annotations
+    np.testing.assert_allclose([marks.start, marks.end], np.transpose([row[1:] for row in LABELS]), atol=1e-9)

@@ -13,7 +13,9 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import FORMATS, DataSet, export, load
 from rcbht_jax.io.importing.importer import import_source, read_source
 from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.rosbags import McapWriter, topics_of
 from rcbht_jax.io.store import read_recordings, write_recordings
+from rcbht_jax.labels import AXES
 from rcbht_jax.types import Recordings
 
 
@@ -111,3 +113,38 @@ def test_six_axes_are_a_wrench_in_mcap_only_by_their_names(letters: str, topic: 
     again = read_recordings(tmp_path / "again.zarr")
     assert again.axes == axes
     np.testing.assert_array_equal(again.wrench, wrench)
+
+
+def test_an_export_in_a_folder_is_read_only_by_itself(tmp_path: Path) -> None:
+    """One beside other recordings ended the whole import with a KeyError, and so did another program's file."""
+    made = Recordings.from_arrays([np.random.default_rng(0).normal(size=(30, 6))], 20.0)
+    (tmp_path / "runs").mkdir()
+    export(DataSet.of(made), tmp_path / "runs" / "old", "csv")
+    alone = read_source(tmp_path / "runs")
+    np.testing.assert_array_equal(alone.recordings.wrench, made.wrench)
+    (tmp_path / "runs" / "day1").mkdir()
+    (tmp_path / "runs" / "day1" / "dataset.json").write_text('{"robot": "ours"}')
+    (tmp_path / "runs" / "day1" / "a.csv").write_text("t,Fz\n" + "".join(f"{k / 20},{k % 7}\n" for k in range(30)))
+    imported = read_source(tmp_path / "runs")
+    assert imported.report.imported == ["day1/a.csv"]
+    assert any("1 folder that rcbht export wrote was not read: 'old'" in text for text in imported.report.remarks)
+    (tmp_path / "runs" / "day1").rename(tmp_path / "day1")
+    export(DataSet.of(made), tmp_path / "runs" / "new", "csv")
+    with pytest.raises(InputError, match=r"several exports \(new, old\); import each alone"):
+        read_source(tmp_path / "runs")
+
+
+@pytest.mark.parametrize("change", ["order", "units", "none"])
+def test_only_a_wrench_in_order_and_in_its_units_is_one_in_mcap(change: str, tmp_path: Path) -> None:
+    """Fz, Fx, Fy were force.x, force.y, force.z, and kN were N."""
+    axes = ["Fz", "Fx", "Fy", "Mz", "Mx", "My"] if change == "order" else list(AXES)
+    units = ["kN"] * 3 + ["Nm"] * 3 if change == "units" else ["N"] * 3 + [""] * 3
+    made = Recordings.from_arrays([np.random.default_rng(0).normal(size=(30, 6))], 20.0, axes=axes, units=units)
+    export(DataSet.of(made), tmp_path / "out", "mcap")
+    assert topics_of(tmp_path / "out/000000.mcap") == {"/wrench" if change == "none" else "/signal"}
+    with McapWriter(tmp_path / "out/000000.mcap") as older:
+        for sample, values in enumerate(made.wrench[0].tolist()):
+            older.wrench(sample / 20, tuple(values))
+    back = read_source(tmp_path / "out").recordings  # exports before had a wrench for each of these
+    assert (back.axes, back.units) == (made.axes, made.units)
+    np.testing.assert_array_equal(back.wrench, made.wrench)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,12 @@ import pytest
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing import marks as marks_module
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Mapping, Track, read_mapping, to_toml
 from rcbht_jax.io.importing.marks import Names, ambiguous, intervals_of, track_intervals
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.store import read_recordings
 
 STATES = ("home", "approach", "contact", "search", "insert")
@@ -115,3 +118,24 @@ def test_a_mapping_of_starts_comes_back_equal(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(MAP.replace("labels", "# labels"))
     with pytest.raises(InputError, match="needs a column, a file, ends and ids, or starts and labels; one of them"):
         read_mapping(tmp_path / "a.toml")
+
+
+def test_a_file_of_annotations_of_all_recordings_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was read again for each, which takes quadratic time."""
+    for number in range(5):
+        rows = [f"{k / 100},{k % 7 + number},{k % 11}" for k in range(40)]
+        (tmp_path / f"run{number}.csv").write_text("\n".join(["t,Fz,Mz", *rows]))
+    lines = [f"run{number},push,{number / 100}\n" for number in range(5)]
+    (tmp_path / "marks.csv").write_text("recording,label,start\n" + "".join(lines))
+    paths: list[Path] = []
+
+    def counted(path: Path, name: str) -> Iterator[Table]:
+        paths.append(path)
+        return read_csv(path, name)
+
+    monkeypatch.setattr(marks_module, "read_csv", counted)
+    tracks = (Track("phase", file="marks.csv"), Track("other", file="marks.csv", words={"push": "pull"}))
+    found = read_source(tmp_path, mapping=Mapping(annotations=tracks)).recordings
+    assert paths == [tmp_path / "marks.csv"] * 2
+    assert found.starts("phase")[:, 0].tolist() == [number / 100 for number in range(5)]
+    assert found.annotations.labels == {"phase": ("push",), "other": ("pull",)}

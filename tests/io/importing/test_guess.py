@@ -9,8 +9,9 @@ from rcbht_jax._util.columns import base_and_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.guess import guess, outcome_words
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
-from rcbht_jax.io.importing.names import wrenches
+from rcbht_jax.io.importing.names import column_name, wrenches
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.labels import AXES
 
 N = 30
 
@@ -273,6 +274,12 @@ def test_the_unit_of_bare_stamps_follows_from_their_steps(steps: float, unit: st
     assert mapping.time_unit == unit
 
 
+@pytest.mark.parametrize("step", [0.01, 1.0, 2.0])
+def test_seconds_since_1970_are_seconds_in_steps_of_any_size(step: float) -> None:
+    mapping, _ = guess(Table("a.csv", {"timestamp": 1.7e9 + np.arange(N) * step, **dict.fromkeys(AXES, np.ones(N))}))
+    assert mapping.time_unit == "s"
+
+
 def test_an_arm_that_changes_separates_recordings() -> None:
     arms = np.array(["left", "right"] * (N // 2))
     mapping, _ = guess(table("t", "arm", "Fz", t=np.arange(N) // 2 * 0.1, arm=arms))
@@ -352,3 +359,11 @@ def test_what_is_true_in_a_column_that_denies_an_error_is_a_success(column: str)
 def test_the_unit_of_a_speed_of_rotation_is_known() -> None:
     columns = {"t": np.arange(9.0), "speed [rpm]": np.arange(9.0) ** 2}
     assert guess(Table("a.csv", columns))[0].units == ("rpm",)
+
+
+@pytest.mark.parametrize("text", ["remark of the operator " * 20, "é" * 300, "部品" * 90])
+def test_a_long_title_becomes_a_name_that_a_store_accepts(text: str) -> None:
+    """The import ended with an error of the file system."""
+    assert len(column_name(text).encode()) <= 200
+    assert column_name(text) != column_name(text + "!?x")
+    assert column_name("zarr.json") == "c_zarr.json"
