@@ -37,7 +37,7 @@ def delimiter_of(line: bytes) -> str:
     """
     for mark in ";\t|":
         if mark.encode() in line and b"," in line:
-            cells = next(csv.reader([line.decode("utf-8", "replace").strip("\r\n")], delimiter=mark), [])
+            cells = _cells(line.decode("utf-8", "replace").strip("\r\n"), mark)
             if all(is_number(plain(cell.strip(), mark)) for cell in cells if "," in cell):
                 return mark  # its commas are those of numbers
     words = line.decode("utf-8", "replace").split()
@@ -57,8 +57,13 @@ def split(line: bytes, delimiter: str, encoding: str = "utf-8-sig") -> list[str]
     text = line.decode(encoding, "replace").strip("\r\n")
     if delimiter == " ":
         return [plain(cell, delimiter) for cell in _BLANKS.split(text.strip())] if text.strip() else []
+    return [plain(cell.strip(), ";") for cell in _cells(text, delimiter)]
+
+
+def _cells(text: str, delimiter: str) -> list[str]:
+    """Cells as they stand; the whole text where it is no line of a table, such as one with a carriage return in it."""
     try:
-        return [plain(cell.strip(), ";") for cell in next(csv.reader([text], delimiter=delimiter), [])]
+        return next(csv.reader([text], delimiter=delimiter), [])
     except csv.Error:
         return [text]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.cells import delimiter_of, split
 from rcbht_jax.io.importing.importer import Imported, read_source
 
 N = 40
@@ -188,3 +189,9 @@ def test_words_of_western_europe_remain_so(word: str, tmp_path: Path) -> None:
     imported = read(tmp_path, f"t [ms],Fz,phase {word}\n{rows}", "cp1252")
     assert [*imported.recordings.annotations.labels.values()] == [(word, "b")]
     assert imported.recordings.note.tolist() == ["cp1252"]
+
+
+@pytest.mark.parametrize("line", [b"a\rb;1,5", b'"' + b"a" * 200_000 + b";1,5"])
+def test_a_line_that_is_none_of_a_table_has_a_delimiter_all_the_same(line: bytes) -> None:
+    assert delimiter_of(line) == ";"
+    assert split(line, ";") == [line.decode()]
