@@ -100,7 +100,7 @@ def _regions(value: Any, depth: int = 0) -> Iterator[dict[str, str | float]]:
         times = [value.get("start"), value.get("end")]
         if labels and all(isinstance(time, int | float | str) and not isinstance(time, bool) for time in times):
             start, end = (time if isinstance(time, str) else float(time) for time in times if time is not None)
-            for label in labels:
+            for label in (one for one in labels if isinstance(one, str | int | float)):
                 yield {"label": str(label), "start": start, "end": end}
             return
         for key, one in value.items():

@@ -149,7 +149,13 @@ def test_other_json_is_no_export_or_has_whole_rows(tasks: list[Any]) -> None:
         assert set(row) == {"file", "track", "label", "start", "end"}
     cells = np.array(['[{"labels": [' + json.dumps(tasks), json.dumps(tasks)])
     table = Table("a.csv", {"csv": np.array(["a.csv", "b.csv"]), "label": cells})
-    assert unfolded(table) is table
+    found = unfolded(table)
+    assert found is table or set(found.columns) == {"file", "track", "label", "start", "end"}
+
+
+def test_a_region_whose_label_is_none_has_none() -> None:
+    region = {"start": 0.0, "end": 1.0, "timeserieslabels": [None, "push"]}
+    assert [row["label"] for row in regions_in([{"csv": "b.csv", **region}])] == ["push"]
 
 
 @pytest.mark.parametrize(("title", "scale"), [("start_ms", 1000), ("start [us]", 1e6), ("start", 1)])
