@@ -109,6 +109,7 @@ Outcomes = Annotated[
     tuple[str, ...], option("Outcomes to use.", "for a track, successes if there are any; for a column, all")
 ]
 Arm = Annotated[str, option("Arm whose wrench to use, if the store has several.", "the last by name, as the right one")]
+RobotName = Literal["auto", "hiro", "baxter", "pa10"]  # whose preset gives thresholds
 ONLY_TRACK = "the only track of the store, else states; the outcome if there is nothing else"
 Task = Annotated[str, option("Track of annotations, or column, whose classes to distinguish.", ONLY_TRACK)]
 Boundaries = Annotated[
@@ -274,7 +275,7 @@ class EncodingCommand(Command):
 
     window: Annotated[int, option("Samples per linear fit.")] = 5
     robot: Annotated[
-        Literal["auto", "hiro", "baxter", "pa10"] | None,
+        RobotName | None,
         option(
             "Robot whose preset gives the gradient thresholds; auto = from rest and contacts in what is encoded.",
             "hiro for recordings of HIRO and simulated ones, else auto",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Flag, RuleCommand, Store, checked_tolerance, option, progress_bar
+from rcbht_jax.cli.command import Flag, RobotName, RuleCommand, Store, checked_tolerance, option, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Encode(RuleCommand):
     pipe: Literal["two-slot", "one-slot"] = "two-slot"
     """Filter of each layer; one-slot compares a new label only with the accumulated one (online)."""
     robot: Annotated[
-        Literal["auto", "hiro", "baxter", "pa10"] | None,
+        RobotName | None,
         option(
             "Robot whose preset gives the gradient thresholds; auto = from rest and contacts in what is encoded, which "
             "only the online encoder can.",

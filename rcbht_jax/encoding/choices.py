@@ -61,7 +61,7 @@ def make_plain(choices: Any) -> None:
     """
     hints = _hints(choices.__class__)
     for field in fields(choices):
-        value = _plain(getattr(choices, field.name))
+        value = plain(getattr(choices, field.name))
         if not fits(value, hints[field.name]):
             kind = type(choices).__name__
             raise InputError(f"{field.name} of {kind} is {value!r}; expected {_in_words(hints[field.name])}.")
@@ -84,7 +84,13 @@ def _in_words(hint: Any) -> str:
     return _WORDS.get(hint) or f"a {hint.__name__}"
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A value as :func:`make_plain` keeps it.
+
+    >>> import numpy as np
+    >>> plain([np.int64(2), np.array([0.5])])
+    (2, (0.5,))
+    """
     if isinstance(value, list | tuple):
-        return tuple(map(_plain, value))
-    return _plain(value.tolist()) if hasattr(value, "tolist") else value
+        return tuple(map(plain, value))
+    return plain(value.tolist()) if hasattr(value, "tolist") else value

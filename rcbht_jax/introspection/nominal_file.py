@@ -11,6 +11,7 @@ import numpy as np
 import rcbht_jax
 from rcbht_jax._util.untrusted import checked_texts
 from rcbht_jax._util.url_path import as_path
+from rcbht_jax.encoding.choices import plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.neighbours import Bank
 from rcbht_jax.introspection.nominal import NominalMonitor
@@ -44,18 +45,11 @@ def save(path: Path | str, file: MonitorFile) -> None:
         "axes": file.axes,
         "units": file.units,
         "where": file.where,
-        "parameters": {name: _plain(value) for name, value in file.monitor.get_params().items()},
+        "parameters": {name: plain(value) for name, value in file.monitor.get_params().items()},
         "levels": file.monitor.levels_,
-        **{name: _plain(getattr(bank, name)) for name in _NUMBERS},
+        **{name: plain(getattr(bank, name)) for name in _NUMBERS},
     }
     write_archive(path, meta, {"peaks": file.monitor.peaks_, **{name: getattr(bank, name) for name in _ARRAYS}})
-
-
-def _plain(value: Any) -> Any:
-    """A parameter as JSON knows it: NumPy's numbers and arrays become Python's."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def load(path: Path | str) -> MonitorFile:

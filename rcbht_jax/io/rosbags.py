@@ -23,7 +23,7 @@ from rcbht_jax.events import LEVELS, AnomalyScore, Belief, Event, Word
 from rcbht_jax.io.bag_chunks import bound_chunks, take_packed, unpacked_file, unpacked_message
 from rcbht_jax.io.mcap_file import seal, sound
 from rcbht_jax.io.messages import Malformed, Message, sample_of
-from rcbht_jax.labels import AXES, LAYERS, name
+from rcbht_jax.labels import AXES, LAYERS, UNITS, name
 
 with needs_extra("stream"):
     from rosbags.highlevel import AnyReader
@@ -217,7 +217,7 @@ def is_wrench(axes: Sequence[str], units: Sequence[str] = ()) -> bool:
     """
     kinds = "".join(axis[:1] for axis in axes).upper()
     letters = "".join(next((letter for letter in axis[1:].lower() if letter in "xyz"), "") for axis in axes)
-    right = all(unit in ("", own) for unit, own in zip(units, ("N",) * 3 + ("Nm",) * 3, strict=False))
+    right = all(unit in ("", own) for unit, own in zip(units, UNITS, strict=False))
     return kinds in ("FFFMMM", "FFFTTT") and letters in ("", "xyzxyz") and right
 
 
@@ -225,12 +225,11 @@ class McapWriter:
     """Context manager that writes a stream as an MCAP file for Foxglove and PlotJuggler.
 
     Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where axes or units are not those of one),
-    ``/labels`` (codes and names per axis), ``/words`` (as they are published), ``/belief/HEAD``, ``/monitor``
-    (the scores of a nominal monitor) and ``/events`` (JSON). The file
-    appears when the block ends; also when an error or an interruption ends it, with what was written until then, if
-    anything was. A trial whose stamps do not continue those before begins a second after their end. Stamps of ROS begin
-    in 1970 and end in 2038: if the first message lies outside, it is at time zero; single messages outside get the
-    nearest stamp.
+    ``/labels`` (codes and names per axis), ``/words`` (as they are published), ``/belief/HEAD``, ``/monitor`` (the
+    scores of a nominal monitor) and ``/events`` (JSON). The file appears when the block ends; also when an error or an
+    interruption ends it, with what was written until then, if anything was. A trial whose stamps do not continue those
+    before begins a second after their end. Stamps of ROS begin in 1970 and end in 2038: if the first message lies
+    outside, it is at time zero; single messages outside get the nearest stamp.
 
     Raises:
         InputError: the folder of the file does not exist.

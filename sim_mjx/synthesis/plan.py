@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import rcbht_jax
 from rcbht_jax._util.digest import content_hash, files_hash
 from rcbht_jax.encoding import thresholds
+from rcbht_jax.encoding.choices import plain
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.rules import made_by
 from rcbht_jax.errors import InputError
@@ -48,8 +49,7 @@ class SynthesisConfig:
 
     def __post_init__(self) -> None:
         for name in ("trials", "seed", "shard", "window"):
-            if isinstance(value := getattr(self, name), np.integer):  # which JSON does not know
-                object.__setattr__(self, name, int(value))
+            object.__setattr__(self, name, plain(getattr(self, name)))  # JSON does not know NumPy's numbers
 
 
 def check(job: SynthesisConfig) -> Scenario:

@@ -179,7 +179,7 @@ def _mcap(path: Path, axes: tuple[str, ...], units: tuple[str, ...]) -> NDArray[
     from rcbht_jax.io.rosbags import is_wrench, topics_of
 
     topic = "/wrench" if is_wrench(axes, units) else "/signal"  # as McapWriter has it
-    if topic == "/signal" and len(axes) == len(AXES) and topics_of(path).isdisjoint({topic}):
+    if topic == "/signal" and len(axes) == len(AXES) and topic not in topics_of(path):
         topic = "/wrench"  # an export from before axes out of order, or in other units, became signals
     [table] = read_bag_tables(path, path.name, topic)
     values = [column for key, column in table.columns.items() if key != "stamp"]
