@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
-from experiments._lib.intervals import with_width
+from experiments._lib.intervals import of_folds, with_width
 from experiments._lib.tasks import states
 from experiments.calibration.near_preset import Near, between
 from rcbht_jax.features import Features, FeatureSpec
@@ -142,7 +142,7 @@ class Experiment:
         filled = filled_in(recordings, items)
         chosen = Counter(choice["candidates"][0] for repeat in scores.chosen for choice in repeat)
         return {
-            "accuracy": rounded(with_width(scores.summary()["accuracy"], len(np.unique(items.trial)))),
+            "accuracy": rounded(of_folds(scores, len(np.unique(items.trial)))["accuracy"]),
             "gain": rounded(with_width(dict(zip(("mean", "low", "high"), gain, strict=True)), 0)),
             "chosen": {self.about["bank"][member]: times for member, times in chosen.most_common()},
             "confusion": scores.confusion.tolist(),

@@ -27,7 +27,7 @@ from scipy.stats import qmc
 
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
-from experiments._lib.intervals import with_width
+from experiments._lib.intervals import of_folds
 from experiments._lib.tasks import states
 from experiments.calibration.methods import WORDS
 from experiments.classification.sim_to_real_sets import make, store_of
@@ -198,7 +198,7 @@ class Experiment:
         splits = validation.repeated_folds(items.y, items.trial, 5, self._repeats, SEED)
         scores = validation.cross_validate(self.learner(SIM1, method, "openhrp"), items.y, splits, SEED)
         chosen = [choice["candidates"][0] for repeat in scores.chosen for choice in repeat]
-        return {"accuracy": rounded(with_width(scores.summary()["accuracy"], trials)), "chosen": chosen}
+        return {"accuracy": rounded(of_folds(scores, trials)["accuracy"]), "chosen": chosen}
 
     def transfer(self, one: str, other: str, method: str) -> dict[str, Any]:
         scores = between(self.learner(REAL, method, other), self.of(REAL)[1], one, other)

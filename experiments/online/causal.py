@@ -29,7 +29,7 @@ from sklearn.metrics import r2_score
 from experiments._lib import frozen
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import by_trial, drawn, sums, with_width
+from experiments._lib.intervals import at_least, by_trial, drawn, sums, with_width
 from experiments._lib.tasks import states
 from experiments.online.detected_starts import detected_beginnings, with_beginnings
 from experiments.online.table2 import SETS, halves
@@ -215,18 +215,20 @@ def row(stream: Callable[[], Stream], sessions: tuple[str, ...], seeds: range) -
     """Every row of a data set with its intervals."""
     stream_ = stream()
     runs = [split(stream_, sessions, seed) for seed in (seeds[:1] if sessions else seeds)]
-    tested = len(np.unique(stream_.items.trial[~inside_of(stream_, sessions, seeds[0])]))
+    outside = [~inside_of(stream_, sessions, seed) for seed in seeds[: len(runs)]]
+    tested = len(np.unique(stream_.items.trial[outside[0]]))
+    sentences = int(np.any(outside, axis=0).sum())  # those that some split tests, each right or wrong at its end
     out: dict[str, Any] = {"trials tested": tested, "splits": len(runs), "method": stream_.method.sha256}
     for name in runs[0]:
         out[name] = {measure: with_ends([run[name][measure] for run in runs], tested) for measure in MEASURES}
-    return out
+        out[name][MEASURES[1]] = at_least(out[name][MEASURES[1]], sentences)
+    return rounded(out)
 
 
 def with_ends(scores: list[float], tested: int) -> dict[str, Any]:
     """Mean of half-splits with its corrected interval; of one split, or without a mistake, Wilson's by trial."""
     mean, low, high = metrics.corrected_interval(np.array(scores), 1.0) if len(scores) > 1 else (scores[0],) * 3
-    made = with_width({"mean": mean, "low": low, "high": high}, tested) if high > low else by_trial(mean, tested)
-    return rounded(made)
+    return with_width({"mean": mean, "low": low, "high": high}, tested) if high > low else by_trial(mean, tested)
 
 
 def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:

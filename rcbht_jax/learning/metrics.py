@@ -102,6 +102,16 @@ def wilson(good: float, trials: float) -> tuple[float, float]:
     return float(max(middle - half, 0.0)), float(min(middle + half, 1.0))
 
 
+def equal_items(sizes: ArrayLike) -> float:
+    """Number of items that say as much of mean recall, were the classes of these ``sizes`` ``[class]`` equally large.
+
+    >>> equal_items([50, 50]), round(equal_items([98, 2]), 1)
+    (100.0, 7.8)
+    """
+    counts = np.asarray(sizes, np.float64)
+    return float(len(counts) ** 2 / (1 / counts).sum())
+
+
 def percentile_interval(scores: ArrayLike, groups: int) -> tuple[float, float]:
     """95 % interval from scores of groups that were drawn with replacement: expanded percentiles (Hesterberg 2015).
 

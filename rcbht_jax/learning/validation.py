@@ -110,7 +110,7 @@ class CrossValidation:
     @property
     def equal_items(self) -> float:
         """Number of items that say as much of mean recall, were their classes of equal size."""
-        return float(len(self.items) ** 2 / (1 / self.items).sum())
+        return metrics.equal_items(self.items)
 
     def summary(self, trials: int = 0) -> dict[str, Any]:
         """min / mean / max over the folds of a run (averaged over repeats), and corrected 95% intervals.

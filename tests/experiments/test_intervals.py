@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from experiments._lib.benchmarks import with_interval
-from experiments._lib.intervals import bootstrap, by_trial, jackknife, of_folds, of_sums, sums, with_width, without
+from experiments._lib.intervals import (
+    at_least,
+    bootstrap,
+    by_trial,
+    jackknife,
+    of_folds,
+    of_sums,
+    sums,
+    with_width,
+    without,
+)
 from experiments._lib.results_io import COMMITTED
 from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
 from rcbht_jax.learning.validation import CrossValidation
@@ -74,6 +84,16 @@ def test_scores_of_folds_that_all_agree_have_wilsons_interval_by_trial() -> None
     rare = of_folds(run(right, right, [98, 2]), 100)
     assert rare["balanced_accuracy"]["low"] == pytest.approx(wilson(7.84, 7.84)[0])
     assert rare["accuracy"]["low"] == pytest.approx(wilson(100, 100)[0])
+    # Folds that agree better than new items would: 0.9 of 100 items cannot be known to 0.001.
+    near = of_folds(run(np.array([[0.9, 0.901], [0.901, 0.9]]), apart, [50, 50]), 50)["accuracy"]
+    assert (near["low"], near["high"]) == wilson(0.9005 * 100, 100)
+    assert near["interval by"] == "corrected resampled t, no narrower than Wilson's by item"
+    one_end = at_least({"mean": 0.9, "low": 0.5, "high": 0.91, "interval by": "t"}, 100)
+    assert (one_end["low"], one_end["high"]) == (0.5, wilson(90, 100)[1])
+    assert (
+        at_least(with_width({"mean": 0.9, "low": 0.5, "high": 1.0}, 10), 100)["interval by"] == "corrected resampled t"
+    )
+    assert at_least({"mean": 0.9}, 100) == {"mean": 0.9}
     assert with_width(same, 0) == {"mean": 1.0}
     assert with_interval(np.ones((3, 5)), trials=12)["interval"] == [round(end, 3) for end in wilson(12, 12)]
     assert with_interval(np.ones((3, 5))) == {"mean": 1.0}
