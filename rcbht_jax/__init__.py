@@ -33,7 +33,8 @@ _FACE = {
     "io.store": ("read_recordings", "write_recordings"),
     "learning.estimators": ("StateClassifier", "WrenchFeatures"),
     "learning.svm_classifier": ("SvmClassifier",),
-    "learning.evaluation": ("evaluate", "train"),
+    "learning.evaluation": ("evaluate",),
+    "learning.fitting": ("train",),
     "learning.predict": ("classify",),
     "learning.tasks": ("TaskSpec", "extract_features", "labelled_intervals"),
     "types": ("LabelTracks", "Recordings"),
@@ -62,7 +63,8 @@ if TYPE_CHECKING:
     from rcbht_jax.io.label_store import read_tracks, write_tracks
     from rcbht_jax.io.store import read_recordings, write_recordings
     from rcbht_jax.learning.estimators import StateClassifier, WrenchFeatures
-    from rcbht_jax.learning.evaluation import evaluate, train
+    from rcbht_jax.learning.evaluation import evaluate
+    from rcbht_jax.learning.fitting import train
     from rcbht_jax.learning.predict import classify
     from rcbht_jax.learning.svm_classifier import SvmClassifier
     from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals

@@ -197,10 +197,11 @@ class Train(_Learning):
     """
 
     out: OutModel = Path("rcbht.model")
+    group: Annotated[str, option("Column whose groups no fold of the selection splits, such as operator.")] = "trial"
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
-        from rcbht_jax.learning.evaluation import train
+        from rcbht_jax.learning.fitting import train
         from rcbht_jax.learning.model_io import save
 
         grammars, how = self.read_tracks()
@@ -208,7 +209,7 @@ class Train(_Learning):
         (recordings, facts), grid = table_and_facts(self.store), self.grid
         spec = self.spec(recordings)
         with progress_bar("train", "folds", grid.inner) as bar:
-            model = train(recordings, grammars, spec, families, grid, how, self.seed, bar.update, facts)
+            model = train(recordings, grammars, spec, families, grid, how, self.seed, bar.update, facts, self.group)
         save(self.out, model)
         chosen = model.svm.spec
         return {

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax.learning.tasks import LabelledIntervals
+from rcbht_jax.types import Recordings
+
 
 def groups_of_classes(y: NDArray[Any], groups: NDArray[Any], classes: Iterable[Any]) -> NDArray[np.int64]:
     """How many groups ``[class]`` have items of each of ``classes``, from the class and the group of every ``[item]``.
@@ -16,6 +19,25 @@ def groups_of_classes(y: NDArray[Any], groups: NDArray[Any], classes: Iterable[A
     [2, 0, 1]
     """
     return np.array([len(np.unique(groups[y == one])) for one in classes], np.int64)
+
+
+def groups_by(column: str, recordings: Recordings, items: LabelledIntervals) -> NDArray[Any]:
+    """Group ``[item]`` of labelled intervals by a column of their recordings, or by their trial.
+
+    Raises:
+        InputError: there is no such column.
+    """
+    return items.trial if column == "trial" else recordings.column(column)[items.intervals[0].recording]
+
+
+def inner_groups(y: NDArray[Any], groups: NDArray[Any], trials: NDArray[Any]) -> NDArray[Any]:
+    """What the folds of a selection keep together: the groups, or trials where fewer than two classes have two groups.
+
+    >>> y, trials = np.array([0, 0, 1, 1]), np.arange(4)
+    >>> [inner_groups(y, np.array(groups), trials).tolist() for groups in (list("abab"), list("abcc"))]
+    [['a', 'b', 'a', 'b'], [0, 1, 2, 3]]
+    """
+    return groups if (groups_of_classes(y, groups, np.unique(y)) > 1).sum() >= 2 else trials
 
 
 def fewest_groups(y: NDArray[Any], groups: NDArray[Any]) -> int:

@@ -16,18 +16,16 @@ from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
-from rcbht_jax.learning.class_groups import fewest_groups
+from rcbht_jax.learning.class_groups import fewest_groups, groups_by
 from rcbht_jax.learning.confounds import confounds
-from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.rare_classes import learnable
-from rcbht_jax.learning.svm import Grid, Split, Weight, fit, grouped_folds, select
+from rcbht_jax.learning.svm import Grid, Split, Weight, grouped_folds
 from rcbht_jax.learning.tasks import (
     LabelledIntervals,
     TaskSpec,
     TrackBatches,
     extract_features,
     labelled_intervals,
-    track_of,
 )
 from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import LabelTracks, Recordings
@@ -163,8 +161,8 @@ def evaluate(
     """
     expect("The protocol", protocol, EvaluationProtocol)
     items = labelled_intervals(recordings, task)
-    column, rows = protocol.group, items.intervals[0].recording
-    groups = items.trial if column == "trial" else recordings.column(column)[rows]
+    column = protocol.group
+    groups = groups_by(column, recordings, items)
     if not protocol.train_on and splitter is None:
         items, kept = learnable(items, groups, column)
         groups = groups[kept]
@@ -325,71 +323,3 @@ def _line(choice: dict[str, Any]) -> str:
     name = f"{choice['features']} " if choice["features"] else ""
     scaled = " ranks" if choice["ranks"] else " scaled" if choice["scaling"] else ""
     return f"{name}{choice['kernel']} C={choice['cost']:g}{scaled}"
-
-
-def train(
-    recordings: Recordings,
-    tracks: LabelTracks | Grammars,
-    task: TaskSpec,
-    features: FeatureSpec,
-    grid: Grid | None = None,
-    encoder: Mapping[str, Any] | None = None,
-    seed: int = 0,
-    progress: Callable[[int], Any] | None = None,
-    facts: WrenchFacts | None = None,
-) -> TrainedModel:
-    """Fit on all intervals of a task, with hyper-parameters selected by grouped cross-validation on these intervals.
-
-    A class that occurs in one trial only is left out, and counted, if two others remain.
-
-    Args:
-        recordings: the data set.
-        tracks: its labels, or candidates by name, of which one is selected as well.
-        task: what to classify.
-        features: which features.
-        grid: what to select from; None = everything.
-        encoder: how the labels were made, including thresholds (JSON values), by the names of the labels if candidates
-            are given; stored in the model, by name only if the selected candidate has several encoders.
-        seed: seed of the folds.
-        progress: called with 1 after each inner fold of the choice of hyper-parameters.
-        facts: facts about the wrenches, if the recordings have no samples.
-
-    Raises:
-        InputError: fewer than two classes in two trials or more, or labels of more or fewer recordings.
-
-    Example:
-        >>> import rcbht_jax as rj
-        >>> recordings = rj.Recordings.example()  # four failures, four successes
-        >>> tracks = rj.encode(recordings.wrench, rate=200)
-        >>> grid = Grid(("linear",), (1.0,), inner=2)
-        >>> train(recordings, tracks, rj.TaskSpec("outcome"), FeatureSpec(("histogram",)), grid).svm.classes
-        ('failure', 'success')
-    """
-    items, _ = learnable(labelled_intervals(recordings, task))
-    facts = facts or WrenchFacts.of(recordings)
-    described = candidates(tracks, items, features, len(recordings))
-    matrices = {name: part.values for name, (part, _) in described.items()}
-    weights = {name: weight for name, (_, weight) in described.items()}
-    grid = Grid() if grid is None else grid
-    expect("The grid", grid, Grid)
-    chosen = select(matrices, items.y, items.trial, grid, seed, weights, progress)
-    best, weight = described[chosen.features]
-    svm = fit(best.values, items.y, items.classes, chosen, weight)
-    how = dict(encoder or {})
-    if not isinstance(tracks, LabelTracks):
-        grammar = tracks[chosen.features]
-        names = grammar.names if isinstance(grammar, TrackBatches) else grammar
-        used = {name: how.get(name, {}) for name in names}
-        how = used if len(used) > 1 else next(iter(used.values()))
-    return TrainedModel(
-        svm=svm,
-        feature_spec=features,
-        feature_names=best.names,
-        task={**asdict(task), "whole": not track_of(recordings, task)},  # new data need not have the column
-        encoder=how,
-        data_hash=facts.data_hash,
-        extra={
-            "items": len(items.y), "trials": len(np.unique(items.trial)), "dropped": items.dropped, "seed": seed,
-        },
-        digests=facts.digests[np.unique(np.concatenate([part.recording for part in items.intervals]))],
-    )  # fmt: skip

@@ -133,7 +133,7 @@ def classify(
     """Classify every sentence of a data set with a trained model.
 
     Args:
-        model: made by :func:`rcbht_jax.learning.evaluation.train`.
+        model: made by :func:`rcbht_jax.learning.fitting.train`.
         recordings: the data set.
         tracks: its labels by the names that the model gives them, arrays ``[recording, axis, slot]``, or batches of
             them; see :func:`check_encoders`.

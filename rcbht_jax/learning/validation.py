@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.class_groups import groups_of_classes
+from rcbht_jax.learning.class_groups import inner_groups
 from rcbht_jax.learning.svm import Grid, Split, Weight, grouped_folds, predictions, select
 
 with needs_extra("learn"):
@@ -64,9 +64,8 @@ def nested_svm(
 
     def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
         training = {name: x[train] for name, x in doubles.items()}
-        few = (groups_of_classes(y[train], groups[train], np.unique(y[train])) > 1).sum() < 2
-        apart = groups if trials is None or not few else trials
-        spec = select(training, y[train], apart[train], grid, seed, weights)
+        apart = groups[train] if trials is None else inner_groups(y[train], groups[train], trials[train])
+        spec = select(training, y[train], apart, grid, seed, weights)
         weight = (weights or {}).get(spec.features)
         predicted = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
         if progress:

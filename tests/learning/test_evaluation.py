@@ -14,7 +14,8 @@ from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import model_io
-from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score, train
+from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score
+from rcbht_jax.learning.fitting import train
 from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.predict import classify
 from rcbht_jax.learning.svm import Grid, grouped_folds

@@ -14,9 +14,11 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, GroupShuffleSplit
 from rcbht_jax import StateClassifier, SvmClassifier, encode
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec, Intervals
+from rcbht_jax.learning import fitting
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score
+from rcbht_jax.learning.fitting import train
 from rcbht_jax.learning.metrics import wilson
-from rcbht_jax.learning.svm import Grid, grouped_folds
+from rcbht_jax.learning.svm import Grid, grouped_folds, select
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec
 from rcbht_jax.learning.validation import CrossValidation, cross_validate, majority, repeated_folds
 from rcbht_jax.types import Recordings
@@ -68,6 +70,27 @@ def test_parameters_are_chosen_without_dividing_a_group():
     assert {line.split()[0] for line in found.chosen} == {"signal"}
     by_trial = score(items, matrices, replace(protocol, group="trial"), {}, {})
     assert {line.split()[0] for line in by_trial.chosen} == {"who"}
+
+
+@pytest.mark.parametrize(
+    ("operator", "groups"), [(["ana", "bo"] * 4, {"ana", "bo"}), (["ana"] * 8, {f"{n}" for n in range(8)})]
+)
+def test_the_final_classifier_is_chosen_without_dividing_a_group_either(monkeypatch, operator, groups):
+    """Where a single operator is known, by trial."""
+    kept: list[Any] = []
+
+    def spy(x: Any, y: Any, apart: Any, *more: Any) -> Any:
+        kept.append(apart)
+        return select(x, y, apart, *more)
+
+    monkeypatch.setattr(fitting, "select", spy)
+    example = Recordings.example()
+    made = replace(example, trial=np.arange(8).astype(str), columns={"operator": np.array(operator)})
+    tracks = encode(made.wrench, rate=200)
+    model = train(made, tracks, TaskSpec("outcome"), FeatureSpec(("histogram",)), QUICK, group="operator")
+    assert (set(kept[0].tolist()), model.extra["group"]) == (groups, "operator")
+    with pytest.raises(InputError, match="no column 'day'; there are"):
+        train(made, tracks, TaskSpec("outcome"), FeatureSpec(("histogram",)), QUICK, group="day")
 
 
 def test_no_session_may_teach_the_trial_that_another_tests():
