@@ -24,6 +24,10 @@ from rcbht_jax.labels import LAYERS
 
 VERSION = "v3.0"
 CHUNK, FILE_BYTES = 1000, 100 * 2**20  # files per folder; largest file, before compression
+EPISODE = (
+    "episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index", "data/chunk_index",
+    "data/file_index", "meta/episodes/chunk_index", "meta/episodes/file_index",
+)  # LeRobot's own columns of an episode  # fmt: skip
 GROUP = 256  # episodes in a row group of their table
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 _Statistics = dict[str, dict[str, NDArray[Any]]]  # of each feature, by name
@@ -53,7 +57,8 @@ def write_lerobot(data: DataSet, folder: Path, progress: Callable[[int], None]) 
     tasks = list(dict.fromkeys(source or "unnamed" for source in data.recordings.source.tolist()))
     meta = folder / "meta"
     (meta / "episodes" / "chunk-000").mkdir(parents=True)
-    with _Episodes(meta / "episodes" / "chunk-000" / "file-000.parquet") as episodes:
+    large = {name for name, values in data.recordings.columns.items() if values.dtype == np.uint64}
+    with _Episodes(meta / "episodes" / "chunk-000" / "file-000.parquet", large) as episodes:
         frames = _write_frames(data, folder, fps, tasks, episodes, progress)
         episodes.flush()
     with ParquetFiles(folder) as files:
@@ -163,13 +168,8 @@ def _write_frames(
             written += table.nbytes
             last = first + len(frames["index"])
             columns = {key: v[number].item() for key, v in names.items() if key not in ours}
-            about = {
-                "episode_index": number, "tasks": [task], "length": last - first,
-                "dataset_from_index": first, "dataset_to_index": last,
-                "data/chunk_index": chunk, "data/file_index": place,
-                "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0, **columns,
-            }  # fmt: skip
-            episodes.add(about, _statistics(frames))
+            own = (number, [task], last - first, first, last, chunk, place, 0, 0)
+            episodes.add(dict(zip(EPISODE, own, strict=True)) | columns, _statistics(frames))
             first = last
             progress(1)
     finally:
@@ -181,8 +181,9 @@ def _write_frames(
 class _Episodes:
     """The table ``meta/episodes``, written group by group, and the statistics of all frames so far."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, large: set[str]) -> None:
         self.count, self.total = 0, _Statistics()
+        self._large = large  # columns whose numbers 63 bits need not hold
         self._path, self._rows = path, list[dict[str, Any]]()
         self._writer: Any = None
 
@@ -208,7 +209,10 @@ class _Episodes:
         pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
         if not self._rows:
             return
-        columns = {key: [row[key] for row in self._rows] for key in self._rows[0]}
+        columns = {
+            key: pa.array([row[key] for row in self._rows], pa.uint64() if key in self._large else None)
+            for key in self._rows[0]
+        }
         table = pa.table(columns, schema=None if self._writer is None else self._writer.schema)
         self._writer = self._writer or pq.ParquetWriter(self._path, table.schema)
         self._writer.write_table(table)

@@ -14,6 +14,7 @@ from rcbht_jax.types import Recordings
 
 Table = dict[str, NDArray[Any]]
 
+SAMPLE = ("recording", "sample", "time")  # columns beside the axes
 TEXTS = ("trial", "arm", "source", "session", "outcome", "note")
 
 COLUMNS = {
@@ -65,11 +66,8 @@ def wrench(block: Block, row: int) -> Table:
     recordings = block.recordings
     samples = int(recordings.length[row])
     number = np.arange(samples, dtype=np.int32)
-    table: Table = {
-        "recording": np.full(samples, block.first + row, np.int32),
-        "sample": number,
-        "time": number * recordings.dt,
-    }
+    places = (np.full(samples, block.first + row, np.int32), number, number * recordings.dt)
+    table: Table = dict(zip(SAMPLE, places, strict=True))
     return table | {axis: recordings.wrench[row, :samples, column] for column, axis in enumerate(recordings.axes)}
 
 

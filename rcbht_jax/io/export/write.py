@@ -15,7 +15,7 @@ from rcbht_jax.events import SubtaskStarted
 from rcbht_jax.io.export import tables
 from rcbht_jax.io.export.card import write_card
 from rcbht_jax.io.export.dataset import Block, DataSet, codes_at_samples
-from rcbht_jax.io.export.lerobot import write_lerobot
+from rcbht_jax.io.export.lerobot import EPISODE, write_lerobot
 from rcbht_jax.io.export.parquet import ParquetFiles
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.io.rosbags import McapWriter
@@ -68,9 +68,12 @@ def check_target(out: Path) -> None:
 
 
 def _check_names(data: DataSet, kind: str) -> None:
-    numbers = {"recording"} | ({"episode_index", "tasks"} if kind == "lerobot" else set())
+    numbers = {"recording"} | (set(EPISODE) if kind == "lerobot" else set())
     if taken := sorted(numbers & set(data.recordings.columns)):
         raise InputError(f"The column {taken[0]} would take the place of one that {kind} files have; rename it first.")
+    beside = set(tables.SAMPLE) if kind in ("csv", "parquet") else set()
+    if taken := sorted(beside & set(data.recordings.axes)):
+        raise InputError(f"The axis {taken[0]} would take the place of a column of {kind} files; rename it first.")
     for field in (*tables.TEXTS, *data.recordings.columns):
         for row, text in enumerate(data.recordings.column(field).tolist()):
             try:

@@ -30,7 +30,8 @@ def recordings() -> Recordings:
         outcome=["good", "bad", "unknown"], session=["1", "1", "2"], part=["peg", "", "peg, long"],
         depth=np.array([0.1, np.nan, 1 / 3]), tries=np.array([1, 2, 3]),
         trial=["a", "b", "c"], note=["", "x;y", ""], slow=np.array([True, False, True]), few=np.int8([1, -2, 3]),
-        stamp=np.array([2**60 + 1, 0, -1]), third=np.float32([1 / 3, np.nan, 2]), samples=np.array([3.0, 2.0, 1.0]),
+        stamp=np.array([2**60 + 1, 0, -1]), most=np.array([2**63 + 5, 0, 1], np.uint64),
+        third=np.float32([1 / 3, np.nan, 2]), samples=np.array([3.0, 2.0, 1.0]),
         seconds=["?", "", "9"], length_mm=np.array([1.5, 2.5, 3.5]), task=["x", "", "z"],
     )  # fmt: skip
     return made
@@ -71,10 +72,18 @@ def test_two_channels_of_any_name_come_back(kind: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.wrench, made.wrench)
 
 
-@pytest.mark.parametrize(("kind", "name"), [("csv", "recording"), ("lerobot", "tasks")])
+@pytest.mark.parametrize(("kind", "name"), [("csv", "recording"), ("lerobot", "tasks"), ("lerobot", "length")])
 def test_a_column_that_would_take_the_place_of_another_is_refused(kind: str, name: str, tmp_path: Path) -> None:
     made = Recordings.from_arrays([np.ones((30, 6))], **{name: ["x"]})
     with pytest.raises(InputError, match=f"column {name} would take the place of one that {kind} files have"):
+        export(DataSet.of(made), tmp_path / "out", kind)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("kind", "axis"), [("csv", "time"), ("parquet", "recording"), ("parquet", "sample")])
+def test_an_axis_that_would_take_the_place_of_a_column_is_refused(kind: str, axis: str, tmp_path: Path) -> None:
+    made = Recordings.from_arrays([np.ones((30, 2))], 100.0, axes=["grip", axis])
+    with pytest.raises(InputError, match=f"axis {axis} would take the place of a column of {kind} files"):
         export(DataSet.of(made), tmp_path / "out", kind)
     assert not (tmp_path / "out").exists()
 
