@@ -131,9 +131,10 @@ def _counts(recordings: Recordings) -> str:
         "|---|---|---|---|---|---|",
     ]
     fields = (recordings.source, recordings.session, recordings.outcome, recordings.arm)
-    rows = list(zip(*(field.tolist() for field in fields), strict=True))
-    for key in dict.fromkeys(rows):
-        seconds = recordings.length[[row == key for row in rows]] * recordings.dt
+    durations: dict[tuple[str, ...], list[float]] = {}
+    for key, samples in zip(zip(*(field.tolist() for field in fields), strict=True), recordings.length, strict=True):
+        durations.setdefault(key, []).append(samples * recordings.dt)
+    for key, seconds in durations.items():
         low, middle, high = np.quantile(seconds, (0.0, 0.5, 1.0))
         cells = " | ".join(str(cell).replace("|", "\\|").replace("\n", " ") for cell in key)
         lines.append(f"| {cells} | {len(seconds)} | {low:.2f} / {middle:.2f} / {high:.2f} |")
