@@ -271,6 +271,37 @@ def test_any_geom_can_be_turned_and_moved() -> None:
     np.testing.assert_allclose(geom.xmat.reshape(3, 3), axes @ matrix.reshape(3, 3), atol=1e-12)
 
 
+def with_pebbles(write: Callable[[FieldWriter, Any], None]) -> mujoco.MjModel:
+    """A trial's model with a floor and two pebbles far from all else, which touch by MuJoCo's rules."""
+
+    def pebbles(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        body.add_geom(name="FLOOR", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 0.1, 0.01), pos=(0.0, 2.0, 0.0), mass=0)
+        loose = spec.worldbody.add_body(name="PEBBLES", pos=(0.0, 0.0, 5.0))
+        loose.add_freejoint()
+        for x in (0.0, 0.05):
+            loose.add_geom(size=(0.01, 0.0, 0.0), pos=(x, 0.0, 0.0), mass=0.01)
+
+    scenario = pair(poked(write, pebbles), PANDA)
+    params, _ = scenario.draw(0, 0, scenario.spec(nominal_share=1.0, friction=(0.4, 0.4)))
+    return model_of(scenario.scene(), params.parts)
+
+
+def test_geoms_touch_where_a_trial_puts_them_and_with_its_friction() -> None:
+    """By MuJoCo's rules, too, whose mid phase knows geoms where they were compiled."""
+    model = with_pebbles(lambda writer, own: writer.place("FLOOR", np.array([0.0, 3.0, 0.0])))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    floor = data.geom("FLOOR").xpos
+    data.joint(int(model.body("PEBBLES").jntadr[0])).qpos[:3] = floor + np.array([0.0, 0.0, 0.0195])
+    mujoco.mj_forward(model, data)
+    assert [contact.friction[0] for contact in data.contact] == [0.4, 0.4]
+
+
+def test_a_free_body_is_not_placed() -> None:
+    with pytest.raises(InputError, match="The free body 'PEBBLES' begins where it was compiled"):
+        with_pebbles(lambda writer, own: writer.body("PEBBLES", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+
+
 def test_what_a_scene_cannot_have_is_named() -> None:
     def absent(writer: FieldWriter, own: Any) -> None:
         writer.place("ABSENT", np.zeros(3))
