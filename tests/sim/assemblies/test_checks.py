@@ -167,8 +167,11 @@ def test_a_range_is_two_numbers_and_a_spec_that_of_its_assembly() -> None:
 
 def test_a_fault_that_fails_is_named() -> None:
     for fault, sentence in (
-        (lambda trial, spec, rng: None, "the fault 'bad' of clip gives a NoneType; expected the changed trial"),
-        (lambda trial, spec, rng: replace(trial, gap=1), "the fault 'bad' of clip ends in TypeError"),
+        (
+            lambda trial, spec, rng: None,
+            "the fault 'bad' of clip in trial 0 gives a NoneType; expected the changed trial",
+        ),
+        (lambda trial, spec, rng: replace(trial, gap=1), "the fault 'bad' of clip in trial 0 ends in TypeError"),
         (
             lambda trial, spec, rng: with_own(trial, material=np.zeros(2)),
             r"the shape of parts.own.material from \[\] to",
@@ -195,7 +198,9 @@ def test_parameters_have_one_shape_in_all_trials() -> None:
 
     scenario = pair(changed(draw=draw), PANDA)
     for indices in (range(8), range(1, 9), [8, 3]):
-        with pytest.raises(InputError, match=r"draw of clip changes the shape of material from \[\d\] to \[\d\]"):
+        with pytest.raises(
+            InputError, match=r"draw of clip in trial \d changes the shape of material from \[\d\] to \[\d\]"
+        ):
             scenario.draw_batch(0, indices, scenario.spec(nominal_share=1.0))
 
 
@@ -236,10 +241,12 @@ def test_parameters_have_one_type_in_all_trials() -> None:
         own(0, 0, 0, fault=1e-3),
         r"changes the type of (parts\.own\.)?material from int64 to float64; expected",
     )
-    with pytest.raises(InputError, match=f"the fault 'chip' of clip {what} one type in every trial, such as 0.0, not"):
+    with pytest.raises(
+        InputError, match=f"the fault 'chip' of clip in trial 0 {what} one type in every trial, such as 0.0, not"
+    ):
         mixed.draw(0, 0, mixed.spec(nominal_share=0.0))
     later = own(0, 0, 0.5)
-    with pytest.raises(InputError, match=f"draw of clip {what}"):
+    with pytest.raises(InputError, match=f"draw of clip in trial 0 {what}"):
         later.draw(0, 0, later.spec(nominal_share=1.0))
 
 
