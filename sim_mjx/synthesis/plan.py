@@ -142,7 +142,7 @@ def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
         versions["processor"] = processor()
     made: dict[str, Any] = {"job": _plain("", job), "versions": versions}
     if own := own_files(job.preset):
-        made["versions"]["own_sha256"] = [files_hash(files[0].parent, files) for files in own]
+        made["versions"]["own_sha256"] = [file.digest for file in own]
         made["versions"]["scene_sha256"] = _scene_hash(job.preset)  # they may read other files, such as an MJCF
     if job.window is not None:  # what else the labels depend on
         made["versions"]["encoding_sha256"] = encoding_hash()
