@@ -13,6 +13,7 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
+from rcbht_jax._util.digest import files_hash
 from rcbht_jax.errors import InputError
 
 _PREFIX = "rcbht_own_"  # of the names of users' modules
@@ -25,11 +26,11 @@ class OwnFile(NamedTuple):
 
     module: ModuleType
     files: tuple[Path, ...]  # absolute: it, and sorted the neighbours that it imports
+    digest: str  # of their content when they were run, which later edits do not change
 
 
-@cache
 def run_file(path: str) -> OwnFile:
-    """Run a Python file, which may import modules and packages of its folder at the top.
+    """Run a Python file, which may import modules and packages of its folder at the top, unless it has been run.
 
     These neighbours belong to this file alone: another file that imports the same names, or a neighbour of the same
     name in another folder, gets its own.
@@ -47,7 +48,17 @@ def run_file(path: str) -> OwnFile:
     file = Path(path)
     if file.suffix != ".py" or not file.is_file():
         raise InputError(f"There is no Python file {path}.")
-    file = file.absolute()
+    try:
+        return _run(file.absolute())
+    except InputError:  # its message already says what is wrong
+        raise
+    except Exception as error:
+        raise InputError(f"{path} cannot be imported: {error}.") from error
+
+
+@cache
+def _run(file: Path) -> OwnFile:
+    """Run a file, whose path is absolute."""
     # two files of one stem must not take each other's place in sys.modules
     name = f"{_PREFIX}{file.stem}_{hashlib.sha256(str(file).encode('utf-8', 'surrogateescape')).hexdigest()[:12]}"
     spec = spec_from_file_location(name, file)
@@ -61,10 +72,6 @@ def run_file(path: str) -> OwnFile:
     sys.path.append(str(file.parent))
     try:
         spec.loader.exec_module(module)
-    except InputError:  # its message already says what is wrong
-        raise
-    except Exception as error:
-        raise InputError(f"{path} cannot be imported: {error}.") from error
     finally:
         sys.path.remove(str(file.parent))
         found = _neighbours(file.parent)
@@ -73,7 +80,8 @@ def run_file(path: str) -> OwnFile:
         sys.modules.update(hidden)
     _rename(name, found)
     paths = {Path(one.__file__) for one in found.values() if getattr(one, "__file__", None)}
-    return OwnFile(module, (file, *sorted(one for one in paths - {file} if one.is_relative_to(file.parent))))
+    files = (file, *sorted(one for one in paths - {file} if one.is_relative_to(file.parent)))
+    return OwnFile(module, files, files_hash(file.parent, files))
 
 
 def _neighbours(folder: Path) -> dict[str, Any]:

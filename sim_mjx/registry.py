@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -23,7 +22,7 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import STATES
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
 from sim_mjx.own_code import own_code
-from sim_mjx.own_files import run_file
+from sim_mjx.own_files import OwnFile, run_file
 from sim_mjx.presets import DEFAULT, preset
 from sim_mjx.presets.two_arm import TwoArmPreset
 from sim_mjx.randomization import trials
@@ -108,7 +107,6 @@ def _halves(name: str) -> tuple[str, ...]:
     return found.groups() if found else ()
 
 
-@cache
 def _paired(assembly: str, robot: str) -> Scenario:
     """An assembly on a robot."""
     if assembly == SNAP:
@@ -161,10 +159,10 @@ def named(name: str, known: dict[str, Any], kind: type, what: str) -> Any:
     return found
 
 
-def own_files(name: str) -> list[tuple[Path, ...]]:
-    """Python files whose content decides what is simulated: of each file in a name, it and neighbours that it imports.
+def own_files(name: str) -> list[OwnFile]:
+    """The Python files in a name, whose content decides what is simulated.
 
     Raises:
         InputError: a file cannot be run.
     """
-    return [run_file(half.rpartition(":")[0]).files for half in _halves(name) if ":" in half]
+    return [run_file(half.rpartition(":")[0]) for half in _halves(name) if ":" in half]

@@ -71,16 +71,19 @@ def _is_range(value: Any) -> bool:
     return isinstance(value, tuple | list) and len(value) == 2 and all(isinstance(one, Real) for one in value)
 
 
-def drawn(assembly: Assembly, spec: Variation, rng: np.random.Generator) -> tuple[Any, Any]:
+def drawn(assembly: Assembly, spec: Variation, rng: np.random.Generator, trial: str = "") -> tuple[Any, Any]:
     """Parameters of task and parts of one trial.
+
+    Args:
+        assembly, spec, rng: what draws, its distributions and random numbers. trial: words that name it.
 
     Raises:
         InputError: the assembly's ``draw`` fails, or gives no pair.
     """
-    with own_code(f"draw of {assembly.name}"):
+    with own_code(what := f"draw of {assembly.name}{trial}"):
         found = assembly.draw(spec, rng)
     if not isinstance(found, tuple) or len(found) != 2:
-        raise InputError(f"draw of {assembly.name} gives a {type(found).__name__}; expected two: of task and of parts.")
+        raise InputError(f"{what} gives a {type(found).__name__}; expected two: of task and of parts.")
     return found
 
 
@@ -116,7 +119,7 @@ def _sample(
     pairing: Pairing, seed: int, index: int, spec: Variation, pattern: tuple[Any, Any]
 ) -> tuple[AssemblyTrial, Fault]:
     """One trial of checked distributions; arguments as of :func:`sample`."""
-    assembly, robot = pairing.assembly, pairing.robot
+    assembly, robot, which = pairing.assembly, pairing.robot, f" in trial {index}"
     rng = stream(seed, index)
     hand = np.concatenate([uniform(rng, spec.shift, 2), [0.0], uniform(rng, spec.lean, 2), [uniform(rng, spec.turn)]])
     stiffness = np.array(assembly.mount_stiffness) * uniform(rng, spec.mount)
@@ -125,18 +128,18 @@ def _sample(
     lag = int(rng.integers(spec.lag[0], spec.lag[1], endpoint=True))
     key = rng.integers(0, 2**32, 2, dtype=np.uint32)
     kinds = spec.faults or tuple(assembly.faults)
-    nominal, which = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))
-    kind = "none" if nominal or not kinds else kinds[which]  # all other random numbers are those of a nominal trial
-    task, own = drawn(assembly, spec, rng)
+    nominal, number = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))
+    kind = "none" if nominal or not kinds else kinds[number]  # all other random numbers are those of a nominal trial
+    task, own = drawn(assembly, spec, rng, which)
     for like, found in zip(pattern, (task, own), strict=True):
-        check_like(f"draw of {assembly.name}", like, found)
+        check_like(f"draw of {assembly.name}{which}", like, found)
     task, own = (_typed(like, found) for like, found in zip(pattern, (task, own), strict=True))
     trial = AssemblyTrial(
         task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),
         timeout=np.asarray(assembly.timeout, np.float64), command_delay=np.array(lag, np.int32), seed=key,
     )  # fmt: skip
     if kind != "none":
-        with own_code(what := f"the fault {kind!r} of {assembly.name}"):
+        with own_code(what := f"the fault {kind!r} of {assembly.name}{which}"):
             faulty = assembly.faults[kind](trial, spec, rng)
         check_faulty(what, trial, faulty)
         trial = _typed(trial, faulty)

@@ -74,7 +74,17 @@ class FieldWriter:
         self._set("geom_quat", "geom", geom, quat)
 
     def body(self, body: str, place: Float[Array, "*batch 3"], quat: Float[np.ndarray, "*batch 4"]) -> None:
-        """Frame of a body in its parent's, m and quaternion."""
+        """Frame of a body in its parent's, m and quaternion.
+
+        Raises:
+            InputError: it is a free body, whose place is a state and not a parameter.
+        """
+        row = self._row("body", body)
+        if row.jntnum[0] and self._model.jnt_type[row.jntadr[0]] == mujoco.mjtJoint.mjJNT_FREE:
+            raise InputError(
+                f"The free body {body!r} begins where it was compiled, so that no trial can place it; give it sliding "
+                "joints in place of the free one."
+            )
         self._set("body_pos", "body", body, place)
         self._set("body_quat", "body", body, quat)
 
@@ -85,8 +95,11 @@ class FieldWriter:
         self._field("dof_damping")[..., row.dofadr[0]] = damping
 
     def friction(self, sliding: Float[Array, "*batch"]) -> None:
-        """Sliding friction of all pairs."""
+        """Sliding friction of all contacts: of pairs, and of geoms that touch by MuJoCo's rules."""
         self._field("pair_friction")[..., :2] = np.asarray(sliding)[..., None, None]
+        touching = (self._model.geom_contype | self._model.geom_conaffinity) != 0
+        if touching.any():
+            self._field("geom_friction")[..., touching, 0] = np.asarray(sliding)[..., None]
 
     def _row(self, kind: str, name: str) -> Any:
         """An element of the compiled model.

@@ -138,12 +138,26 @@ class Fidelity(Command):
 
     def _made_by(self) -> list[Any]:
         """Everything that a measurement depends on."""
+        from importlib.metadata import version
+
         from rcbht_jax.io.store import read_attrs
         from sim_mjx.synthesis.plan import code_hash
 
         data = None if self.recorded is None else read_attrs(self.recorded)["content_sha256"]
-        folder = None if self.data is None else str(self.data.resolve())
-        return [code_hash(), self._trials_of_each(), self.max_seconds, self.seed, data, folder]
+        folder = None if self.data is None else _state_of(self.data)
+        versions = [version(name) for name in ("jax", "mujoco", "numpy")]
+        return [code_hash(), versions, self._trials_of_each(), self.max_seconds, self.seed, data, folder]
+
+
+def _state_of(folder: Path) -> str:
+    """Digest of the names, sizes and times of change of all files of the trials in a folder."""
+    from hashlib import sha256
+
+    from rcbht_jax.io.hiro.importer import find_trials
+
+    files = sorted(file for _, trial in find_trials(folder) for file in trial.iterdir() if file.is_file())
+    states = [(str(file.resolve()), file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+    return sha256(json.dumps(states).encode()).hexdigest()
 
 
 def _convergence(name: str, trials: int, seed: int, longest: float) -> Measured:

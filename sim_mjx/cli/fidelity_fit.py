@@ -94,7 +94,7 @@ class FidelityFit(Command):
         fixed = tuple((name, _number(value)) for name, value in map(_assignment, self.fixed))
         _check_once([*self.parameters, *(name for name, _ in fixed)], "--parameters and --fixed")
         _check_once([name for name, _ in map(_assignment, self.bound)], "--bound")
-        overrides.check((*fixed, *((name, 0.0) for name in self.parameters)))
+        overrides.check((*fixed, *((name, 1.0) for name in self.parameters)))  # a value that every one of them can have
         trials = (4 if self.session == "A" else 9) if self.trials is None else self.trials
         if not 1 <= trials <= MOST:
             raise InputError(f"--trials is {trials}; expected 1 to {MOST}.")
@@ -115,6 +115,7 @@ class FidelityFit(Command):
         return "\n".join(lines + [f"  {name:26} {value:.6g}" for name, value in result["values"].items()])
 
     def _search(self, fixed: Physical, trials: int, recorded: str) -> Search:
+        from sim_mjx.randomization import overrides
         from sim_mjx.validation.system_id import Bound, Search
 
         usual = {name: Bound(low, high, log=scale == "log") for name, (low, high, scale) in BOUNDS.items()}
@@ -126,6 +127,7 @@ class FidelityFit(Command):
         if unused:
             raise InputError(f"A range is given for {unused[0]}, which is not fitted; add it to --parameters.")
         bounds = {name: (usual | ranges)[name] for name in self.parameters}
+        overrides.check(tuple((name, end) for name, bound in bounds.items() for end in (bound.low, bound.high)))
         settings = {
             "session": self.session, "recorded_sha256": recorded, "trials": trials, "outcomes": self.outcomes,
             "snaps": self.snaps, "fixed": [list(pair) for pair in fixed],

@@ -17,6 +17,8 @@ from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.cli.encode import Encode
+    from sim_mjx.synthesis.pipeline import SynthesisReport
+    from sim_mjx.synthesis.plan import SynthesisConfig
     from sim_mjx.synthesis.workers import SynthesisProgress
 
 FIT = MadeBy('"rcbht fidelity fit HIRO.zarr -o {path}"')
@@ -161,7 +163,7 @@ class Simulate(Command):
             if self.worker:
                 return be_worker(self, job, progress, notice)
             others = helpers(command, notice)
-            report = synthesise(
+            report = (None if encode is None else self._unlabelled(job)) or synthesise(
                 self.out, job, overwrite=self.overwrite, progress=progress, notice=notice, helpers=others,
                 lanes=self.lanes,
             )  # fmt: skip
@@ -198,6 +200,17 @@ class Simulate(Command):
                 f"when it is complete: rcbht encode {self.out} --window {self.window}."
             )
         return Encode(store=self.out, window=self.window)
+
+    def _unlabelled(self, job: SynthesisConfig) -> SynthesisReport | None:
+        """What an earlier run has simulated that was interrupted while it encoded; None = nothing."""
+        from rcbht_jax.io.label_store import list_tracks
+        from sim_mjx.synthesis.pipeline import earlier
+
+        try:
+            labelled = f"online-W{self.window}" in list_tracks(self.out)
+        except InputError:  # no store
+            return None
+        return None if labelled or self.overwrite else earlier(self.out, job)
 
     def _chosen(self) -> tuple[str, Any]:
         """Name of what is simulated, and its distributions.

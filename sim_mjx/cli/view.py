@@ -133,8 +133,14 @@ class View(Command):
         from rcbht_jax.io.store import read_attrs
         from sim_mjx.validation.replay import recorded, simulated
 
-        if "simulated" in read_attrs(self.store):
+        attrs = read_attrs(self.store)
+        if "simulated" in attrs:
             return partial(simulated, self.store)
+        if self.data is None and "joined" in attrs:
+            raise InputError(
+                "A joined store keeps no parameters of simulations; view a simulated trial in the store that simulated "
+                "it, and a recorded one of HIRO with the folder that was imported: --data DIR."
+            )
         if self.data is None:
             raise InputError(
                 "A recorded trial of HIRO needs its joint angles; give the folder that was imported: --data DIR. Of "

@@ -286,6 +286,8 @@ def model_of(scene: Scene, part: Any) -> mujoco.MjModel:
     """The compiled model with one trial's parts."""
     model = copy.copy(scene.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # it would hide a divergence
+    # it looks for geoms where they were compiled, which a trial may move
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
     for name, value in scene.fields(part).items():
         getattr(model, name)[:] = value
     return model

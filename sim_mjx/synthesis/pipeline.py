@@ -123,6 +123,18 @@ def synthesise(
     return _report(target, len(scenario.arms), tally.resumed)
 
 
+def earlier(target: Path, job: SynthesisConfig) -> SynthesisReport | None:
+    """What :func:`synthesise` returned when it completed the store of a job; None = the store is not that.
+
+    Raises:
+        InputError: impossible options.
+    """
+    scenario = check(job)
+    if shards.folder_of(target).is_dir() or not _is_made_by(target, manifest_of(job)):
+        return None
+    return _report(target, len(scenario.arms), job.trials)
+
+
 def work_on(
     target: Path,
     job: SynthesisConfig,

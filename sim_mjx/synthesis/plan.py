@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -90,12 +91,23 @@ def job_of(values: dict[str, Any]) -> SynthesisConfig:
 def scenario_of(values: dict[str, Any]) -> tuple[Scenario, Any]:
     """Scenario and distributions of a job that :func:`provenance` wrote down; errors as of :func:`job_of`."""
     scenario = get_scenario(values["preset"])
-    return scenario, scenario.spec(**{name: _as_tuples(value) for name, value in values["spec"].items()})
+    return scenario, _as_given(scenario.spec(), values["spec"])
 
 
-def _as_tuples(value: Any) -> Any:
-    """JSON's lists as the tuples that they were."""
-    return tuple(_as_tuples(one) for one in value) if isinstance(value, list) else value
+def _as_given(like: Any, value: Any) -> Any:
+    """JSON's value in the type of a field's default: a dataclass or an array; other lists as the tuples they were."""
+    if is_dataclass(like) and not isinstance(like, type) and isinstance(value, dict):
+        return type(like)(**{name: _as_given(getattr(like, name, None), one) for name, one in value.items()})
+    if not isinstance(value, list):
+        return value
+    if isinstance(like, np.ndarray):
+        given = np.asarray(value)
+        same = given.astype(like.dtype)
+        return same if same.tolist() == value else given  # of another type than the default
+    if isinstance(like, jax.Array):
+        return jnp.asarray(value, like.dtype)
+    likes = like if isinstance(like, tuple) and len(like) == len(value) else (None,) * len(value)
+    return tuple(_as_given(default, one) for default, one in zip(likes, value, strict=True))
 
 
 def encoder_config(job: SynthesisConfig) -> EncoderConfig:
@@ -142,7 +154,7 @@ def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
         versions["processor"] = processor()
     made: dict[str, Any] = {"job": _plain("", job), "versions": versions}
     if own := own_files(job.preset):
-        made["versions"]["own_sha256"] = [files_hash(files[0].parent, files) for files in own]
+        made["versions"]["own_sha256"] = [file.digest for file in own]
         made["versions"]["scene_sha256"] = _scene_hash(job.preset)  # they may read other files, such as an MJCF
     if job.window is not None:  # what else the labels depend on
         made["versions"]["encoding_sha256"] = encoding_hash()

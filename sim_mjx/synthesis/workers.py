@@ -184,7 +184,7 @@ class _OwnShards:
             shard, claim = claimed
             try:
                 drawn = self._draft.draw(shard)
-            except (InputError, OSError):  # of the input or the machine: the next shard would fail, too
+            except OSError:  # of the machine: the next shard would fail, too
                 claim.release()
                 raise
             except Exception as error:
@@ -247,7 +247,11 @@ def _make(draft: Draft, simulate: Callable[[Any], Labelled], shard: int, claim: 
         if shard in shards.finished(draft.folder) or not is_open(draft.folder):  # since it was chosen
             claim.done()
             return 0
-        drawn = draft.draw(shard)
+        try:
+            drawn = draft.draw(shard)
+        except InputError as error:  # of one of its trials: the first trial of the job could be drawn
+            claim.failed(_reason(error))
+            return 0
         out, tracks = simulate(drawn[0])
         labels = None if tracks is None else records.of_labels(tracks, len(drawn[1]))
         draft.write(shard, drawn, records.of_trials(out, draft.scenario.recorded), labels)
@@ -265,4 +269,5 @@ def _make(draft: Draft, simulate: Callable[[Any], Labelled], shard: int, claim: 
 
 
 def _reason(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no reason given'}".rstrip(".") + "."
+    kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+    return f"{kind}{' '.join(str(error).split()) or 'no reason given'}".rstrip(".") + "."

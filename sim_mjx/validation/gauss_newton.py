@@ -31,6 +31,7 @@ INSIDE = 1e-3  # share of a range by which the first point keeps away from its e
 DAMPINGS = np.array([1e-3, 1e-2, 1e-1, 1.0, 10.0, 100.0])  # times the diagonal of the Gauss-Newton matrix
 FLAT = 1e-6  # share of the largest entry of that diagonal that a parameter without effect counts with
 LEAST_GAIN = 1e-3  # share of the loss; less is no progress
+UNSEEN = 1e-12  # square of a parameter's part in what the residuals do not see; less is rounding
 FINEST = 1e-3  # step of the differences below which the search ends
 
 
@@ -73,7 +74,7 @@ def fit(
         progress: called with each point at which derivatives are taken.
 
     Raises:
-        InputError: impossible bounds, start, step or number of iterations.
+        InputError: impossible bounds, start, step or number of iterations, or the start cannot be simulated.
 
     Example:
         >>> from sim_mjx.validation.system_id import Bound
@@ -92,6 +93,8 @@ def fit(
 
     point = np.clip(point_of(search), INSIDE, 1 - INSIDE)
     (here,) = simulate(point[None])
+    if not np.isfinite(here).all():
+        raise InputError("The simulation of the start gives no finite residuals; begin elsewhere.")
     count, width, sign, history = 1, step, 1.0, []
     jacobian = np.zeros((len(here), len(point)))
     for _ in range(iterations):
@@ -256,7 +259,7 @@ def identifiability(jacobian: Jacobian, names: list[str], loss: float, samples: 
 
     Returns:
         ``spectrum`` singular values, largest first; ``deviation`` the standard deviation that the residuals leave each
-        parameter, None where they do not depend on it; ``weakest`` the direction that they determine least, as its
+        parameter, None where they do not determine it; ``weakest`` the direction that they determine least, as its
         largest components.
 
     Example:
@@ -264,10 +267,12 @@ def identifiability(jacobian: Jacobian, names: list[str], loss: float, samples: 
         >>> [round(value, 2) for value in found["spectrum"]], found["weakest"]
         ([2.03, 0.35], {'b': 0.73, 'a': -0.68})
     """
-    _, spectrum, turned = np.linalg.svd(jacobian, full_matrices=False)
+    _, found, turned = np.linalg.svd(jacobian, full_matrices=True)
+    spectrum = np.concatenate([found, np.zeros(len(names) - len(found))])  # of fewer residuals than parameters
+    seen = spectrum > np.finfo(np.float64).eps * max(jacobian.shape) * spectrum[0]
     noise = loss / max(samples - len(names), 1.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = noise * (turned**2 / spectrum[:, None] ** 2).sum(0)
+    variance = noise * (turned[seen] ** 2 / spectrum[seen, None] ** 2).sum(0)
+    variance[(turned[~seen] ** 2).sum(0) > UNSEEN] = np.inf
     last = turned[-1] * np.sign(turned[-1][np.argmax(np.abs(turned[-1]))])
     order = np.argsort(-np.abs(last))[:5]
     return {

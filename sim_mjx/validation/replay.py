@@ -142,7 +142,9 @@ def stored_trial(path: Path, row: int) -> tuple[Scenario, Any]:
     try:
         scenario, spec = scenario_of(job)
         return scenario, scenario.draw(job["seed"], index, spec)[0]
-    except (TypeError, KeyError) as error:
+    except InputError:  # its message already says what is wrong
+        raise
+    except (TypeError, KeyError, ValueError) as error:
         raise InputError(f"{path} was simulated by another version of rcbht; simulate its trials anew.") from error
 
 

@@ -167,8 +167,11 @@ def test_a_range_is_two_numbers_and_a_spec_that_of_its_assembly() -> None:
 
 def test_a_fault_that_fails_is_named() -> None:
     for fault, sentence in (
-        (lambda trial, spec, rng: None, "the fault 'bad' of clip gives a NoneType; expected the changed trial"),
-        (lambda trial, spec, rng: replace(trial, gap=1), "the fault 'bad' of clip ends in TypeError"),
+        (
+            lambda trial, spec, rng: None,
+            "the fault 'bad' of clip in trial 0 gives a NoneType; expected the changed trial",
+        ),
+        (lambda trial, spec, rng: replace(trial, gap=1), "the fault 'bad' of clip in trial 0 ends in TypeError"),
         (
             lambda trial, spec, rng: with_own(trial, material=np.zeros(2)),
             r"the shape of parts.own.material from \[\] to",
@@ -195,7 +198,9 @@ def test_parameters_have_one_shape_in_all_trials() -> None:
 
     scenario = pair(changed(draw=draw), PANDA)
     for indices in (range(8), range(1, 9), [8, 3]):
-        with pytest.raises(InputError, match=r"draw of clip changes the shape of material from \[\d\] to \[\d\]"):
+        with pytest.raises(
+            InputError, match=r"draw of clip in trial \d changes the shape of material from \[\d\] to \[\d\]"
+        ):
             scenario.draw_batch(0, indices, scenario.spec(nominal_share=1.0))
 
 
@@ -236,10 +241,12 @@ def test_parameters_have_one_type_in_all_trials() -> None:
         own(0, 0, 0, fault=1e-3),
         r"changes the type of (parts\.own\.)?material from int64 to float64; expected",
     )
-    with pytest.raises(InputError, match=f"the fault 'chip' of clip {what} one type in every trial, such as 0.0, not"):
+    with pytest.raises(
+        InputError, match=f"the fault 'chip' of clip in trial 0 {what} one type in every trial, such as 0.0, not"
+    ):
         mixed.draw(0, 0, mixed.spec(nominal_share=0.0))
     later = own(0, 0, 0.5)
-    with pytest.raises(InputError, match=f"draw of clip {what}"):
+    with pytest.raises(InputError, match=f"draw of clip in trial 0 {what}"):
         later.draw(0, 0, later.spec(nominal_share=1.0))
 
 
@@ -269,6 +276,37 @@ def test_any_geom_can_be_turned_and_moved() -> None:
     mujoco.mju_quat2Mat(matrix, turn)
     np.testing.assert_allclose(geom.xpos, mount.xpos + axes @ place, atol=1e-12)
     np.testing.assert_allclose(geom.xmat.reshape(3, 3), axes @ matrix.reshape(3, 3), atol=1e-12)
+
+
+def with_pebbles(write: Callable[[FieldWriter, Any], None]) -> mujoco.MjModel:
+    """A trial's model with a floor and two pebbles far from all else, which touch by MuJoCo's rules."""
+
+    def pebbles(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        body.add_geom(name="FLOOR", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 0.1, 0.01), pos=(0.0, 2.0, 0.0), mass=0)
+        loose = spec.worldbody.add_body(name="PEBBLES", pos=(0.0, 0.0, 5.0))
+        loose.add_freejoint()
+        for x in (0.0, 0.05):
+            loose.add_geom(size=(0.01, 0.0, 0.0), pos=(x, 0.0, 0.0), mass=0.01)
+
+    scenario = pair(poked(write, pebbles), PANDA)
+    params, _ = scenario.draw(0, 0, scenario.spec(nominal_share=1.0, friction=(0.4, 0.4)))
+    return model_of(scenario.scene(), params.parts)
+
+
+def test_geoms_touch_where_a_trial_puts_them_and_with_its_friction() -> None:
+    """By MuJoCo's rules, too, whose mid phase knows geoms where they were compiled."""
+    model = with_pebbles(lambda writer, own: writer.place("FLOOR", np.array([0.0, 3.0, 0.0])))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    floor = data.geom("FLOOR").xpos
+    data.joint(int(model.body("PEBBLES").jntadr[0])).qpos[:3] = floor + np.array([0.0, 0.0, 0.0195])
+    mujoco.mj_forward(model, data)
+    assert [contact.friction[0] for contact in data.contact] == [0.4, 0.4]
+
+
+def test_a_free_body_is_not_placed() -> None:
+    with pytest.raises(InputError, match="The free body 'PEBBLES' begins where it was compiled"):
+        with_pebbles(lambda writer, own: writer.body("PEBBLES", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
 
 
 def test_what_a_scene_cannot_have_is_named() -> None:

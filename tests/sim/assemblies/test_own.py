@@ -15,6 +15,7 @@ import pytest
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_recordings
+from sim_mjx import own_files as ran
 from sim_mjx.own_files import run_file
 from sim_mjx.registry import get_scenario, own_files
 from sim_mjx.synthesis.pipeline import synthesise
@@ -53,6 +54,7 @@ def test_own_files_are_simulated_from_the_command_line(tmp_path: Path, monkeypat
     job = SynthesisConfig("key.py:KEY@arm.py:ARM", 2, spec=get_scenario("key.py:KEY@panda").spec(longest=0.1), shard=1)
     begin(tmp_path / "more.zarr", job)
     (tmp_path / "key.py").write_text(blocks()["key.py"] + "\n")
+    ran._run.cache_clear()  # as in another process
     with pytest.raises(InputError, match=r"another content of your files \(own_sha256\)"):
         synthesise(tmp_path / "more.zarr", job)
     # nor of another version of a file that it reads
@@ -165,7 +167,8 @@ def test_a_neighbour_that_was_imported_before_is_left_to_its_importer(
     monkeypatch.setitem(sys.modules, "common", earlier)
     assert get_scenario(f"clip@{tmp_path}/arm.py:ARM").robot == "file"
     assert sys.modules["common"] is earlier
-    assert own_files(f"clip@{tmp_path}/arm.py:ARM") == [(tmp_path / "arm.py", tmp_path / "common.py")]
+    [file] = own_files(f"clip@{tmp_path}/arm.py:ARM")
+    assert file.files == (tmp_path / "arm.py", tmp_path / "common.py")
 
 
 def test_the_manifest_covers_what_a_file_imports_from_its_folder(tmp_path: Path) -> None:
@@ -177,10 +180,23 @@ def test_the_manifest_covers_what_a_file_imports_from_its_folder(tmp_path: Path)
     (tmp_path / "unused.py").touch()
     job = SynthesisConfig(f"clip@{tmp_path}/arm.py:ARM", 1, spec=get_scenario("clip@panda").spec())
     names = ("arm.py", "common.py", "kit/__init__.py", "kit/far.py")
-    assert own_files(job.preset) == [tuple(tmp_path / name for name in names)]
+    [file] = own_files(job.preset)
+    assert file.files == tuple(tmp_path / name for name in names)
     before = manifest_of(job)["versions"]["own_sha256"]
     (tmp_path / "kit" / "far.py").write_text(COMMON.format("another"))
+    assert manifest_of(job)["versions"]["own_sha256"] == before  # what is simulated is what was run
+    ran._run.cache_clear()  # as in another process
     assert manifest_of(job)["versions"]["own_sha256"] != before
+
+
+def test_a_relative_path_counts_from_the_present_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for who in ("first", "second"):
+        (tmp_path / who).mkdir()
+        (tmp_path / who / "arm.py").write_text(MADE_OF_COMMON)
+        (tmp_path / who / "common.py").write_text(COMMON.format(who))
+        monkeypatch.chdir(tmp_path / who)
+        assert get_scenario("clip@arm.py:ARM").robot == who
+        assert run_file("arm.py") is run_file(str(tmp_path / who / "arm.py"))
 
 
 def test_the_digest_of_a_file_without_neighbours_stands_in_work_folders(tmp_path: Path) -> None:

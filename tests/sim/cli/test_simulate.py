@@ -12,6 +12,7 @@ import pytest
 
 from rcbht_jax._util import compile_cache
 from rcbht_jax.cli import main
+from rcbht_jax.cli.encode import Encode
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import list_tracks, read_tracks_attrs
@@ -54,8 +55,12 @@ def test_interrupted_and_called_again_it_gives_the_same_store(
     assert "SIM_MJX_C" in capsys.readouterr().out
 
 
+def interrupted(_: Encode) -> None:
+    raise KeyboardInterrupt
+
+
 def test_other_assemblies_are_encoded_with_thresholds_of_their_own(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = tmp_path / "pegs.zarr"
     words = [
@@ -70,8 +75,15 @@ def test_other_assemblies_are_encoded_with_thresholds_of_their_own(
         "--window",
         "5",
     ]
-    assert main.main(words) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(Encode, "run", interrupted)
+        assert main.main(words) == 130
+    assert list_tracks(store) == []
+    assert main.main(words) == 0  # goes on where it was interrupted
+    assert "2 of them were simulated earlier" in capsys.readouterr().out
     assert list_tracks(store) == ["online-W5"]
+    assert main.main(words) == 2
+    assert "exists already" in capsys.readouterr().err
     limits = read_tracks_attrs(store, "online-W5")["thresholds"]
     assert main.main(["encode", str(store), "--window", "5", "--robot", "auto"]) == 0
     assert limits == read_tracks_attrs(store, "online-W5-auto")["thresholds"]

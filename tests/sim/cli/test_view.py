@@ -8,6 +8,8 @@ import pytest
 
 from rcbht_jax.cli import main
 from rcbht_jax.types import Recordings
+from sim_mjx.synthesis.pipeline import synthesise
+from tests.support.fake_simulation import SMALL, fake_engine
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -28,6 +30,17 @@ def test_tracks_that_are_not_there_are_refused_before_the_simulation(
     words = [str(hiro_store), str(hiro_recordings.trial[0]), "-o", str(tmp_path / "trial.png"), "--tracks", "NOPE"]
     assert "has no label tracks" in refused(capsys, *words, "--data", str(tmp_path))
     assert "needs its joint angles" in refused(capsys, *words)  # before anything is read
+
+
+def test_a_joined_store_says_what_it_does_not_keep(
+    hiro_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulated, joined = tmp_path / "simulated.zarr", tmp_path / "joined.zarr"
+    synthesise(simulated, SMALL, simulate=fake_engine)
+    assert main.main(["join", str(hiro_store), str(simulated), "-o", str(joined)]) == 0
+    capsys.readouterr()
+    said = refused(capsys, str(joined), "sim-B-000000", "-o", str(tmp_path / "t.png"))
+    assert "view a simulated trial in the store that simulated it" in said
 
 
 def test_a_display_that_is_not_there_is_one_sentence(

@@ -117,7 +117,7 @@ def test_an_error_frees_what_was_held(tmp_path: Path, error: Exception, state: s
 
 @pytest.mark.parametrize(
     ("error", "state"),
-    [(RuntimeError("no number"), "failed"), (InputError("No part."), "released"), (KeyboardInterrupt(), "released")],
+    [(RuntimeError("no number"), "failed"), (InputError("No part."), "failed"), (KeyboardInterrupt(), "released")],
 )
 def test_a_shard_that_cannot_be_drawn_is_not_held(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, state: str

@@ -20,7 +20,7 @@ from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import plan, shards
 from sim_mjx.synthesis.pipeline import synthesise
-from sim_mjx.synthesis.plan import SynthesisConfig, manifest_of
+from sim_mjx.synthesis.plan import SynthesisConfig, job_of, manifest_of
 from tests.support.fake_simulation import SMALL, fake_engine
 
 
@@ -68,6 +68,34 @@ def test_arrays_and_numpys_numbers_are_plain_in_the_manifest() -> None:
 def test_what_a_manifest_cannot_hold_is_named(value: Any, words: str) -> None:
     with pytest.raises(InputError, match=words):
         manifest_of(with_spec(shift=value))
+
+
+OWN = """from dataclasses import dataclass, field, replace
+import numpy as np
+from sim_mjx.assemblies.clip import CLIP
+from sim_mjx.assemblies.latch import LatchVariation
+@dataclass(frozen=True)
+class Sizes:
+    small: float = 0.7e-3
+    ends: tuple[float, ...] = (1.0, 2.0)
+@dataclass(frozen=True)
+class Vary(LatchVariation):
+    weights: np.ndarray = field(default_factory=lambda: np.array([1, 2], np.int32))
+    sizes: Sizes = Sizes()
+    every: tuple[Sizes, ...] = (Sizes(), Sizes())
+ARR = replace(CLIP, name="arr", variation=Vary)
+"""
+
+
+@pytest.mark.parametrize("weights", [np.array([3, 4], np.int32), np.array([0.2, 0.8])])
+def test_distributions_with_arrays_and_dataclasses_come_back_as_they_were(tmp_path: Path, weights: Any) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    name = f"{tmp_path}/own.py:ARR@panda"
+    spec = get_scenario(name).spec(weights=weights, shift=(0.0, 1e-3))
+    job = SynthesisConfig(name, 2, spec=spec)
+    again = job_of(json.loads(json.dumps(plan.provenance(manifest_of(job))["job"]))).spec
+    assert (again.weights.tolist(), again.weights.dtype) == (weights.tolist(), weights.dtype)
+    assert replace(again, weights=weights) == replace(spec, weights=weights)
 
 
 @dataclass(frozen=True)

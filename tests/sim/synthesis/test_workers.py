@@ -206,6 +206,27 @@ def test_a_shard_that_always_fails_is_left_out_and_told(tmp_path: Path) -> None:
     assert len(calls(log)) == 1
 
 
+def test_a_shard_whose_trial_cannot_be_drawn_is_left_out_and_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target, real, tries = tmp_path / "t.zarr", Draft.draw, []
+
+    def rare(self: Draft, shard: int) -> Any:
+        if shard == 1:
+            tries.append(shard)
+            raise InputError("draw of mine in trial 7 ends in ValueError: no such part.")
+        return real(self, shard)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Draft, "draw", rare)
+        with pytest.raises(
+            workers.ShardsFailed, match=r"trials 5 to 9: draw of mine in trial 7 .*: no such part\. The"
+        ):
+            synthesise(target, SMALL, simulate=fake_engine)
+    assert len(tries) == 3
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 7
+
+
 def test_a_full_disk_ends_one_worker_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     target = tmp_path / "t.zarr"
     real = Draft.write

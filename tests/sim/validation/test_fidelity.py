@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 from dataclasses import replace
 from itertools import pairwise
@@ -246,6 +247,20 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
     assert calls[3:] == ["solver", "C"]  # other options: measured again
 
 
+def test_other_data_or_versions_are_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "20121127" / "trial").mkdir(parents=True)
+    angles = tmp_path / "20121127" / "trial" / "R_Torques.dat"
+    angles.write_text("0 1\n")
+    command = Fidelity(data=tmp_path)
+    first = command._made_by()
+    assert command._made_by() == first
+    angles.write_text("0 1\n0.005 1\n")
+    second = command._made_by()
+    assert second != first
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: "0")
+    assert command._made_by() != second
+
+
 def test_without_a_contact_nothing_is_certified() -> None:
     said = fidelity.convergence(preset("C"), trials=2, longest=0.3)
     assert (said["step"]["force"], said["touched"], said["holds"]) == (0.0, 0, False)
@@ -335,6 +350,9 @@ def test_the_fit_lowers_the_loss_and_writes_parameters(
         (["--bound", "parts.friction"], "has no =; expected NAME=VALUE"),
         (["--bound", "parts.friction=0.1"], "has no :; expected NAME=LOW:HIGH"),
         (["--fixed", "parts.friction=0.1"], "parts.friction is given twice in --parameters and --fixed"),
+        (["--parameters", "sensor.step"], "sensor.step has no default range"),
+        (["--parameters", "sensor.step", "--bound", "sensor.step=0:1"], "sensor.step is 0; expected more than zero"),
+        (["--parameters", "sensor.delay", "--bound", "sensor.delay=0:99"], "sensor.delay is 99; expected 0 to 11"),
         (["--trials", "0"], "--trials is 0; expected 1 to 100000"),
         (["--trials", "-2"], "--trials is -2"),
         (["--fixed", "parts.friction=much"], "not a number"),

@@ -85,9 +85,36 @@ def test_the_spectrum_and_deviations_are_those_of_linear_regression() -> None:
     assert max(said["weakest"], key=lambda name: abs(said["weakest"][name])) == "z"
 
 
-def test_what_the_residuals_say_nothing_of_has_no_deviation() -> None:
-    said = gauss_newton.identifiability(np.array([[1.0, 0.0], [2.0, 0.0]]), ["x", "y"], 1.0, 10.0)
-    assert said["deviation"]["y"] is None
+SEEN = np.array([[1.0, 0.2], [0.3, 1.0], [0.5, 0.1], [0.2, 0.7]])
+
+
+@pytest.mark.parametrize(
+    ("jacobian", "undetermined"),
+    [
+        (np.array([[1.0, 0.0], [2.0, 0.0]]), [1]),
+        (np.insert(SEEN, 1, 0.0, axis=1), [1]),
+        (np.insert(SEEN, [1, 1], SEEN @ [[0.3, 0.1], [0.0, 0.0]], axis=1), [0, 1, 2]),  # only a sum of three is seen
+        (np.array([[1.0, 1.0, 0.0]]), [0, 1, 2]),  # fewer residuals than parameters
+        (np.array([[1.0, 0.0, 0.0]]), [1, 2]),
+        (np.zeros((3, 2)), [0, 1]),
+    ],
+)
+def test_what_the_residuals_do_not_determine_has_no_deviation(
+    jacobian: gauss_newton.Jacobian, undetermined: list[int]
+) -> None:
+    names = [str(place) for place in range(jacobian.shape[1])]
+    said = gauss_newton.identifiability(jacobian, names, 1.0, 10.0)
+    assert [int(name) for name, value in said["deviation"].items() if value is None] == undetermined
+    variance = np.diag(np.linalg.pinv(jacobian.T @ jacobian)) / (10 - len(names))
+    found = np.array(list(said["deviation"].values()), np.float64)  # None becomes NaN
+    np.testing.assert_allclose(np.delete(found, undetermined), np.sqrt(np.delete(variance, undetermined)))
+    assert len(said["spectrum"]) == len(names)
+    assert said["weakest"]
+
+
+def test_a_start_that_cannot_be_simulated_is_refused() -> None:
+    with pytest.raises(InputError, match="simulation of the start gives no finite residuals"):
+        gauss_newton.fit(lambda candidates: np.full((len(candidates), 2), np.nan), Search(BOUNDS))
 
 
 @pytest.mark.parametrize(("iterations", "step"), [(0, 0.02), (5, 0.0), (5, 0.9)])

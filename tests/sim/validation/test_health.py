@@ -13,7 +13,6 @@ import pytest
 from rcbht_jax._util.ratios import latest, read_history
 from rcbht_jax.cli.main import main
 from rcbht_jax.io.store import write_recordings
-from sim_mjx import own_files, registry
 from sim_mjx.assemblies.latch import LatchVariation
 from sim_mjx.cli import doctor as doctor_command
 from sim_mjx.synthesis import plan, shards
@@ -180,8 +179,6 @@ def test_what_cannot_be_made_again_says_why(tmp_path: Path, monkeypatch: pytest.
     synthesise(tmp_path / "own.zarr", job)
     assert health.check_store(tmp_path / "own.zarr").repairable
     (tmp_path / "own.py").unlink()
-    own_files.run_file.cache_clear()
-    registry._paired.cache_clear()
     assert health.check_store(tmp_path / "own.zarr").notes == ["There is no Python file own.py."]
 
 
