@@ -15,7 +15,8 @@ import rcbht_jax as rj
 from rcbht_jax.cli.main import main
 from rcbht_jax.cli.stream import Serve
 from rcbht_jax.introspection import model as model_files
-from rcbht_jax.introspection import session
+from rcbht_jax.introspection import nominal_file, session
+from rcbht_jax.introspection.nominal import NominalMonitor
 from rcbht_jax.introspection.opening import read_opening
 from rcbht_jax.io.messages import Sample
 from rcbht_jax.io.rosbags import McapWriter, read_bag
@@ -54,6 +55,31 @@ def test_the_beginning_is_read_at_the_rate_of_the_encoder():
     opening = read_opening(iter([Sample((0.5 * k,), 0.005 * k) for k in range(200)]))
     ramp = opening.recordings(100.0, opening.axes).wrench[0, :, 0]
     np.testing.assert_array_equal(ramp, np.arange(len(ramp)))
+
+
+def pushes() -> np.ndarray:
+    """A noisy force at 600 Hz with a slow push, which is within the noise of its single samples."""
+    time = np.arange(1800) / 600
+    force = np.interp(time, [0, 1, 1.5, 2, 2.5], [0, 0, 10, 10, 0]) + 0.3 * np.random.default_rng(2).normal(size=1800)
+    return force.astype(np.float32).astype(float)
+
+
+@pytest.mark.parametrize(("rule", "reads"), [("fit", "--sampling-rate"), ("paper", "--monitor")])
+def test_a_store_at_another_rate_gives_the_words_of_a_pipe(tmp_path, monkeypatch, capsys, rule, reads):
+    """Limits and tolerances were those of the store's own rate, and its noise hid the push."""
+    write_recordings(tmp_path / "s.zarr", rj.Recordings.from_arrays([pushes()[:, None]], 600, axes=["Fz"]), {})
+    monitor = NominalMonitor(rate=100.0).fit(0.1 * np.random.default_rng(0).normal(size=(20, 100, 1)))
+    nominal_file.save(tmp_path / "m", nominal_file.MonitorFile(monitor, ("Fz",), (), ("N",)))
+    lines = [json.dumps({"time": k / 600, "wrench": [v]}).encode() + b"\n" for k, v in enumerate(pushes().tolist())]
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    options = ["--robot", "auto", "--rule", rule, reads, "100" if reads == "--sampling-rate" else str(tmp_path / "m")]
+    words = []
+    for source in ([str(tmp_path / "s.zarr")], ["-", "--axes", "Fz"]):
+        assert main(["stream", *source, *options]) == 0
+        events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        words.append([(e["label"], e["begin"], e["end"]) for e in events if e["event"] == "Word"])
+    assert words[0] == words[1]
+    assert len(words[0]) > 6
 
 
 @pytest.mark.parametrize("command", ["stream", "serve", "plot beliefs", "report"])
