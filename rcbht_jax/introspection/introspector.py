@@ -37,7 +37,7 @@ from rcbht_jax.learning.probability import probability_jax
 from rcbht_jax.learning.progress import mixed_jax
 from rcbht_jax.types import Array
 
-FAILURE_TYPE = "failure-type"  # the classifier whose belief becomes a FailureType event
+FAILURE_TYPE = "failure-type"  # the classifier whose belief becomes a FailureType event; also with an underscore
 # The classifier that detects from the whole trial which sub-task goes on, and its name where a task is called "phase".
 PHASE, PHASE_IN_TRIAL = "phase", "phase in trial"
 
@@ -173,6 +173,8 @@ class Introspector:
         detector = _detector(model) if detect else None
         self._detector = detector.name if detector else ""
         self._phases = PhaseFilter(detector.classes) if detector else None
+        kinds = (head.name for head in model.heads if head.name.replace("_", "-") == FAILURE_TYPE)
+        self._kind = next(kinds, "")
         self._failure: tuple[str, str] | None = None  # label and level of the latest event
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
@@ -345,7 +347,7 @@ class Introspector:
         return [(AnomalyRaised if change else AnomalyCleared)(sample, time, head.name, probability)]
 
     def _failure_type(self, sample: int, time: float) -> list[Event]:
-        belief = self.latest.get(FAILURE_TYPE)
+        belief = self.latest.get(self._kind)
         if belief is None or not any(alarm.raised for alarm in self._alarms.values()):
             self._failure = None
             return []
@@ -358,7 +360,7 @@ class Introspector:
 def _detector(model: IntrospectionModel) -> Head:
     for name in (PHASE_IN_TRIAL, PHASE):
         for head in model.heads:
-            if head.name == name and head.scope == "trial":
+            if head.name == name and head.scope == "trial" and head.progress is None:  # else of a column
                 return head
     raise InputError(
         f'the model has no classifier "{PHASE}" to detect sub-tasks with; train one with: rcbht train-online --detect.'
