@@ -248,8 +248,12 @@ class Introspector:
                 confidence.reset()
         return [SubtaskStarted(self.received, self._now(), self.received, detected, label)]
 
-    def reset(self) -> None:
-        """Start a new trial: forget everything received, all levels and all alarms."""
+    def reset(self) -> list[Event]:
+        """Start a new trial: forget everything received, all levels and all alarms; those that stood are cleared."""
+        raised = [head for head in self.model.heads if head.alarm and self._alarms[head.name].raised]
+        events: list[Event] = [
+            AnomalyCleared(self.received, self._now(), head.name, self._of_alarm(head)) for head in raised
+        ]
         self._restart()
         for confidence in self._confidence:
             confidence.reset()
@@ -259,6 +263,7 @@ class Introspector:
             self._phases.reset()
         self._failure = None
         self.latest = {}
+        return events
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
         """Feed any number of samples ``[time, axis]``; returns the events that they cause, in order.
@@ -329,7 +334,7 @@ class Introspector:
             self.latest[head.name] = belief
             events.append(belief)
             if head.alarm:
-                events += self._alarm(head, float(p[head.classes.index(head.alarm)]), sample, time)
+                events += self._alarm(head, self._of_alarm(head), sample, time)
         return events + self._failure_type(sample, time) + self._detected()
 
     def _detected(self) -> list[Event]:
@@ -339,6 +344,10 @@ class Introspector:
         belief = self.latest[self._detector]
         began = self._phases.update(belief.probabilities, belief.sample * self._config.dt)  # stamps may be dates
         return self.begin(detected=True) if began else []
+
+    def _of_alarm(self, head: Head) -> float:
+        """Latest probability of the class that raises the alarm."""
+        return self.latest[head.name].probabilities[head.classes.index(head.alarm)]
 
     def _alarm(self, head: Head, probability: float, sample: int, time: float) -> list[Event]:
         change = self._alarms[head.name].update(probability, sample * self._config.dt)  # stamps may be dates

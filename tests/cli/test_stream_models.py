@@ -117,6 +117,19 @@ def test_a_bag_that_a_model_would_misread_is_refused(tmp_path, capsys, command):
     replace(model(), extra={"axes": list("abcdef"), "units": [""] * 6}).check_wrench("it")  # names of its own
 
 
+def test_an_event_before_the_first_reading_is_no_message_of_1970(model_path, tmp_path, monkeypatch):
+    """A line that could not be read made a file of 54 years."""
+    rows = [{"wrench": [0.0] * 6, "time": 1.7e9 + 0.005 * k} for k in range(40)]
+    lines = [b"garbage\n", b'{"begin": true}\n', *(json.dumps(row).encode() + b"\n" for row in rows)]
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    words = ["stream", "-", "-m", str(model_path), "--mcap", str(tmp_path / "o.mcap")]
+    assert main([*words, "-o", str(tmp_path / "o.jsonl")]) == 0
+    with AnyReader([tmp_path / "o.mcap"]) as reader:
+        told = [(time * 1e-9, connection.topic) for connection, time, _ in reader.messages()]
+    assert min(told)[0] == pytest.approx(1.7e9)
+    assert [topic for _, topic in told].count("/events") == 2
+
+
 def test_trials_follow_each_other_in_a_file(model_path, tmp_path, monkeypatch):
     """The stamps of each trial begin at zero: in Foxglove and PlotJuggler all trials lay on top of each other."""
     rows = [{"wrench": [float(n)] * 6, "time": 0.005 * k} for n in range(3) for k in range(40 + n)]
