@@ -110,6 +110,7 @@ class Session:
         self._resampler = Resampler(*self._grid)
         self.time = 0.0  # s, stamp of the latest sample
         self._silent = False
+        self._end = math.inf  # s, stamp of the last sample before the latest gap of the trial
         self._begun = False  # the trial has a sample; until then:
         self._reset: Reset | None = None  # what began the trial
         self._begin: Begin | None = None  # what begins its first sub-task
@@ -137,7 +138,7 @@ class Session:
         if isinstance(message, Reset):
             events = self.finish() + self.introspector.reset()
             self._resampler, self._tare = Resampler(*self._grid), Tare(self._tare.samples)
-            self._reset, self._begin, self._begun = message, None, False
+            self._reset, self._begin, self._begun, self._end = message, None, False, math.inf
             return events
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]
@@ -157,9 +158,10 @@ class Session:
         if count > MOST_SAMPLES:
             events.append(self._notice("gap", f"{MOST_SAMPLES} samples were counted; everything starts anew"))
         if resampled.anew or count > MOST_SAMPLES:
+            self._end = before if self.taken > 1 else self._end  # a single sample had a stray stamp
             events += self._release(before) + self.introspector.finish()
             events += self.introspector.reset()  # not of the tare: after a gap the arm may be in contact
-            if isinstance(self.introspector, Together) and self.time > before:  # else the source began anew
+            if isinstance(self.introspector, Together) and self.time > self._end:  # else the source began anew
                 self.introspector.wait()
         if len(resampled.samples):
             events += self._push(self._tare.tared(resampled.samples), resampled.time)

@@ -80,6 +80,15 @@ def test_a_watch_is_silent_after_a_gap_until_the_next_trial(jump: float, silent:
     assert len(scores) == 18 + (0 if silent else len(rest) // 2) + 40
 
 
+@pytest.mark.parametrize(("which", "stamp", "scores"), [(0, 0.0, 19), (30, 0.0, 15), (30, 1e9, 15)])
+def test_a_single_stray_stamp_is_no_beginning(which: int, stamp: float, scores: int) -> None:
+    """At the beginning it leaves a trial of one sample less; later, a gap."""
+    readings = [Sample(tuple(row), 200 + 0.05 * k) for k, row in enumerate(FAULT[:40].tolist())]
+    readings[which] = Sample(readings[which].wrench, stamp)
+    events = session_of(watch()).run(readings)
+    assert sum(isinstance(event, AnomalyScore) for event in events) == scores
+
+
 def test_a_stream_needs_its_axes_and_its_rate() -> None:
     assert watch().columns(("grip", "Fx", "Fz"), 0.05) == [2, 0]
     for axes, dt in ((("Fz",), 0.05), (("Fz", "grip"), 0.01)):
