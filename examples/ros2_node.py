@@ -18,8 +18,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.limit_files import has_tolerances, read_limits
 from rcbht_jax.encoding.rules import AnyLimits, config_of, limits_for
@@ -29,12 +27,12 @@ from rcbht_jax.introspection import nominal_file, segmenter_file
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
 from rcbht_jax.introspection.nominal_watch import NominalWatch
-from rcbht_jax.introspection.opening import READINGS, duration, read_opening
+from rcbht_jax.introspection.opening import READINGS, Elapsed, read_opening
 from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
-from rcbht_jax.io.messages import Begin, Message, Reset, Sample, Silence, sample_of
+from rcbht_jax.io.messages import Begin, Message, Reset, Silence, sample_of
 from rcbht_jax.labels import AXES
 
 PARAMETERS: dict[str, Any] = {
@@ -67,7 +65,7 @@ class Bridge:
     def __init__(self, parameters: dict[str, Any], publish: Callable[[str, str], None]) -> None:
         self._parameters, self._publish = {**PARAMETERS, **parameters}, publish
         self._early: list[Message] = []  # until rate and thresholds are known
-        self._readings: list[Sample] = []  # among them
+        self._elapsed = Elapsed(self._parameters["rate"])
         self._latest = 0.0  # s, when the latest message was received
         self.session: Session | None = None
         self._readers: list[NominalWatch | SegmenterStream] = []
@@ -97,7 +95,7 @@ class Bridge:
 
     def finish(self) -> None:
         """Publish the words still held, also of a stream that ends before its thresholds are known."""
-        if self.session is None and len(self._readings) > 1:
+        if self.session is None and self._elapsed.readings > 1:
             self._begin()
         if self.session is not None:
             self._emit(self.session.finish())
@@ -107,13 +105,12 @@ class Bridge:
             self._emit(self.session.feed(message))
             return
         self._early.append(message)
-        if isinstance(message, Sample) and np.isfinite(message.wrench).all():
-            self._readings.append(message)
-        if len(self._readings) >= READINGS and duration(self._readings, self._parameters["rate"]) >= self._lead:
+        self._elapsed.feed(message)
+        if self._elapsed.readings >= READINGS and self._elapsed.seconds >= self._lead:
             self._begin()
 
     def _begin(self) -> None:
-        early, self._early, self._readings = self._early, [], []
+        early, self._early = self._early, []
         self._open(self._words(early))
         for message in early:
             self._feed(message)

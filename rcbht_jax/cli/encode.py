@@ -8,15 +8,16 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
+from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Flag, RobotName, RuleCommand, Store, checked_tolerance, option, progress_bar
+from rcbht_jax.cli.command import Flag, MadeBy, RobotName, RuleCommand, Store, checked_tolerance, option, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from rcbht_jax.encoding.rules import AnyConfig
+    from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
     from rcbht_jax.types import LabelTracks, Recordings
 
 
@@ -57,6 +58,16 @@ class Encode(RuleCommand):
             "only the online encoder can.",
             "hiro for recordings of HIRO and simulated ones, and offline; else auto",
         ),
+    ] = field(default=None, kw_only=True)
+    thresholds: Annotated[
+        Path | None,
+        option(
+            'File of "rcbht calibrate" to use instead of the preset: gradient thresholds and, if it was made for '
+            '--rule fit, tolerances; or a model of "rcbht train", for labels as it reads them.',
+            "",
+            metavar="FILE",
+        ),
+        MadeBy('"rcbht calibrate STORE.zarr -o {path}"'),
     ] = field(default=None, kw_only=True)
     rule: Annotated[
         Literal["paper", "similar", "fit"],
@@ -180,6 +191,16 @@ class Encode(RuleCommand):
             return encode_batch(config, limits, batch.wrench, batch.length, progress=bar.update)
 
         return _Run(encode, how, bar, training, rows)
+
+    def read_limits(self, recordings: Recordings, store: Path, scale: float = 1.0) -> tuple[AnyLimits, dict[str, Any]]:
+        from rcbht_jax.encoding.rules import scaled
+        from rcbht_jax.learning.model_io import load
+        from rcbht_jax.learning.predict import limits_in
+
+        if self.thresholds is None or not is_zipfile(self.thresholds):
+            return super().read_limits(recordings, store, scale)
+        limits, source = limits_in(load(self.thresholds), self.window, recordings.axes)
+        return scaled(limits, scale), source if scale == 1 else {**source, "scale": scale}
 
     def config(self, dt: float) -> AnyConfig:
         from rcbht_jax.encoding.encoder import EncoderConfig

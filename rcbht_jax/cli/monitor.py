@@ -176,10 +176,9 @@ class MonitorEvaluate(Command):
         recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | _judged(chosen)))
         series = _series(recordings)
         groups, nominal = recordings.column(self.group), _nominal(recordings, self.nominal)
-        monitor = _monitor(recordings, self.score_rate, self.levels)
+        monitor, onset = _monitor(recordings, self.score_rate, self.levels), self._onset(recordings)
         with progress_bar("evaluate", "parts", len(np.unique(parts(groups, self.folds)))) as bar:
             watched = hold_out(monitor, series, nominal, groups, bar.update, self.folds)
-        onset = np.array(list(map(number_of, recordings.column(self.onset).tolist()))) if self.onset else None
         limits = thresholds(watched, self.false_alarms)
         result = judge(watched, limits, onset)
         without = sorted(result["groups"].keys() - limits)
@@ -187,6 +186,16 @@ class MonitorEvaluate(Command):
         return {
             **result, "without_threshold": without, "needed": trials_needed(self.false_alarms), "unknown": left_out
         }  # fmt: skip
+
+    def _onset(self, recordings: Recordings) -> NDArray[np.float64] | None:
+        """When the anomaly of each recording began, NaN where nothing says so; None = not asked for."""
+        if not self.onset:
+            return None
+        column = recordings.column(self.onset)
+        onset = np.array(list(map(number_of, column.tolist())), np.float64)
+        if column.dtype.kind not in "fiu" and np.isnan(onset).all():
+            raise InputError(f"--onset {self.onset}: this column has no number; expected seconds.")
+        return onset
 
     def text(self, result: dict[str, Any]) -> str:
         from rcbht_jax.learning.metrics import wilson

@@ -73,13 +73,14 @@ class Segment(Command):
         from rcbht_jax.introspection.segmenter import WrenchSegmenter
         from rcbht_jax.introspection.segmenter_file import SegmenterFile, save
         from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.learning.tasks import TaskSpec, chosen_recordings
 
         if self.write_model is not None and self.offline:
             raise InputError("A segmenter that reads later samples cannot follow a stream; leave out --offline.")
         if self.out.suffix != ".csv":
             raise InputError(f"{self.out} must end in .csv.")
         recordings = read_recordings(self.store)
-        chosen = np.isin(recordings.source, self.source) if self.source else np.ones(len(recordings), bool)
+        chosen = chosen_recordings(recordings, TaskSpec(sources=self.source, outcomes=()))
         protocol = Protocol(self.task, self.group, self.folds, self.one_shot)
         tolerance = checked_tolerance(self.rule, self.tolerance, len(recordings.axes))
         words = {"rule": self.rule, "tolerance": AUTO if tolerance is None else tolerance}

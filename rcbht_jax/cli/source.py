@@ -267,6 +267,7 @@ class Source(RuleCommand):
         from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.limit_files import has_tolerances
         from rcbht_jax.introspection.opening import read_opening
+        from rcbht_jax.introspection.resampling import resampled
         from rcbht_jax.introspection.words import WordIntrospector
         from rcbht_jax.io.rosbags import is_bag
         from rcbht_jax.io.store import read_recordings
@@ -276,6 +277,7 @@ class Source(RuleCommand):
         if _is_store(path):
             recordings = read_recordings(path)
             rate = known or 1 / recordings.dt
+            recordings = resampled(recordings, rate)
         else:
             robot = self.robot or ("hiro" if path.is_dir() and not is_bag(path) else "auto")
             learns = self.thresholds is None and robot == "auto"

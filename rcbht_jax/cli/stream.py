@@ -6,7 +6,7 @@ import itertools
 import json
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -198,14 +198,20 @@ class Stream(Source):
             out = stack.enter_context(atomic_lines(self.out)) if self.out else sys.stdout
             mcap = stack.enter_context(McapWriter(self.mcap, session.introspector.axes)) if self.mcap else None
 
+            early: deque[Event] = deque(maxlen=100)  # for the MCAP: before the first reading, no clock is known
+
             def report(events: list[Event], message: Message | None = None, latest: float = 0.0) -> None:
                 for event in events:
                     counts[type(event).__name__] += 1
                     out.write(json.dumps(event.to_json(), allow_nan=False) + "\n")
                 if events:
                     out.flush()
-                if mcap is not None:
-                    _record(mcap, session, message, events, latest)
+                if session.counts["sample"] <= _left_out(session):
+                    early.extend(events)
+                elif mcap is not None:
+                    stamped = [replace(event, time=session.time) for event in early]
+                    early.clear()
+                    _record(mcap, session, message, stamped + events, latest)
 
             try:
                 for message in itertools.chain(first, messages):

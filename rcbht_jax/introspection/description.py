@@ -21,6 +21,7 @@ from rcbht_jax._util.selection import rows_of
 from rcbht_jax.encoding.arrays import encode
 from rcbht_jax.encoding.tolerance import USUAL, noise_of
 from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.snap_rule import SnapConfig, fall_time
 from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.types import LabelTrack, Recordings
 
@@ -298,7 +299,7 @@ def _snaps(
     """Time and text of each snap, as it was published or, if it never was, last seen."""
     if snaps is None:
         forces = [axis for axis, unit in enumerate(recordings.units) if unit == "N" and np.isfinite(least[axis])]
-        if not forces:
+        if not forces or not fall_time(SnapConfig(), recordings.dt):
             return []
         names = [recordings.axes[axis] for axis in forces]
         snaps = SnapDetector(1 / recordings.dt, names, float(least[forces].max()))

@@ -37,7 +37,7 @@ from rcbht_jax.learning.probability import probability_jax
 from rcbht_jax.learning.progress import mixed_jax
 from rcbht_jax.types import Array
 
-FAILURE_TYPE = "failure-type"  # the classifier whose belief becomes a FailureType event
+FAILURE_TYPE = "failure-type"  # the classifier whose belief becomes a FailureType event; also with an underscore
 # The classifier that detects from the whole trial which sub-task goes on, and its name where a task is called "phase".
 PHASE, PHASE_IN_TRIAL = "phase", "phase in trial"
 
@@ -173,6 +173,8 @@ class Introspector:
         detector = _detector(model) if detect else None
         self._detector = detector.name if detector else ""
         self._phases = PhaseFilter(detector.classes) if detector else None
+        kinds = (head.name for head in model.heads if head.name.replace("_", "-") == FAILURE_TYPE)
+        self._kind = next(kinds, "")
         self._failure: tuple[str, str] | None = None  # label and level of the latest event
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
@@ -246,8 +248,12 @@ class Introspector:
                 confidence.reset()
         return [SubtaskStarted(self.received, self._now(), self.received, detected, label)]
 
-    def reset(self) -> None:
-        """Start a new trial: forget everything received, all levels and all alarms."""
+    def reset(self) -> list[Event]:
+        """Start a new trial: forget everything received, all levels and all alarms; those that stood are cleared."""
+        raised = [head for head in self.model.heads if head.alarm and self._alarms[head.name].raised]
+        events: list[Event] = [
+            AnomalyCleared(self.received, self._now(), head.name, self._of_alarm(head)) for head in raised
+        ]
         self._restart()
         for confidence in self._confidence:
             confidence.reset()
@@ -257,6 +263,7 @@ class Introspector:
             self._phases.reset()
         self._failure = None
         self.latest = {}
+        return events
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
         """Feed any number of samples ``[time, axis]``; returns the events that they cause, in order.
@@ -327,7 +334,7 @@ class Introspector:
             self.latest[head.name] = belief
             events.append(belief)
             if head.alarm:
-                events += self._alarm(head, float(p[head.classes.index(head.alarm)]), sample, time)
+                events += self._alarm(head, self._of_alarm(head), sample, time)
         return events + self._failure_type(sample, time) + self._detected()
 
     def _detected(self) -> list[Event]:
@@ -338,6 +345,10 @@ class Introspector:
         began = self._phases.update(belief.probabilities, belief.sample * self._config.dt)  # stamps may be dates
         return self.begin(detected=True) if began else []
 
+    def _of_alarm(self, head: Head) -> float:
+        """Latest probability of the class that raises the alarm."""
+        return self.latest[head.name].probabilities[head.classes.index(head.alarm)]
+
     def _alarm(self, head: Head, probability: float, sample: int, time: float) -> list[Event]:
         change = self._alarms[head.name].update(probability, sample * self._config.dt)  # stamps may be dates
         if change is None:
@@ -345,7 +356,7 @@ class Introspector:
         return [(AnomalyRaised if change else AnomalyCleared)(sample, time, head.name, probability)]
 
     def _failure_type(self, sample: int, time: float) -> list[Event]:
-        belief = self.latest.get(FAILURE_TYPE)
+        belief = self.latest.get(self._kind)
         if belief is None or not any(alarm.raised for alarm in self._alarms.values()):
             self._failure = None
             return []
@@ -358,7 +369,7 @@ class Introspector:
 def _detector(model: IntrospectionModel) -> Head:
     for name in (PHASE_IN_TRIAL, PHASE):
         for head in model.heads:
-            if head.name == name and head.scope == "trial":
+            if head.name == name and head.scope == "trial" and head.progress is None:  # else of a column
                 return head
     raise InputError(
         f'the model has no classifier "{PHASE}" to detect sub-tasks with; train one with: rcbht train-online --detect.'

@@ -17,8 +17,10 @@ MONITOR = "monitor"  # name in the events of alarms
 class NominalWatch:
     """The scores of a nominal monitor over a stream, and its alarms; chunks of any size give the same events.
 
-    The stream must begin where recordings of the skill do; :meth:`reset` begins the next one. The alarm is raised as
-    soon as a score exceeds the threshold, and cleared when none has for ``memory`` seconds of the monitor.
+    The stream must begin where recordings of the skill do; :meth:`reset` begins the next one. After a gap that is too
+    long to be bridged, a session leaves the watch silent until then, since the time in the skill is not known. The
+    alarm is raised as soon as a score exceeds the threshold, and cleared when none has for ``memory`` seconds of the
+    monitor.
 
     Args:
         file: a fitted monitor, and the axes that it reads.
@@ -39,12 +41,14 @@ class NominalWatch:
         [2.1]
     """
 
+    whole_trials = True  # nothing can be said of a trial whose beginning was missed
+
     def __init__(self, file: MonitorFile, false_alarms: float = 0.05) -> None:
         monitor = self._monitor = file.monitor
         self.axes, self.dt = file.axes, 1 / monitor.rate
         self.threshold = monitor.threshold(false_alarms)
         self._hold = monitor.memory
-        self.reset()
+        self._restart()
 
     def columns(self, axes: Sequence[str], dt: float) -> list[int]:
         """Column numbers of its axes in a signal with these axes and ``dt`` s between samples.
@@ -57,10 +61,17 @@ class NominalWatch:
     def warm_up(self) -> None:
         """Nothing is compiled."""
 
-    def reset(self) -> None:
-        """Start a new recording."""
+    def reset(self) -> list[Event]:
+        """Start a new recording; an alarm that stood is cleared."""
+        cleared = AnomalyCleared(self._received, self._time, MONITOR, self._probability)
+        events: list[Event] = [cleared] if self._raised else []
+        self._restart()
+        return events
+
+    def _restart(self) -> None:
         self._stream = self._monitor.stream()
         self._received, self._above, self._raised = 0, 0, False  # samples; after which the threshold was exceeded
+        self._time = self._probability = 0.0  # of the latest sample and score
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
         """Feed any number of samples ``[time, axis]``; returns the scores and alarms that come with them, in order.
@@ -82,6 +93,7 @@ class NominalWatch:
             sample = self._received + place + 1
             events += self._judged(sample, stamp_before(last, count - place - 1, self.dt), float(scores[place]))
         self._received += count
+        self._time = last
         return events
 
     def _judged(self, sample: int, time: float, score: float) -> list[Event]:
@@ -93,5 +105,5 @@ class NominalWatch:
         raised = self._above > 0 and (sample - self._above) * self.dt < self._hold
         if raised != self._raised:
             events.append((AnomalyRaised if raised else AnomalyCleared)(sample, time, MONITOR, 1 - p))
-        self._raised = raised
+        self._raised, self._probability = raised, 1 - p
         return events

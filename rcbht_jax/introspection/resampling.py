@@ -21,6 +21,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import stamp_before
 from rcbht_jax.io.messages import Sample
 from rcbht_jax.labels import AXES
+from rcbht_jax.types import Recordings
 
 ON_GRID = 0.01  # of a period: nearer than this is on the grid
 FASTER = 0.9  # of a period between readings, or less: the source is faster than the grid
@@ -209,6 +210,31 @@ class Resampler:
         if missing:
             reports.append(Report("gap", f"among {since}, {_bridged(missing)}", missing))
         return reports
+
+
+def resampled(recordings: Recordings, rate: float) -> Recordings:
+    """Recordings as an encoder of this rate gets them; those of this rate unchanged, else without annotations.
+
+    Args:
+        recordings: the data set.
+        rate: samples per second.
+
+    Raises:
+        InputError: as from :class:`Resampler`.
+
+    Example:
+        >>> fast = Recordings.from_arrays(np.arange(400.0).reshape(1, 400, 1), rate=400, axes=["grip"])
+        >>> resampled(fast, 100).wrench[0, -2:, 0].tolist()
+        [392.0, 396.0]
+    """
+    if math.isclose(rate * recordings.dt, 1, rel_tol=1e-6):
+        return recordings
+    parts = []
+    for wrench, length in zip(recordings.wrench, recordings.length.tolist(), strict=True):
+        grid = Resampler(1 / rate, axes=wrench.shape[1])
+        readings = (Sample(tuple(row), k * recordings.dt) for k, row in enumerate(wrench[:length].tolist()))
+        parts.append(np.concatenate([grid.feed(reading).samples for reading in readings]))
+    return Recordings.from_arrays(parts, rate, axes=recordings.axes, units=recordings.units)
 
 
 def _bridged(missing: int) -> str:

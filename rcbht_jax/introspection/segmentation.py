@@ -74,7 +74,7 @@ class Segmentation:
     @property
     def annotated(self) -> NDArray[np.bool_]:
         """Recordings with at least one annotated sample."""
-        return np.array([(part != UNKNOWN).any() for part in self.truth])
+        return np.array([(part != UNKNOWN).any() for part in self.truth], bool)
 
     def rows(self) -> list[tuple[int, str, str, str, float, float, bool]]:
         """A row per predicted interval: recording, trial, arm, label, start and end in s, annotated."""
@@ -126,7 +126,7 @@ def segment(
         InputError: no such track or column, fewer than two annotated groups, or one fold.
     """
     track, truth = _annotated(recordings, protocol)
-    known = np.array([(part != UNKNOWN).any() for part in truth])
+    known = np.array([(part != UNKNOWN).any() for part in truth], bool)
     groups = recordings.column(protocol.group)
     if len(np.unique(groups[known])) < 2:
         raise InputError(f"Only one {protocol.group} is annotated with {track}; another one is needed to test on.")
@@ -183,7 +183,7 @@ def _annotated(recordings: Recordings, protocol: Protocol) -> tuple[str, list[ND
 
 def _teaching(truth: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
     """Recordings with two classes or more."""
-    return np.array([len(np.setdiff1d(part, [UNKNOWN])) > 1 for part in truth])
+    return np.array([len(np.setdiff1d(part, [UNKNOWN])) > 1 for part in truth], bool)
 
 
 def _splits(rows: NDArray[np.int64], groups: NDArray[Any], protocol: Protocol) -> Iterator[tuple[Any, Any]]:

@@ -6,6 +6,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -109,7 +110,10 @@ class Session:
         self._resampler = Resampler(*self._grid)
         self.time = 0.0  # s, stamp of the latest sample
         self._silent = False
-        self._reset: Reset | None = None  # of a trial without a sample so far
+        self._end = math.inf  # s, stamp of the last sample before the latest gap of the trial
+        self._begun = False  # the trial has a sample; until then:
+        self._reset: Reset | None = None  # what began the trial
+        self._begin: Begin | None = None  # what begins its first sub-task
         self.counts: Counter[str] = Counter()  # messages by kind, readings left out or bridged by what was wrong
 
     @property
@@ -127,12 +131,14 @@ class Session:
         if isinstance(message, Sample):
             return self._sample(message)
         if isinstance(message, Begin):
+            if not self._begun:
+                self._begin = message
+                return []
             return [] if self._tare.begins(message.label) else self.introspector.begin(message.label)
         if isinstance(message, Reset):
-            events = self.finish()
-            self.introspector.reset()
+            events = self.finish() + self.introspector.reset()
             self._resampler, self._tare = Resampler(*self._grid), Tare(self._tare.samples)
-            self._reset = message
+            self._reset, self._begin, self._begun, self._end = message, None, False, math.inf
             return events
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]
@@ -142,9 +148,8 @@ class Session:
         resampled, before = self._resampler.feed(sample), self.time
         self.time = resampled.time
         events: list[Event] = []
-        if self._reset is not None and len(resampled.samples):
-            events.append(TrialStarted(0, self.time, self._reset.trial))
-            self._reset = None
+        if not self._begun and len(resampled.samples):
+            events += self._started()
         if self._silent and len(resampled.samples):
             self._silent = False
             events.append(self._notice("resumed", "readings arrive again"))
@@ -153,10 +158,21 @@ class Session:
         if count > MOST_SAMPLES:
             events.append(self._notice("gap", f"{MOST_SAMPLES} samples were counted; everything starts anew"))
         if resampled.anew or count > MOST_SAMPLES:
+            self._end = before if self.taken > 1 else self._end  # a single sample had a stray stamp
             events += self._release(before) + self.introspector.finish()
-            self.introspector.reset()  # of the encoder alone: after a gap the arm may be in contact
+            events += self.introspector.reset()  # not of the tare: after a gap the arm may be in contact
+            if isinstance(self.introspector, Together) and self.time > self._end:  # else the source began anew
+                self.introspector.wait()
         if len(resampled.samples):
             events += self._push(self._tare.tared(resampled.samples), resampled.time)
+        return events
+
+    def _started(self) -> list[Event]:
+        """What begins with the first sample of a trial, with the stamp of that."""
+        events: list[Event] = [] if self._reset is None else [TrialStarted(0, self.time, self._reset.trial)]
+        if self._begin is not None:
+            events += [replace(event, time=self.time) for event in self.introspector.begin(self._begin.label)]
+        self._begun, self._reset, self._begin = True, None, None
         return events
 
     def _push(self, parts: list[Floats], time: float) -> list[Event]:

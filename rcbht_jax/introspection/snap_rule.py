@@ -68,6 +68,15 @@ class SnapConfig:
                 raise InputError(f"A snap's {name} is {value:g}; expected a finite share of its fall, 0 or more.")
 
 
+def fall_time(config: SnapConfig, dt: float) -> int:
+    """Samples in which the force falls, ``dt`` s apart; 0 = they are too few to show a snap.
+
+    >>> fall_time(SnapConfig(), 0.005), fall_time(SnapConfig(), 0.1)
+    (8, 0)
+    """
+    return round(config.within / dt)
+
+
 class SnapSizes(NamedTuple):
     """Limits of the size of a snap, N or Nm, of each lane or of all."""
 
@@ -225,7 +234,7 @@ class _Fallen(NamedTuple):
 
 
 def _fallen(config: SnapConfig, dt: float, lines: Lines) -> _Fallen:
-    within = round(config.within / dt)
+    within = fall_time(config, dt)
     end = np.stack([lines.t1[-1] - 1] * len(LOAD))
     values, samples = _points(lines, LOAD, end - within, end)
     peak, at = _highest(values, samples)

@@ -16,7 +16,7 @@ from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Snap, stamp_before
-from rcbht_jax.introspection.snap_rule import SnapConfig, Snaps, SnapSizes, init, line_of, steps
+from rcbht_jax.introspection.snap_rule import SnapConfig, Snaps, SnapSizes, fall_time, init, line_of, steps
 
 LOOK = 0.01  # s of each window, if it has two samples in this time
 TOLERANCES = 10.0  # of the words in the smallest fall
@@ -37,7 +37,7 @@ class SnapDetector:
 
     Raises:
         InputError: axes that are not different names, sizes that are not positive, not in order or not one for each
-            axis, or a bad rate or window.
+            axis, a bad rate or window, or a rate at which a snap is shorter than a sample.
 
     Example:
         >>> force = np.interp(np.arange(600) / 200, [0, 0.5, 2.0, 2.03, 3], [0, 0, 9, 2, 2])  # let go after 2 s
@@ -60,6 +60,10 @@ class SnapDetector:
         dt = period(rate)
         self.axes, self.config = distinct(axes), SnapConfig() if config is None else config
         expect("The config", self.config, SnapConfig)
+        if not fall_time(self.config, dt):
+            raise InputError(
+                f"A snap falls within {1e3 * self.config.within:g} ms, which is less than a sample at {rate:g} Hz."
+            )
         self.sizes = _sizes(len(self.axes), least, most, load)
         self._words = FitConfig(max(2, round(LOOK / dt)) if window is None else window, dt)
         given = self.sizes.least / TOLERANCES if tolerance is None else tolerance

@@ -28,8 +28,8 @@ class Reader(Protocol):
     def warm_up(self) -> None:
         """Compile everything now."""
 
-    def reset(self) -> None:
-        """Start a new trial."""
+    def reset(self) -> Sequence[Event] | None:
+        """Start a new trial; returns the events that end the one before, if there are any."""
 
     def push(self, samples: ArrayLike, time: float | None = None) -> Sequence[Event]:
         """Feed samples ``[time, axis]`` of these columns; returns the events that they cause."""
@@ -75,6 +75,7 @@ class Together:
         if twice := [name for name in names if names.count(name) > 1]:
             raise InputError(f"Two classifiers of the stream are named {twice[0]}; use one of them.")
         self._readers = [(reader, reader.columns(main.axes, main.config.dt)) for reader in readers]
+        self._waiting: list[Reader] = []
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -136,13 +137,21 @@ class Together:
         """The words still held at the end of a stream, where words are reported."""
         return self._words.finish()
 
-    def reset(self) -> None:
-        """Start a new trial."""
-        self._main.reset()
+    def reset(self) -> list[Event]:
+        """Start a new trial; alarms that stood are cleared."""
+        events = list(self._main.reset())
         if self._words is not self._main:
-            self._words.reset()
+            events += self._words.reset()
         for reader, _ in self._readers:
-            reader.reset()
+            events += reader.reset() or ()
+        self._waiting = []
+        return events
+
+    def wait(self) -> None:
+        """Leave readers of whole trials silent until the next :meth:`reset`: what follows is no beginning."""
+        if isinstance(self._main, Together):
+            self._main.wait()
+        self._waiting = [reader for reader, _ in self._readers if getattr(reader, "whole_trials", False)]
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
         """Feed samples ``[time, axis]``; returns all events that they cause, in order; see ``Introspector.push``."""
@@ -150,5 +159,6 @@ class Together:
         if self._words is not self._main:
             events += self._words.push(samples, time)
         for reader, columns in self._readers:
-            events += reader.push(np.asarray(samples)[:, columns], time)
+            if reader not in self._waiting:
+                events += reader.push(np.asarray(samples)[:, columns], time)
         return sorted(events, key=lambda event: event.sample)

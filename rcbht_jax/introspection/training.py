@@ -300,11 +300,29 @@ def train_model(
     ``config`` and ``thresholds`` default to those of the encoder, with the sampling period of the recordings. The fit
     rule takes FitConfig with FitLimits, whose tolerance should come from the training recordings
     (:func:`rcbht_jax.encoding.rules.limits_for`).
+
+    Raises:
+        InputError: as from :func:`train_head`, or two classifiers would have the same name.
     """
     config = config or EncoderConfig(dt=recordings.dt)
     limits = preset(axes=recordings.axes) if thresholds is None else thresholds
-    heads = tuple(train_head(recordings, spec, config, limits, seed, progress) for spec in specs)
+    names = _names(specs)
+    trained = (train_head(recordings, spec, config, limits, seed, progress) for spec in specs)
+    heads = tuple(replace(head, name=name) for head, name in zip(trained, names, strict=True))
     extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
     extra |= {"axes": list(recordings.axes), "units": list(recordings.units)}
     kept = limits if isinstance(limits, FitLimits) else np.asarray(limits_of(limits), np.float64)
     return IntrospectionModel(config, kept, heads, data_hash(recordings), extra=extra)
+
+
+def _names(specs: tuple[HeadSpec, ...]) -> list[str]:
+    """Names of the classifiers; the detector gives way to a task called "phase".
+
+    Raises:
+        InputError: two are the same.
+    """
+    taken = any(spec.task.task == PHASE for spec in specs)
+    names = [PHASE_IN_TRIAL if spec.phase and taken else spec.name for spec in specs]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"Two classifiers would be named {twice[0]}; name each task once.")
+    return names

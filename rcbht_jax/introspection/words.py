@@ -157,10 +157,11 @@ class WordIntrospector:
         """Start a sub-task with the next sample, of this name; words do not depend on it."""
         return [SubtaskStarted(self.received, self._now(), self.received, False, label)]
 
-    def reset(self) -> None:
-        """Start a new trial: forget everything received."""
+    def reset(self) -> list[Event]:
+        """Start a new trial: forget everything received; no alarm stands that would be cleared."""
         self._encoder.restart()
         self.labels, self._time = np.zeros_like(self.labels), None
+        return []
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
         """Feed any number of samples ``[time, axis]``; returns the words that they publish, in order.

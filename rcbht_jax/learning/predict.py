@@ -6,7 +6,7 @@ For probabilities during a stream, see :mod:`rcbht_jax.introspection`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax._util.values import expect
+from rcbht_jax.encoding.rules import AnyLimits, checked_limits, encoder_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import pairs, vote
@@ -101,18 +102,53 @@ def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -
                 what = _difference(wanted[key], made[name].get(key)) or key
                 raise InputError(
                     f"the model was trained on labels {name or 'of its own'} made otherwise ({what}); "
-                    f'make such labels with "rcbht encode{_options(wanted)}" first.'
+                    f'make such labels with "rcbht encode{_options(wanted)}" first{_choice(wanted)}.'
                 )
 
 
+def limits_in(model: TrainedModel, window: int, axes: Sequence[str]) -> tuple[AnyLimits, dict[str, Any]]:
+    """The limits of the labels that a model reads, and where they came from.
+
+    Args:
+        model: trained on labels of the online encoder.
+        window: of these labels, where the model reads several.
+        axes: of the recordings that shall be encoded.
+
+    Raises:
+        InputError: it reads no labels of this window, or of other axes.
+    """
+    for made in encoders_of(model).values():
+        try:
+            config, limits = encoder_of(made)
+        except (InputError, KeyError, TypeError, ValueError):  # of the offline program
+            continue
+        if config.window != window:
+            continue
+        if (count := len(checked_limits(config, limits))) != len(axes):
+            raise InputError(f"the model has limits for {count} axes; the recordings have {len(axes)}.")
+        return limits, dict(made.get("thresholds_from", {}))
+    raise InputError(f"the model reads no online labels of window {window}.")
+
+
 def _options(made: Mapping[str, Any]) -> str:
-    """Options of ``rcbht encode`` that no store has by itself: those of the fit rule."""
+    """Options of ``rcbht encode`` that no store has by itself: those of the fit rule, and limits of recordings."""
     config = made.get("config", {})
+    limits = " --thresholds MODEL" if _own(made) else ""
     try:
         given = f" --rule fit --window {config['window']} --tolerance {' '.join(map(repr, config['tolerance']))}"
     except (KeyError, TypeError):  # the paper's rule, or a damaged file
-        return ""
-    return given if config.get("rule") == "fit" else ""
+        return limits
+    return given + limits if config.get("rule") == "fit" else limits
+
+
+def _choice(made: Mapping[str, Any]) -> str:
+    return ", where MODEL is the model's file, and name them with --tracks" if _own(made) else ""
+
+
+def _own(made: Mapping[str, Any]) -> bool:
+    """Whether the limits came from recordings, so that other recordings have others."""
+    source = made.get("thresholds_from")
+    return isinstance(source, dict) and source.get("method") == "auto"
 
 
 def _difference(wanted: Any, items: Any) -> str:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from rcbht_jax.cli.encode import Encode
 from rcbht_jax.cli.main import all_commands, main
 from rcbht_jax.io.label_store import read_tracks
+from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning.model_io import load
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
@@ -105,6 +106,29 @@ def test_a_model_of_fitted_words_refuses_labels_of_another_tolerance(
         error = capsys.readouterr().err
         assert part in error
         assert "--rule fit --window 5 --tolerance 0.3 0.3 0.3 0.3 0.3 0.3" in error
+
+
+def test_other_recordings_get_the_thresholds_of_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Those of --robot auto are of each store, so no way of encoding another one gave labels that the model reads."""
+    rng = np.random.default_rng(0)
+    for name in ("one", "two"):
+        wrench = 0.05 * rng.normal(size=(8, 300, 2))
+        wrench[:, 100:, 0] += np.repeat([5.0, 9.0], 4)[:, None]
+        outcome = ["success"] * 4 + ["failure"] * 4
+        data = Recordings.from_arrays(wrench, 100, axes=["a", "b"], outcome=outcome)
+        write_recordings(tmp_path / f"{name}.zarr", data, {})
+        run(capsys, "encode", tmp_path / f"{name}.zarr", "--rule", "fit", "--name", "mine")
+    model, two = tmp_path / "m", tmp_path / "two.zarr"
+    quick = ("--kernels", "linear", "--costs", 1, "--task", "outcome")
+    run(capsys, "train", tmp_path / "one.zarr", "--tracks", "mine", *quick, "-o", model)
+    classify = ["classify", str(two), "-m", str(model), "-o", str(tmp_path / "c.csv")]
+    assert main(classify) == 2
+    assert "--thresholds MODEL" in capsys.readouterr().err
+    run(capsys, "encode", two, "--rule", "fit", "--thresholds", model, "--name", "its")
+    assert main([*classify, "--tracks", "its"]) == 0
+    capsys.readouterr()
+    assert main(["encode", str(two), "--window", "8", "--thresholds", str(model)]) == 2
+    assert "no online labels of window 8" in capsys.readouterr().err
 
 
 def test_grammars_stand_side_by_side_or_are_chosen_from(

@@ -79,6 +79,12 @@ def test_an_evaluation_prints_intervals_and_early_alarms(store: Path, capsys: py
     assert "before the onset" not in capsys.readouterr().out
 
 
+def test_a_column_of_texts_is_no_onset(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It was read as an onset that nobody knows, and no delay was printed."""
+    assert main(["monitor", "evaluate", str(store), "--where", "skill=5", "--group", "day", "--onset", "day"]) == 2
+    assert "--onset day: this column has no number; expected seconds." in capsys.readouterr().err
+
+
 def test_values_are_compared_of_axes_without_a_bias(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings = read_recordings(store)
     wrench = recordings.wrench.copy()

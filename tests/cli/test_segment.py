@@ -46,7 +46,12 @@ def test_a_table_of_intervals(store, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"), [(["--task", "nothing"], "nothing"), (["-o", "table.txt"], "must end in .csv")]
+    ("words", "said"),
+    [
+        (["--task", "nothing"], "nothing"),
+        (["-o", "table.txt"], "must end in .csv"),
+        (["--source", "none"], "no recording has the source none"),
+    ],
 )
 def test_what_it_refuses(store, words, said, capsys):
     assert main(["segment", str(store), *words]) == 2

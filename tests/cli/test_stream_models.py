@@ -15,7 +15,8 @@ import rcbht_jax as rj
 from rcbht_jax.cli.main import main
 from rcbht_jax.cli.stream import Serve
 from rcbht_jax.introspection import model as model_files
-from rcbht_jax.introspection import session
+from rcbht_jax.introspection import nominal_file, session
+from rcbht_jax.introspection.nominal import NominalMonitor
 from rcbht_jax.introspection.opening import read_opening
 from rcbht_jax.io.messages import Sample
 from rcbht_jax.io.rosbags import McapWriter, read_bag
@@ -56,6 +57,31 @@ def test_the_beginning_is_read_at_the_rate_of_the_encoder():
     np.testing.assert_array_equal(ramp, np.arange(len(ramp)))
 
 
+def pushes() -> np.ndarray:
+    """A noisy force at 600 Hz with a slow push, which is within the noise of its single samples."""
+    time = np.arange(1800) / 600
+    force = np.interp(time, [0, 1, 1.5, 2, 2.5], [0, 0, 10, 10, 0]) + 0.3 * np.random.default_rng(2).normal(size=1800)
+    return force.astype(np.float32).astype(float)
+
+
+@pytest.mark.parametrize(("rule", "reads"), [("fit", "--sampling-rate"), ("paper", "--monitor")])
+def test_a_store_at_another_rate_gives_the_words_of_a_pipe(tmp_path, monkeypatch, capsys, rule, reads):
+    """Limits and tolerances were those of the store's own rate, and its noise hid the push."""
+    write_recordings(tmp_path / "s.zarr", rj.Recordings.from_arrays([pushes()[:, None]], 600, axes=["Fz"]), {})
+    monitor = NominalMonitor(rate=100.0).fit(0.1 * np.random.default_rng(0).normal(size=(20, 100, 1)))
+    nominal_file.save(tmp_path / "m", nominal_file.MonitorFile(monitor, ("Fz",), (), ("N",)))
+    lines = [json.dumps({"time": k / 600, "wrench": [v]}).encode() + b"\n" for k, v in enumerate(pushes().tolist())]
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    options = ["--robot", "auto", "--rule", rule, reads, "100" if reads == "--sampling-rate" else str(tmp_path / "m")]
+    words = []
+    for source in ([str(tmp_path / "s.zarr")], ["-", "--axes", "Fz"]):
+        assert main(["stream", *source, *options]) == 0
+        events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        words.append([(e["label"], e["begin"], e["end"]) for e in events if e["event"] == "Word"])
+    assert words[0] == words[1]
+    assert len(words[0]) > 6
+
+
 @pytest.mark.parametrize("command", ["stream", "serve", "plot beliefs", "report"])
 def test_a_store_that_a_model_would_misread_is_refused(model_path, tmp_path, capsys, command):
     """Beliefs about forces in another order, or a thousand times as large, looked like any others."""
@@ -89,6 +115,19 @@ def test_a_bag_that_a_model_would_misread_is_refused(tmp_path, capsys, command):
         assert main([command, str(tmp_path / "run.mcap"), "-m", str(tmp_path / "m"), *out]) == 2
         assert said in capsys.readouterr().err
     replace(model(), extra={"axes": list("abcdef"), "units": [""] * 6}).check_wrench("it")  # names of its own
+
+
+def test_an_event_before_the_first_reading_is_no_message_of_1970(model_path, tmp_path, monkeypatch):
+    """A line that could not be read made a file of 54 years."""
+    rows = [{"wrench": [0.0] * 6, "time": 1.7e9 + 0.005 * k} for k in range(40)]
+    lines = [b"garbage\n", b'{"begin": true}\n', *(json.dumps(row).encode() + b"\n" for row in rows)]
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    words = ["stream", "-", "-m", str(model_path), "--mcap", str(tmp_path / "o.mcap")]
+    assert main([*words, "-o", str(tmp_path / "o.jsonl")]) == 0
+    with AnyReader([tmp_path / "o.mcap"]) as reader:
+        told = [(time * 1e-9, connection.topic) for connection, time, _ in reader.messages()]
+    assert min(told)[0] == pytest.approx(1.7e9)
+    assert [topic for _, topic in told].count("/events") == 2
 
 
 def test_trials_follow_each_other_in_a_file(model_path, tmp_path, monkeypatch):

@@ -112,6 +112,14 @@ def test_a_recording_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[st
         describe_recording(recordings, 0, 1.5)
 
 
+def test_samples_that_are_too_few_for_snaps_are_described_without_them() -> None:
+    force = np.interp(np.arange(120) / 10, [0, 2, 8, 8.03, 12], [0, 0, 9, 2, 2])[:, None]
+    recordings = Recordings.from_arrays([force], 10.0, axes=["Fz"], units=["N"])
+    texts = [text for _, text in describe_recording(recordings, 0)]
+    assert texts
+    assert not any("snap" in text for text in texts)
+
+
 def test_noise_is_no_change() -> None:
     """An axis of noise with a little drift, one with a push, and one with a step that stands out from its noise."""
     time = np.arange(3000) / 200

@@ -19,7 +19,7 @@ from rcbht_jax.introspection.introspector import PHASE, Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.training import HeadSpec, regular_snapshots, since_trial_start
 from rcbht_jax.learning.tasks import TaskSpec
-from tests.support.introspection_models import head, model, trial
+from tests.support.introspection_models import BY_PROGRESS, head, model, trial
 
 
 @cache
@@ -112,6 +112,9 @@ def test_noticed_is_as_good_as_told(cuts):
 def test_a_model_that_cannot():
     with pytest.raises(InputError, match="train-online --detect"):
         Introspector(model(), detect=True)
+    column = replace(head(PHASE, "trial", ("test", "run", "halt"), "linear"), progress=BY_PROGRESS)
+    with pytest.raises(InputError, match="train-online --detect"):  # it is about whole trials, and detects nothing
+        Introspector(replace(model(), heads=(*model().heads, column)), detect=True)
 
 
 def test_a_phase_is_seen_since_trial_start_of_its_trial():

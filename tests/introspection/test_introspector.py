@@ -86,8 +86,11 @@ def test_the_state_has_a_fixed_size():
     assert len(shapes) == 1
 
 
-def test_failure_raises_an_anomaly_once_and_tells_its_kind():
-    introspector = Introspector(model(), hold=0.2)
+@pytest.mark.parametrize("name", ["failure-type", "failure_type"])
+def test_failure_raises_an_anomaly_once_and_tells_its_kind(name):
+    """The column of the failure types has an underscore, and so has a classifier that was trained on it."""
+    *others, kind = model().heads
+    introspector = Introspector(replace(model(), heads=(*others, replace(kind, name=name))), hold=0.2)
     events = introspector.push(trial(1, 81))
     raised = [e for e in events if isinstance(e, AnomalyRaised)]
     assert len(raised) == 1

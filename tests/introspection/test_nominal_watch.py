@@ -7,12 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore
 from rcbht_jax.introspection.alarms import conformal_p, conformal_threshold, trials_needed
 from rcbht_jax.introspection.nominal import NominalMonitor
 from rcbht_jax.introspection.nominal_file import MonitorFile
 from rcbht_jax.introspection.nominal_watch import NominalWatch
+from rcbht_jax.introspection.session import Session
+from rcbht_jax.introspection.together import Together
+from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.io.messages import Reset, Sample
 
 RNG = np.random.default_rng(0)
 MONITOR = NominalMonitor(rate=20, score_rate=10, memory=0.5).fit(0.1 * RNG.normal(size=(30, 80, 2)))
@@ -51,6 +57,36 @@ def test_the_p_value_is_small_just_where_the_threshold_is_exceeded(peaks, score,
     values = np.array(peaks, float)
     if len(peaks) >= trials_needed(share):
         assert (conformal_p(values, score) <= share + 1e-9) == (score > conformal_threshold(values, share))
+
+
+def session_of(reader: NominalWatch) -> Session:
+    words = WordIntrospector(EncoderConfig(dt=0.05), preset("hiro", ["Fz", "grip"]), ["Fz", "grip"])
+    return Session(Together(Together(words, readers=[reader]), readers=[]))
+
+
+@pytest.mark.parametrize(("jump", "silent"), [(1.0, True), (-100.0, False)])
+def test_a_watch_is_silent_after_a_gap_until_the_next_trial(jump: float, silent: bool) -> None:
+    """It took what followed for the beginning of the skill, and raised its alarm twice without clearing it."""
+    readings = [Sample(tuple(row), 200 + 0.05 * k) for k, row in enumerate(FAULT.tolist())]
+    rest = [Sample(one.wrench, one.time + jump) for one in readings[36:] if one.time is not None]
+    events = list(session_of(watch()).run([*readings[:36], *rest, Reset(), *readings]))
+    kinds = [type(event) for event in events if isinstance(event, AnomalyRaised | AnomalyCleared)]
+    scores = [event.time for event in events if isinstance(event, AnomalyScore)]
+    assert kinds[:2] == [AnomalyRaised, AnomalyCleared]
+    assert kinds[-2:] == [AnomalyRaised, AnomalyCleared]
+    cleared = next(event for event in events if isinstance(event, AnomalyCleared))
+    assert (cleared.sample, cleared.time) == (36, readings[35].time)
+    assert 0 < cleared.probability < 1
+    assert len(scores) == 18 + (0 if silent else len(rest) // 2) + 40
+
+
+@pytest.mark.parametrize(("which", "stamp", "scores"), [(0, 0.0, 19), (30, 0.0, 15), (30, 1e9, 15)])
+def test_a_single_stray_stamp_is_no_beginning(which: int, stamp: float, scores: int) -> None:
+    """At the beginning it leaves a trial of one sample less; later, a gap."""
+    readings = [Sample(tuple(row), 200 + 0.05 * k) for k, row in enumerate(FAULT[:40].tolist())]
+    readings[which] = Sample(readings[which].wrench, stamp)
+    events = session_of(watch()).run(readings)
+    assert sum(isinstance(event, AnomalyScore) for event in events) == scores
 
 
 def test_a_stream_needs_its_axes_and_its_rate() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import count
+from itertools import chain, count
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.introspection import opening
 from rcbht_jax.introspection.opening import read_opening
 from rcbht_jax.introspection.resampling import Resampler
-from rcbht_jax.io.messages import Malformed, Message, Sample, parse
+from rcbht_jax.io.messages import Malformed, Message, Reset, Sample, parse
 
 
 def still() -> Iterator[Message]:
@@ -74,3 +74,35 @@ def test_stamps_of_another_unit_are_named() -> None:
 def test_lost_readings_do_not_make_a_stream_slower() -> None:
     kept = (k for k in count() if k not in (20, 40))
     assert read_opening(Sample((1.0,), k / 500) for k in kept).rate() == pytest.approx(500)
+
+
+def trials(count: int, seconds: float, rate: float = 200.0, resets: bool = True) -> Iterator[Message]:
+    """Trials whose stamps begin anew, each at another moment within a period."""
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        yield from [Reset()] * resets
+        start = float(rng.uniform(0, 1 / rate))
+        yield from (Sample((float(rng.normal()),), start + k / rate) for k in range(round(seconds * rate)))
+
+
+@pytest.mark.parametrize(("seconds", "resets"), [(2.0, True), (2.0, False), (0.5, True)])
+def test_each_trial_of_an_opening_has_a_clock_of_its_own(seconds: float, resets: bool) -> None:
+    """Their stamps were pooled: three trials gave three times the rate, and readings of short ones were late."""
+    begun = read_opening(trials(40, seconds, resets=resets), seconds=6.0)
+    assert begun.rate() == pytest.approx(200)
+    assert len(begun.wrench) == pytest.approx(1200, abs=20)
+    assert len(begun.recordings(200.0, begun.axes).wrench[0]) == pytest.approx(1200, abs=20)
+
+
+@pytest.mark.parametrize("first", [[0.0], [1.7e9 - 300 + 0.005 * k for k in range(20)], [2e9]])
+def test_one_stamp_of_another_clock_or_a_pause_does_not_end_an_opening(first: list[float]) -> None:
+    """Thresholds were taken from 50 readings in place of ten seconds."""
+    stamps = chain(first, (1.7e9 + 0.005 * k for k in count()))
+    begun = read_opening((Sample((float(k % 7),), stamp) for k, stamp in enumerate(stamps)), seconds=10.0)
+    assert len(begun.wrench) >= 1800
+    assert begun.rate() == pytest.approx(200)
+
+
+def test_readings_that_come_twice_do_not_end_an_opening_early() -> None:
+    begun = read_opening((Sample((float(k),), 0.005 * (k // 2)) for k in count()), seconds=2.0)
+    assert len(begun.wrench) == 801

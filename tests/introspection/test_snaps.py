@@ -162,6 +162,7 @@ def test_after_a_snap_the_axis_is_quiet_for_a_while() -> None:
         ({"least": 3.0, "most": 2.0}, "expected 0 < least <= most"),
         ({"least": [1.0, 2.0]}, "one for each of 1 axes"),
         ({"load": (5.0, 2.0)}, "load 5.0 to 2.0"),
+        ({"rate": 12.5}, "A snap falls within 40 ms, which is less than a sample at 12.5 Hz"),
     ],
 )
 def test_sizes_that_mean_nothing_are_refused(options: dict[str, object], sentence: str) -> None:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Belief, TrialStarted
+from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, SubtaskStarted, TrialStarted
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
-from rcbht_jax.io.messages import Malformed, Reset
+from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample
 from tests.io.test_stream_sources import samples_of
 from tests.support.introspection_models import FIT, FIT_LIMITS, model, trial
 
@@ -56,6 +58,31 @@ def test_events_say_which_trial_they_are_of():
     ]
     assert started[0][0] == 0
     assert sum(isinstance(event, Belief) for event in events[: started[1][0]]) == 6
+
+
+def test_a_trial_begins_before_its_first_sub_task_and_both_with_the_first_sample():
+    """The sub-task came first, and at time zero, though the clock was a date."""
+    session = Session(Introspector(model()))
+    messages: list[Message] = []
+    for start in (1.7e9, 1.7e9 + 100):
+        readings = [replace(one, time=start + one.time) for one in samples_of(trial(0, 1, 40))]
+        messages += [Reset(), Begin("first"), Sample((np.nan,) * 6, start - 1.0), Begin("last"), *readings]
+    events = [event for event in session.run(messages) if isinstance(event, TrialStarted | SubtaskStarted)]
+    assert [type(event) for event in events] == [TrialStarted, SubtaskStarted] * 2
+    assert [event.time for event in events] == [1.7e9] * 2 + [1.7e9 + 100] * 2
+    assert [event.label for event in events[1::2]] == ["last", "last"]  # the other one has no sample
+
+
+def test_an_alarm_that_a_gap_or_a_trial_ends_is_cleared():
+    """It was raised again, as if it had never been."""
+    shaken = samples_of(trial(1, 40, 400))
+    later = [replace(one, time=one.time + 5.0) for one in shaken]
+    for message in ([], [Reset()]):
+        events = list(Session(Introspector(model())).run([*shaken, *message, *later]))
+        alarms = [event for event in events if isinstance(event, AnomalyRaised | AnomalyCleared)]
+        assert [type(event) for event in alarms] == [AnomalyRaised, AnomalyCleared, AnomalyRaised]
+        assert (alarms[1].sample, alarms[1].time, alarms[1].head) == (400, shaken[-1].time, "outcome")
+        assert alarms[1].probability > 0.5
 
 
 @pytest.mark.parametrize("time", [np.nan, np.inf])

@@ -85,6 +85,17 @@ def test_intervals_that_overlap_are_refused():
             training.train_head(data, spec, EncoderConfig(), preset())
 
 
+def test_names_of_classifiers_are_known_before_they_are_trained(monkeypatch):
+    """All were trained before a detector was found to have the name of a task."""
+    states, phase = HeadSpec(TaskSpec("a")), HeadSpec(TaskSpec("phase"))
+    detector = replace(states, phase=True)
+    assert training._names((states, detector)) == ["a", "phase"]
+    assert training._names((states, phase, detector)) == ["a", "phase", "phase in trial"]
+    monkeypatch.setattr(training, "train_head", lambda *args: pytest.fail("work was begun"))
+    with pytest.raises(InputError, match="would be named a; name each task once"):
+        training.train_model(Recordings.from_arrays(np.zeros((4, 200, 6)), 200), (states, states))
+
+
 @pytest.mark.parametrize("time_alone", [False, True])
 def test_a_complete_sentence_counts_several_times(time_alone):
     items = sentences_of([400] * 12)
