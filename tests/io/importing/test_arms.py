@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from rcbht_jax.io.importing.arms import arms_of
+from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Mapping, read_mapping, write_mapping
+from rcbht_jax.io.importing.sidecars import sidecars_of
 from rcbht_jax.labels import AXES
 
 N, DT = 400, 0.002
@@ -113,6 +115,28 @@ def test_an_object_describes_only_what_it_is_named_after(tmp_path: Path) -> None
     imported = read_source(tmp_path)
     assert imported.recordings.columns["operator"].tolist() == ["ann", ""]
     assert imported.report.remarks[0] == "2 other files were not read: run10.json, setup.json."
+
+
+def test_the_longest_name_of_a_recording_in_that_of_an_object_is_meant(tmp_path: Path) -> None:
+    for name in ("run", "run_2", "run_2-retry"):
+        csv(tmp_path / f"{name}.csv", list(AXES), LEFT + len(name))
+    facts = {"run": "ann", "run_2": "bob", "run_2-retry_meta": "eve"}
+    described(tmp_path, **{name: {"operator": operator} for name, operator in facts.items()})
+    recordings = read_source(tmp_path).recordings
+    operators = zip(recordings.trial.tolist(), recordings.columns["operator"].tolist(), strict=True)
+    assert dict(operators) == {"run": "ann", "run_2": "bob", "run_2-retry": "eve"}
+    (tmp_path / "run_2.json").unlink()
+    assert read_source(tmp_path).recordings.columns["operator"].tolist().count("ann") == 1
+
+
+def test_objects_beside_thousands_of_recordings_are_found_soon(tmp_path: Path) -> None:
+    names = [f"run{number}" for number in range(2000)]
+    described(tmp_path, **{name: {"part": "A"} for name in names})
+    items = [Item(f"{name}.csv", tmp_path / f"{name}.csv", "csv") for name in names]
+    start = time.process_time()
+    found = sidecars_of(tmp_path, items, [f"{name}.json" for name in names])
+    assert time.process_time() - start < 2
+    assert len(found.facts) == 2000
 
 
 def test_a_hostile_object_is_no_description(tmp_path: Path) -> None:
