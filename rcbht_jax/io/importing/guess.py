@@ -42,14 +42,14 @@ def outcome_words(column: str) -> dict[str, str]:
     return OUTCOMES | turned if any(map(_BAD.search, words)) != denied else OUTCOMES
 
 
-def stated_words(value: Value | None, words: Iterable[str]) -> dict[str, str]:
-    """The outcome that each word means in a column that a mapping names without words; {} = not all are known.
+def stated_words(value: Value, words: Iterable[str]) -> dict[str, str]:
+    """The outcome that each word means in a column, for which a mapping states none; {} = not all are known.
 
     >>> stated_words(Value(table="result"), ["OK", "nok", ""])["nok"], stated_words(Value("class"), ["1", "2"])
     ('failure', {})
     """
     known = {*OUTCOMES, "unknown", "unfinished", ""}
-    if value is None or value.words or not {word.lower() for word in words} <= known:
+    if value.words or not {word.lower() for word in words} <= known:
         return {}
     return outcome_words(value.column or value.table)
 

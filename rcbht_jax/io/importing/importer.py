@@ -120,7 +120,7 @@ def read_source(
     first, rows = used[found[0].name]
     if any(PLACE in channel.column for channel in first.channels):
         first = replace(first, arms=base.arms or tuple(dict.fromkeys(str(one.columns["arm"]) for one in found)))
-    if words:
+    if words and "outcome" in first.columns:
         first = replace(first, columns={**first.columns, "outcome": replace(first.columns["outcome"], words=words)})
     first = replace(first, columns={**first.columns, **{column_name(name): Value(name) for name in described}})
     taken = {row.column: row for _, others in used.values() for row in others if row.role != "left out"}
@@ -226,14 +226,15 @@ def _read(
                     marked.append(named)
                     report.remarks += marks.unused(named)
                     continue
+                described = beside.described(table)
                 try:
-                    for record, meaning in _understood(beside.described(table), base, rows, report):
+                    for record, meaning in _understood(described, base, rows, report):
                         found.append((record, item))
                         used[record.name] = meaning
                         if not base.channels and not meaning[0].group:
                             unused = (row.column for row in meaning[1] if row.role == "left out")
                             constants[record.name] = constants_of(table, unused)
-                    lacks.add(table)
+                    lacks.add(described)
                 except InputError as error:  # the other tables of the file may be usable
                     report.skipped.append((table.name, _reason(error, source)))
         except InputError as error:
@@ -296,7 +297,9 @@ def _understood(
 
 def _judge(found: list[Record], base: Mapping) -> dict[str, str]:
     """Say success and failure for the words of an outcome whose mapping states none; returns what they mean."""
-    words = stated_words(base.columns.get("outcome"), (text(one.columns.get("outcome", "")) for one in found))
+    words = stated_words(
+        base.columns.get("outcome", Value("outcome")), (text(one.columns.get("outcome", "")) for one in found)
+    )
     for columns in (record.columns for record in found if words and "outcome" in record.columns):
         word = text(columns["outcome"])
         columns["outcome"] = words.get(word.lower(), word)

@@ -241,3 +241,27 @@ def test_the_words_of_an_outcome_are_understood_where_a_map_states_none(
     write_mapping(tmp_path / "b.toml", imported.mapping)
     again = read_source(tmp_path, "csv", read_mapping(tmp_path / "b.toml"))
     assert again.recordings.outcome.tolist() == outcomes
+
+
+@pytest.mark.parametrize(
+    ("facts", "outcomes"),
+    [(("ok", "NOK"), ["success", "failure"]), ((True, 0), ["success", "failure"]), (("ok", "weak"), ["ok", "weak"])],
+)
+@pytest.mark.parametrize("kind", ["json", "h5"])
+def test_the_words_of_an_outcome_that_no_column_states_are_understood_too(
+    tmp_path: Path, kind: str, facts: tuple[object, object], outcomes: list[str]
+) -> None:
+    for number, fact in enumerate(facts):
+        values = noise(number)
+        if kind == "json":
+            write(tmp_path / f"{number}.csv", values)
+            (tmp_path / f"{number}.json").write_text(json.dumps({"outcome": fact}))
+        else:
+            with pytest.importorskip("h5py").File(tmp_path / f"{number}.h5", "w") as file:
+                file["wrench"], file.attrs["dt"], file.attrs["outcome"] = values, DT, fact
+    imported = read_source(tmp_path)
+    assert imported.recordings.outcome.tolist() == outcomes
+    assert any("No outcome is success or failure" in remark for remark in imported.report.remarks) == ("ok" in outcomes)
+    named = Mapping(columns={"outcome": Value("outcome", words={"ok": "success", "weak": "failure"})})
+    if "ok" in facts:
+        assert read_source(tmp_path, mapping=named).recordings.outcome.tolist()[0] == "success"
