@@ -128,6 +128,11 @@ def _slow(
     columns = [_Column(path, name, titles.delimiter) for name in titles.names]
     rows: list[Line] = []
     for number, row in _rows(path, file, titles.delimiter, before, encoding):
+        if labview.ends_header(row[0].encode()):
+            raise InputError(
+                f"{path}, line {number} ends a further header: it holds several segments (Multi_Headings in LabVIEW); "
+                "save it with one header only."
+            )
         # A delimiter at the end of every line makes an empty cell more.
         cut = row[:-1] if len(row) == len(columns) + 1 and not row[-1] else row
         rows += between.samples(number, cut)

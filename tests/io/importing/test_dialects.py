@@ -202,6 +202,19 @@ def test_a_measurement_of_labview_without_times_states_its_rate(delta: str, tmp_
     forces(read_source(tmp_path / "run.lvm", "csv"))
 
 
+@pytest.mark.parametrize(("samples", "segments"), [(5, 4), (15, 2), (100, 3)])
+def test_several_segments_of_labview_are_refused(samples: int, segments: int, tmp_path: Path) -> None:
+    path, pairs = tmp_path / "run.lvm", list(zip(TIME, WRENCH, strict=True))
+    parts = []
+    for part in range(segments):
+        rows = [f"{t}\t{row[0]}\t{row[1]}" for t, row in pairs[part * samples : (part + 1) * samples]]
+        measurement(path, "X_Value\tFx\tFz", "0.01\t0.01", rows)
+        parts.append(path.read_text())
+    path.write_text("".join([parts[0], *(part.partition("\n\t\n")[2] for part in parts[1:])]))
+    with pytest.raises(InputError, match=r"ends a further header: it holds several segments \(Multi_Headings in"):
+        read_source(path, "csv")
+
+
 def test_times_of_labview_before_every_signal_are_no_signals(tmp_path: Path) -> None:
     names, pairs = "X_Value\tFx\tX_Value\tFz", list(zip(TIME, WRENCH, strict=True))
     measurement(tmp_path / "run.lvm", names, "0.01\t\t0.01", [f"{t}\t{row[0]}\t{t}\t{row[1]}" for t, row in pairs])
