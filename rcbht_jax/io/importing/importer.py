@@ -223,7 +223,7 @@ def _read(
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
                 named = unfolded(marks.headed(table) if named_after(table.name) else table)
                 if item.kind == "csv" and marks.is_intervals(named.columns):
-                    marked.append(named)
+                    marked.append(marks.with_words(named, item.path) if named.columns is table.columns else named)
                     report.remarks += marks.unused(named)
                     continue
                 described = beside.described(table)
