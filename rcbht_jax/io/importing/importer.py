@@ -31,7 +31,7 @@ from rcbht_jax.io.importing.constants import constants_of, describe, without_pro
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
 from rcbht_jax.io.importing.given import from_start
-from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, nameless, some, stated_words
+from rcbht_jax.io.importing.guess import Understood, guess, interleaved, more_wrenches, nameless, some, stated_words
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.label_studio import unfolded
@@ -283,6 +283,8 @@ def _understood(
     words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
     bare = "" if base.channels else nameless(table, mapping)
     report.remarks += [text for text in (more, bare, left, lines, words) if text and text not in report.remarks]
+    if mixed := interleaved(table, mapping):
+        report.warnings.append((table.name, mixed))
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)

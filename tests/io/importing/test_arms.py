@@ -19,6 +19,11 @@ from rcbht_jax.labels import AXES
 N, DT = 400, 0.002
 TIME = np.arange(N) * DT
 LEFT, RIGHT = np.random.default_rng(5).normal(size=(2, N, 6))
+WRENCHES = {
+    (trial, arm): [",".join(map(str, row[3 * (arm == "left") :][:3])) for row in LEFT * trial]
+    for trial in (1, 2)
+    for arm in ("left", "right")
+}
 NAMES = {
     "left, right": [f"{side}_{axis}" for side in ("left", "right") for axis in ("fx", "fy", "fz", "tx", "ty", "tz")],
     "L, R last": [f"{axis}_{side}" for side in "LR" for axis in AXES],
@@ -74,6 +79,35 @@ def test_arms_of_one_name_are_refused(arms: tuple[str, ...], tmp_path: Path) -> 
     csv(tmp_path / "run1.csv", ["left_fz"], LEFT[:, :1])
     with pytest.raises(ValueError, match="two arms have one name, or one has none"):
         read_source(tmp_path, mapping=Mapping(arms=arms))
+
+
+@pytest.mark.parametrize("by_turns", [False, True])
+@pytest.mark.parametrize("group", ["", "trial"])
+def test_a_column_of_arms_beside_one_of_trials_separates_arms(tmp_path: Path, by_turns: bool, group: str) -> None:
+    keys = [(trial, arm) for trial in (1, 2) for arm in ("left", "right")]
+    blocks = [[f"{trial},{k * DT},{arm},{WRENCHES[trial, arm][k]}" for k in range(50)] for trial, arm in keys]
+    if by_turns:
+        blocks = [[row for pair in zip(*blocks[at : at + 2], strict=True) for row in pair] for at in (0, 2)]
+    lines = [line for block in blocks for line in block]
+    (tmp_path / "all.csv").write_text("\n".join(["trial,t,arm,Fx,Fy,Fz", *lines]))
+    imported = read_source(tmp_path, mapping=Mapping(group=group))
+    recordings = imported.recordings
+    names = list(zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True))
+    assert names == [(f"all-{trial}", arm) for trial, arm in keys]
+    for row, (trial, arm) in enumerate(keys):
+        assert recordings.wrench[row, 3, 0] == pytest.approx(float(WRENCHES[trial, arm][3].split(",")[0]), rel=1e-6)
+    again = read_source(tmp_path, mapping=imported.mapping).recordings
+    assert again.arm.tolist() == recordings.arm.tolist()
+    assert imported.report.warnings == imported.report.skipped == []
+
+
+def test_samples_of_two_sensors_by_turns_are_told(tmp_path: Path) -> None:
+    rows = [f"{k * DT},{'/left/ft' if k % 2 else '/right/ft'},{LEFT[k, 0]},{k % 7},{k % 5}" for k in range(N)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,topic,fx,fy,fz", *rows]))
+    text = "rows alternate between the values of topic; if it names sensors, separate them with --group topic."
+    assert read_source(tmp_path).report.warnings == [("log.csv", text)]
+    parted = read_source(tmp_path, mapping=Mapping(group="topic"))
+    assert (len(parted.recordings), parted.report.warnings) == (2, [])
 
 
 def described(folder: Path, **files: object) -> None:
