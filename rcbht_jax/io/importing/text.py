@@ -24,7 +24,7 @@ from rcbht_jax.io.importing.numerals import Numerals, shows_commas, shows_points
 from rcbht_jax.io.importing.preamble import stated
 from rcbht_jax.io.importing.record import text
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.timing import are_dates
+from rcbht_jax.io.importing.timing import are_dates, check_one_time
 from rcbht_jax.io.importing.titles import Titles, read_titles
 from rcbht_jax.io.importing.unpacked import opened
 
@@ -78,6 +78,7 @@ def read_csv(path: Path, name: str, words: bool = False) -> Iterator[Table]:
             columns[column] = columns[column].astype(np.float64) / counts
     notes += ("counts",) if about.counts else ()
     columns = labview.with_one_time(path, columns) if any(map(labview.ends_header, titles.before)) else columns
+    check_one_time(path, columns)
     yield Table(
         name, columns, about.rate, about.units, notes=notes, lines=tuple(between.left), faults=tuple(sorted(faults))
     )

@@ -224,6 +224,22 @@ def test_times_of_labview_before_every_signal_are_no_signals(tmp_path: Path) -> 
         read_source(tmp_path / "run.lvm", "csv")
 
 
+@pytest.mark.parametrize(
+    ("factor", "shift", "refused"), [(2, 0, True), (1, 0.2, True), (1, 0, False), (1, 1e-3, False)]
+)
+def test_signals_with_times_of_their_own_are_refused(factor: int, shift: float, refused: bool, tmp_path: Path) -> None:
+    path, columns = tmp_path / "run.csv", (TIME, WRENCH[:, 0], factor * TIME + shift, WRENCH[:, 3])
+    np.savetxt(path, np.column_stack(columns), "%.9g", ",", header="Time,Fx [N],Time,Mx [Nm]", comments="")
+    if refused:
+        with pytest.raises(InputError, match=r"the times in column Time\.2 are not those in Time; save the signals of"):
+            read_source(path)
+    else:
+        assert read_source(path).recordings.axes == ("Fx", "Mx")
+    columns = (TIME, factor * TIME + shift, *WRENCH.T[:2])
+    np.savetxt(path, np.column_stack(columns), "%.9g", ",", header="Time,Time,Fx [N],Fy [N]", comments="")
+    assert len(read_source(path).recordings) == 1  # both are of all signals
+
+
 @pytest.mark.parametrize("kind", ["auto", "csv"])
 @pytest.mark.parametrize("name", ["run.xlsx", "run.xls", "run.ods"])
 def test_a_workbook_is_to_be_saved_as_csv(name: str, kind: str, tmp_path: Path) -> None:
