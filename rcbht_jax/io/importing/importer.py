@@ -30,7 +30,7 @@ from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
-from rcbht_jax.io.importing.given import from_start
+from rcbht_jax.io.importing.given import from_start, on_clock
 from rcbht_jax.io.importing.guess import Understood, guess, interleaved, more_wrenches, nameless, some, stated_words
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
@@ -340,6 +340,7 @@ def _beside(
                 report.warnings.append((record.name, _reason(error, source)))
                 continue
             shift = record.origin if track.clock == "stamps" else 0.0
+            intervals = on_clock(intervals, shift, record.end)
             record.intervals.extend((name, label, start - shift, end - shift) for name, label, start, end in intervals)
 
 
