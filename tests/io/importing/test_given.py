@@ -126,8 +126,6 @@ def test_times_of_day_after_midnight_are_of_the_next_day(
     (tmp_path / "a.csv").write_text("\n".join(["t,Fz", *(f"{time},{k % 7}" for k, time in enumerate(times))]))
     (tmp_path / "a_labels.csv").write_text("label,start,end\n" + "".join(",".join(span) + "\n" for span in spans))
     tracks = (Track("phase", file="{stem}_labels.csv", clock=clock),) if clock else ()
-    imported = read_source(
-        tmp_path, mapping=Mapping(annotations=tracks, files=("a.csv", "a_labels.csv")[: 2 - bool(clock)])
-    )
+    imported = read_source(tmp_path, mapping=Mapping(annotations=tracks, files=("a.csv",) if clock else ()))
     assert [row[2:] for row in found(imported)] == expected
     assert ["fit its clock" in text for _, text in imported.report.warnings] == [True] * (not clock and len(spans) == 1)
