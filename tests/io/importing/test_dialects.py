@@ -101,6 +101,41 @@ def test_units_before_the_names_without_counts(tmp_path: Path) -> None:
     holds(read_source(tmp_path), UNITS)
 
 
+@pytest.mark.parametrize(
+    "before",
+    [
+        "# exported by a logger\nOperator,me\nSample Rate,100\n\n",
+        "Operator,me\n# of samples,50\n\n",
+        "# a\n# b\n",
+        "Operator,me\n// made by, a, logger, of, today\n",
+    ],
+)
+@pytest.mark.parametrize("units", ["", "s,N,N\n", "# a comment\n"])
+def test_comments_among_the_lines_before_the_names(before: str, units: str, tmp_path: Path) -> None:
+    rows = "\n".join(f"{time},{row[0]},{row[1]}" for time, row in zip(TIME, WRENCH, strict=True))
+    (tmp_path / "run.csv").write_text(f"{before}t,Fx,Fz\n{units}{rows}\n")
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.axes, recordings.length.tolist()) == (("Fx", "Fz"), [len(TIME)])
+    assert recordings.units == (("N", "N") if units.startswith("s") else ("", ""))
+
+
+@pytest.mark.parametrize(
+    ("units", "time", "phase"),
+    [
+        ("hh:mm:ss,ms;N;N", "12:00:{:06.3f}", ""),
+        ("UTC;N;N", "2024-05-01T12:00:{:06.3f}Z", ""),
+        ("s;N;N;text", "{:.3f}", ";push"),
+        ("[hh:mm:ss];[N];[N];", "12:00:{:06.3f}", ";push"),
+    ],
+)
+def test_words_about_times_and_texts_among_the_units(units: str, time: str, phase: str, tmp_path: Path) -> None:
+    rows = "\n".join(f"{time.format(t)};{row[0]};{row[1]}{phase}" for t, row in zip(TIME, WRENCH, strict=True))
+    (tmp_path / "run.csv").write_text(f"Zeit;Fx;Fz{';phase' if phase else ''}\n{units}\n{rows}\n")
+    imported = read_source(tmp_path)
+    assert (imported.recordings.axes, imported.mapping.units) == (("Fx", "Fz"), ("N", "N"))
+    assert imported.recordings.dt == pytest.approx(0.01)
+
+
 @pytest.mark.parametrize("mark", ["sep=;", '"sep=;"', "\ufeffsep=;"])
 def test_the_separator_that_a_spreadsheet_reads_is_no_name(mark: str, tmp_path: Path) -> None:
     rows = [";".join(map(str, (10 * k, *row))) + ";" for k, row in enumerate(WRENCH)]
