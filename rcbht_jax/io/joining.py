@@ -17,6 +17,7 @@ from rcbht_jax.io import store
 from rcbht_jax.io.tare import tare
 from rcbht_jax.types import Recordings
 
+_Seen = tuple[Path, bytes, Recordings, int]  # store, digest of the samples, its recordings, row
 _KEPT = ("importer", "frames")  # attributes that the joined store has where all stores agree
 
 
@@ -31,9 +32,10 @@ class Joined:
 def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, overwrite: bool = False) -> Joined:
     """Write the recordings of several stores, with annotations and columns, as one store.
 
-    Label tracks and the parameters of simulations are left out. Exact copies (source, trial, arm and samples) are taken
-    once. If only some stores have a corrected track (TRACK-harmonised), that of the others is a copy of TRACK, as tasks
-    use TRACK in a store without a corrected one. All recordings are in memory at the same time.
+    Label tracks and the parameters of simulations are left out. Exact copies (source, trial, arm, samples, and what is
+    known of them) are taken once. If only some stores have a corrected track (TRACK-harmonised), that of the others is
+    a copy of TRACK, as tasks use TRACK in a store without a corrected one. All recordings are in memory at the same
+    time.
 
     >>> from rcbht_jax.io.store import write_recordings
     >>> for name in ("first.zarr", "second.zarr"):
@@ -63,7 +65,7 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
     store.check_target(out, overwrite)
     parts = [store.read_recordings(path) for path in paths]
     _check(paths, parts)
-    taken, copies, chosen, seen = dict[str, int](), dict[str, int](), list[Recordings](), dict[tuple[str, ...], bytes]()
+    taken, copies, chosen, seen = dict[str, int](), dict[str, int](), list[Recordings](), dict[tuple[str, ...], _Seen]()
     for path, part in zip(paths, parts, strict=True):
         new = _new(path, part, seen)
         taken[str(path)], copies[str(path)] = int(new.sum()), int((~new).sum())
@@ -105,16 +107,35 @@ def _axes(part: Recordings) -> str:
     return ", ".join(f"{axis} in {unit or '?'}" for axis, unit in zip(part.axes, part.units, strict=True))
 
 
-def _new(path: Path, part: Recordings, seen: dict[tuple[str, ...], bytes]) -> Bool[np.ndarray, " recording"]:
-    """Which recordings no earlier store has; ``seen`` holds the samples' digests of those, by name."""
+def _new(path: Path, part: Recordings, seen: dict[tuple[str, ...], _Seen]) -> Bool[np.ndarray, " recording"]:
+    """Which recordings no earlier store has; ``seen`` holds those that one has, by name."""
     names = list(zip(part.source.tolist(), part.trial.tolist(), part.arm.tolist(), strict=True))
     digests = [row.tobytes() for row in wrench_digests(part.wrench, part.length)]
-    for name, digest in zip(names, digests, strict=True):
-        if seen.get(name, digest) != digest:
+    for row, (name, digest) in enumerate(zip(names, digests, strict=True)):
+        if name not in seen:
+            continue
+        other, digest_there, whole, place = seen[name]
+        if digest != digest_there:
             raise InputError(f"{path} has another recording {name[1]!r} of {name[0]!r} than a store before it.")
+        if _facts(part, row) != _facts(whole, place):
+            raise InputError(
+                f"{path} and {other} have the same recording {name[1]!r} of {name[0]!r} with another outcome, other "
+                "columns or other annotations, some of which would be lost; leave one of the stores out."
+            )
     new = np.array([name not in seen for name in names], bool)
-    seen.update(zip(names, digests, strict=True))
+    for row, (name, digest) in enumerate(zip(names, digests, strict=True)):
+        seen.setdefault(name, (path, digest, part, row))
     return new
+
+
+def _facts(part: Recordings, row: int) -> str:
+    """What is known of a recording, but for its note, in a form that compares equal where a time is not known."""
+    one = part.take([row])
+    known = {name: values[0].item() for name, values in one.columns.items() if str(values[0]) not in ("", "nan")}
+    marks = one.annotations
+    tracks = np.array(marks.tracks, object)[marks.track].tolist()
+    rows = zip(tracks, marks.names().tolist(), marks.start.tolist(), marks.end.tolist(), strict=True)
+    return repr((str(one.outcome[0]), sorted(known.items()), sorted(rows, key=repr)))
 
 
 def _attrs(paths: Sequence[Path], taken: dict[str, int], tare_seconds: float) -> dict[str, Any]:

@@ -94,6 +94,25 @@ def test_exact_copies_are_taken_once_and_other_recordings_of_the_name_refused(tm
     assert not (tmp_path / "never.zarr").exists()
 
 
+@pytest.mark.parametrize("what", ["outcome", "part", "annotations", "nothing"])
+def test_copies_of_which_another_thing_is_known_are_refused(what: str, tmp_path: Path) -> None:
+    one = replace(recordings(1), annotations=Annotations.from_rows([(0, "states", "push", 0.05, np.nan)]))
+    others = {
+        "outcome": replace(one, outcome=np.array(["unknown", "success", "unknown"])),
+        "part": replace(one, columns={"part": np.array(["", "peg", ""])}),
+        "annotations": replace(one, annotations=Annotations.from_rows([(0, "states", "push", 0.05, 0.1)])),
+        "nothing": replace(one, columns={"part": np.full(3, "")}, note=np.full(3, "uneven")),
+    }
+    paths = [written(tmp_path / "a.zarr", one), written(tmp_path / "b.zarr", others[what])]
+    if what == "nothing":
+        assert join_stores(paths, tmp_path / "out.zarr").copies[str(paths[1])] == 3
+        return
+    with pytest.raises(
+        InputError, match=r"b\.zarr and .*a\.zarr have the same recording '1-[01]' of 'set-1' with another"
+    ):
+        join_stores(paths, tmp_path / "out.zarr")
+
+
 def test_presets_of_a_robot_apply_only_where_all_stores_are_of_it(tmp_path: Path) -> None:
     simulated, hiro = (
         written(tmp_path / "s.zarr", recordings(1), simulated={}),

@@ -5,7 +5,12 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from collections.abc import Mapping as AnyMapping
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import split_unit
 from rcbht_jax.io.importing.mapping import Mapping
@@ -56,7 +61,6 @@ def tables_of_arms(table: Table, mapping: Mapping) -> Iterator[Table]:
 
     A table of one arm, or one whose mapping states channels and no arms, is left as it is.
 
-    >>> import numpy as np
     >>> table = Table("a.csv", {"t": np.arange(2.0), "left_fx": np.ones(2), "right_fx": np.zeros(2)})
     >>> left, right = tables_of_arms(table, Mapping(arms=("left", "right")))
     >>> right.name, list(right.columns), right.facts
@@ -81,6 +85,30 @@ def tables_of_arms(table: Table, mapping: Mapping) -> Iterator[Table]:
         part = f"{table.part}#{arm}" if table.part else arm
         facts = {**table.facts, "arm": arm}
         yield replace(table, name=f"{table.name}#{arm}", columns=columns, units=units, facts=facts, part=part)
+
+
+def column_of_arms(table: Table, mapping: Mapping, groups: AnyMapping[str, NDArray[Any]]) -> str:
+    """The column of text that names several arms in a group of rows; "" = none.
+
+    >>> from rcbht_jax.io.importing.mapping import Value
+    >>> table = Table("a.csv", {"trial": np.array([1.0, 1.0]), "arm": np.array(["left", "right"])})
+    >>> column_of_arms(table, Mapping(group="trial", columns={"arm": Value("arm")}), {"1": np.arange(2)})
+    'arm'
+    """
+    name = mapping.columns["arm"].column if "arm" in mapping.columns else ""
+    column = table.columns.get(name, np.empty(0))
+    several = column.dtype.kind == "U" and any(len(set(column[rows].tolist()) - {""}) > 1 for rows in groups.values())
+    return name if several and name != mapping.group else ""
+
+
+def of_each_arm(groups: AnyMapping[str, NDArray[Any]], arms: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """The rows of each arm of every group.
+
+    >>> of_each_arm({"1": np.arange(3)}, np.array(["left", "right", "left"]))
+    {'1#left': array([0, 2]), '1#right': array([1])}
+    """
+    pairs = ((value, rows, arm) for value, rows in groups.items() for arm in np.unique(arms[rows]).tolist() if arm)
+    return {f"{value}#{arm}": rows[arms[rows] == arm] for value, rows, arm in pairs}
 
 
 def _without(arm: str, names: Iterable[str]) -> set[str]:

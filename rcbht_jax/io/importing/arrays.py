@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import require
-from rcbht_jax._util.untrusted import (
-    MAX_BYTES,
-    MAX_MEMBERS,
-    check_declared,
-    check_file,
-    declared_bytes,
-    read_arrays,
-)
+from rcbht_jax._util.untrusted import MAX_BYTES, MAX_MEMBERS, check_declared, check_file, declared_bytes, read_arrays
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
@@ -139,9 +133,9 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         group = _like(file, h5py)
         parts = [("", file)] if group is None else _groups(group, h5py)
         sides = all(names_side(part) for part, _ in parts)
+        members = _members(datasets, group)
         for part, node in parts:
-            prefix = node.name.rstrip("/") + "/"
-            found = {one.name.removeprefix(prefix): one for one in datasets if one.name.startswith(prefix)}
+            found = members[part]
             around = [file, node] if turned else [*_around(node), node]
             arrays: dict[str, Any] = {key: np.asarray(value) for one in around for key, value in one.attrs.items()}
             objects = _objects(found) if turned else []
@@ -155,6 +149,16 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             for table in _without_objects(path, f"{name}#{part}" if part else name, usable, objects, part):
                 arm = {"arm": part} if sides and part else {}
                 yield replace(table, units=units_of(table.columns, stated), facts={**arm, **table.facts})
+
+
+def _members(datasets: Iterable[Any], group: Any) -> defaultdict[str, dict[str, Any]]:
+    """The data sets of each sub-group by their path in it; of "" all, if there is no group."""
+    above = "/" if group is None else group.name.rstrip("/") + "/"
+    found: defaultdict[str, dict[str, Any]] = defaultdict(dict)
+    for path, one in ((one.name.removeprefix(above), one) for one in datasets):
+        part, _, key = ("", "", path) if group is None else path.partition("/")
+        found[part][key] = one
+    return found
 
 
 def _around(node: Any) -> list[Any]:

@@ -42,14 +42,14 @@ def outcome_words(column: str) -> dict[str, str]:
     return OUTCOMES | turned if any(map(_BAD.search, words)) != denied else OUTCOMES
 
 
-def stated_words(value: Value | None, words: Iterable[str]) -> dict[str, str]:
-    """The outcome that each word means in a column that a mapping names without words; {} = not all are known.
+def stated_words(value: Value, words: Iterable[str]) -> dict[str, str]:
+    """The outcome that each word means in a column, for which a mapping states none; {} = not all are known.
 
     >>> stated_words(Value(table="result"), ["OK", "nok", ""])["nok"], stated_words(Value("class"), ["1", "2"])
     ('failure', {})
     """
     known = {*OUTCOMES, "unknown", "unfinished", ""}
-    if value is None or value.words or not {word.lower() for word in words} <= known:
+    if value.words or not {word.lower() for word in words} <= known:
         return {}
     return outcome_words(value.column or value.table)
 
@@ -92,8 +92,9 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     if not base.group:
         mapping = replace(mapping, group=_group(table, mapping.time, free))
         free = [name for name in free if name != mapping.group]
-    if base_and_unit(mapping.group)[0] == "arm":
-        mapping = replace(mapping, columns={"arm": Value(mapping.group), **mapping.columns})
+    if arm := _arm(table, mapping.group, free):
+        mapping = replace(mapping, columns={"arm": Value(arm), **mapping.columns})
+        free = [name for name in free if name != arm]
     _check_axes(table, free)
     mapping = _words(table, mapping, free)
     mapping = replace(mapping, channels=_channels(table, [name for name in free if name not in _used(mapping)]))
@@ -127,6 +128,12 @@ def _group(table: Table, time: str, free: list[str]) -> str:
                 return name
     arm = bases.get("arm", "")
     return arm if arm and table.columns[arm].dtype.kind == "U" and len(_distinct(table.columns[arm])) > 1 else ""
+
+
+def _arm(table: Table, group: str, free: list[str]) -> str:
+    """The column of arms that separates recordings: the group, or one of text beside it; "" = none."""
+    beside = (name for name in free if group and table.columns[name].dtype.kind == "U")
+    return next((name for name in (group, *beside) if base_and_unit(name)[0] == "arm"), "")
 
 
 def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
@@ -258,6 +265,24 @@ def more_wrenches(table: Table, mapping: Mapping) -> str:
         f"{len(found)} wrenches were found, and that of {own} was taken; to import that of {some(others)}, name its "
         "channels with --map."
     )
+
+
+def interleaved(table: Table, mapping: Mapping) -> str:
+    """A warning about a column of text that changes with nearly every sample, as names of sensors do; "" = none.
+
+    >>> columns = {"Fz": np.arange(8.0), "sensor": np.array(["left", "right"] * 4)}
+    >>> interleaved(Table("a.csv", columns), Mapping((Channel("Fz"),)))
+    'rows alternate between the values of sensor; if it names sensors, separate them with --group sensor.'
+    """
+    own = {mapping.time, mapping.group, mapping.columns.get("arm", Value()).column}
+    samples = np.isfinite(np.stack([table.columns[channel.column] for channel in mapping.channels], 1)).any(1)
+    for name, column in ((name, column[samples]) for name, column in table.columns.items() if name not in own):
+        if column.dtype.kind != "U" or 2 * (column[1:] != column[:-1]).sum() <= len(column):
+            continue
+        if 1 < len(_distinct(column)) <= len(column) / FEWEST and not are_dates(column) and not is_clock(column):
+            how = f"if it names sensors, separate them with --group {name}."
+            return f"rows alternate between the values of {name}; {how}"
+    return ""
 
 
 def nameless(table: Table, mapping: Mapping) -> str:

@@ -30,8 +30,8 @@ from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
-from rcbht_jax.io.importing.given import from_start
-from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches, nameless, some, stated_words
+from rcbht_jax.io.importing.given import from_start, on_clock
+from rcbht_jax.io.importing.guess import Understood, guess, interleaved, more_wrenches, nameless, some, stated_words
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.label_studio import unfolded
@@ -120,7 +120,7 @@ def read_source(
     first, rows = used[found[0].name]
     if any(PLACE in channel.column for channel in first.channels):
         first = replace(first, arms=base.arms or tuple(dict.fromkeys(str(one.columns["arm"]) for one in found)))
-    if words:
+    if words and "outcome" in first.columns:
         first = replace(first, columns={**first.columns, "outcome": replace(first.columns["outcome"], words=words)})
     first = replace(first, columns={**first.columns, **{column_name(name): Value(name) for name in described}})
     taken = {row.column: row for _, others in used.values() for row in others if row.role != "left out"}
@@ -223,17 +223,18 @@ def _read(
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
                 named = unfolded(marks.headed(table) if named_after(table.name) else table)
                 if item.kind == "csv" and marks.is_intervals(named.columns):
-                    marked.append(named)
+                    marked.append(marks.with_words(named, item.path) if named.columns is table.columns else named)
                     report.remarks += marks.unused(named)
                     continue
+                described = beside.described(table)
                 try:
-                    for record, meaning in _understood(beside.described(table), base, rows, report):
+                    for record, meaning in _understood(described, base, rows, report):
                         found.append((record, item))
                         used[record.name] = meaning
                         if not base.channels and not meaning[0].group:
                             unused = (row.column for row in meaning[1] if row.role == "left out")
                             constants[record.name] = constants_of(table, unused)
-                    lacks.add(table)
+                    lacks.add(described)
                 except InputError as error:  # the other tables of the file may be usable
                     report.skipped.append((table.name, _reason(error, source)))
         except InputError as error:
@@ -282,6 +283,8 @@ def _understood(
     words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
     bare = "" if base.channels else nameless(table, mapping)
     report.remarks += [text for text in (more, bare, left, lines, words) if text and text not in report.remarks]
+    if mixed := interleaved(table, mapping):
+        report.warnings.append((table.name, mixed))
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)
@@ -296,7 +299,9 @@ def _understood(
 
 def _judge(found: list[Record], base: Mapping) -> dict[str, str]:
     """Say success and failure for the words of an outcome whose mapping states none; returns what they mean."""
-    words = stated_words(base.columns.get("outcome"), (text(one.columns.get("outcome", "")) for one in found))
+    words = stated_words(
+        base.columns.get("outcome", Value("outcome")), (text(one.columns.get("outcome", "")) for one in found)
+    )
     for columns in (record.columns for record in found if words and "outcome" in record.columns):
         word = text(columns["outcome"])
         columns["outcome"] = words.get(word.lower(), word)
@@ -335,6 +340,7 @@ def _beside(
                 report.warnings.append((record.name, _reason(error, source)))
                 continue
             shift = record.origin if track.clock == "stamps" else 0.0
+            intervals = on_clock(intervals, shift, record.end)
             record.intervals.extend((name, label, start - shift, end - shift) for name, label, start, end in intervals)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from rcbht_jax.io.importing.unpacked import opened
 DEPTH = 16  # of objects and lists within each other
 PROBES = 64  # objects of a list that are looked at
 LONGEST = 64  # elements of a list in a sample, such as a matrix; a longer one is a column
+LEAST_STAMP = 1e8  # of an index: time since 1970; smaller whole numbers count rows
 Object = Mapping[str, Any]
 
 
@@ -75,13 +77,17 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
             raise InputError(f"{path} holds more than {MAX_GROUPS} recordings; split it.")
         sides = all(map(names_side, several))
         around = value if isinstance(value, dict) else {}
-        around = {key: one for key, one in around.items() if key not in several and not _several(one)}
+        around = {key: one for key, one in around.items() if key not in several and _is_shared(one)}
         rate, facts = scalars_of({key: one for key, one in _named(around) if one.ndim == 0})
+        intervals = intervals_in(around)
+        lost = () if sides else tuple(dict.fromkeys(track for track, *_ in intervals))  # of which trial is unknown
         for which, one in several.items():
             place = f"{part}#{which}" if part else which
-            for table in _tables(path, f"{name}#{which}", one, place):
-                arm = {"arm": which} if sides else {}
-                yield replace(table, rate=table.rate or rate, facts={**facts, **arm, **table.facts})
+            for table in _tables(path, f"{name}#{which}", _with_shared(one, around), place):
+                own = {**facts, **({"arm": which} if sides else {}), **table.facts}
+                marks = (*table.intervals, *(intervals if sides else ()))
+                whole = replace(table, rate=table.rate or rate, facts=own, intervals=marks)
+                yield _with_units(replace(whole, others=(*table.others, *lost)))
         return
     value = value if isinstance(value, dict) else {"values": value}
     lists = {key: one for key, one in _flat(value) if _are_objects(one)}
@@ -95,6 +101,22 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
         yield _with_units(replace(table, intervals=(*table.intervals, *intervals)))
 
 
+def _is_shared(value: Any) -> bool:
+    """Whether a value beside recordings holds none: it may be about all of them."""
+    if _are_objects(value):
+        return not any(map(_is_recording, value[:PROBES])) and bool(_marks(value))
+    return not _several(value)
+
+
+def _with_shared(one: Any, around: Object) -> Any:
+    """A recording with the lists beside it that are as long as a list of its own, such as a time that all share."""
+    if not isinstance(one, dict):
+        return one
+    lengths = {len(own) for _, own in _flat(one) if isinstance(own, list) and not _are_objects(own)} - {1}
+    lists = ((key, value) for key, value in _flat(around) if isinstance(value, list) and len(value) in lengths)
+    return {**{key: value for key, value in lists if not isinstance(value[0], list | dict)}, **one}
+
+
 def _with_units(table: Table) -> Table:
     """The table with the units that an object ``units`` states for the names of columns, which are no facts."""
     stated = {key: key.split(".") for key in table.facts if "." in key}
@@ -106,7 +128,7 @@ def _with_units(table: Table) -> Table:
         if column.rpartition(".")[2] == name and (unit := split_unit(f"x [{table.facts[key]}]")[1])
     }
     facts = {key: fact for key, fact in table.facts.items() if key not in of_units}
-    return replace(table, facts=facts, units={**table.units, **units})
+    return replace(table, facts=facts, units={**units, **table.units})
 
 
 def _of_rows(
@@ -168,15 +190,33 @@ def _frame(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     if set(value) == {"columns", "index", "data"} and _are_lists(value["data"]):
-        return dict(zip(map(str, value["columns"]), map(list, zip(*value["data"], strict=True)), strict=True))
+        columns = dict(zip(map(str, value["columns"]), map(list, zip(*value["data"], strict=True)), strict=True))
+        return {**_times(value["index"], columns), **columns}
     inner = list(value.values())
     if len(inner) and all(isinstance(one, dict) and len(one) > 1 and set(one) == set(inner[0]) for one in inner):
         scalars = all(not isinstance(cell, dict | list) for one in inner for cell in one.values())
-        if scalars and all(map(_is_number, inner[0])):
-            return {key: list(one.values()) for key, one in value.items()}
-        if len(value) > 1 and all(map(_is_number, value)) and not _is_recording(inner[0]):
-            return inner
+        if scalars and (all(map(_is_number, inner[0])) or _times(list(inner[0]), value)):
+            return {**_times(list(inner[0]), value), **{key: list(one.values()) for key, one in value.items()}}
+        times = _times(list(value), inner[0]).get("time", [])
+        if len(value) > 1 and (times or all(map(_is_number, value))) and not _is_recording(inner[0]):
+            return [{"time": time, **one} for time, one in zip(times, inner, strict=True)] if times else inner
     return value
+
+
+def _times(index: Any, columns: Iterable[str]) -> dict[str, list[Any]]:
+    """The index of a data frame as a column, if it holds times and no column does; counted rows are no times.
+
+    >>> _times(["0.0", "0.01"], ["Fz"]), _times(["0", "1"], ["Fz"]), _times(["0.0", "0.01"], ["t", "Fz"])
+    ({'time': [0.0, 0.01]}, {}, {})
+    """
+    if not isinstance(index, list) or len(index) < 2 or any(map(unit_of_time, columns)):
+        return {}
+    if all(_is_number(str(one)) for one in index):
+        numbers = list(map(float, index))
+        counted = all(number.is_integer() and abs(number) < LEAST_STAMP for number in numbers)
+        return {} if counted else {"time": numbers}
+    texts = list(map(str, index))
+    return {"time": texts} if all(re.match(r"\d{4}-?\d\d-?\d\d[T ]", text) for text in texts) else {}
 
 
 def _is_number(text: str) -> bool:

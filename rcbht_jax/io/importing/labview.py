@@ -24,13 +24,14 @@ def ends_header(line: bytes) -> bool:
 
 
 def end_of_header(lines: Sequence[bytes]) -> int:
-    """Number of the line after the last mark that ends a header; 0 = there is none.
+    """Number of the line of names after the first mark that such a line follows, else after the last; 0 = no mark.
 
     >>> end_of_header([b"LabVIEW Measurement", b"***End_of_Header***", b"", b"X_Value,Fz,Comment"])
     3
     """
     ends = [number for number, line in enumerate(lines) if ends_header(line)]
-    return next((number for number in range(ends[-1] + 1, len(lines)) if lines[number].strip()), 0) if ends else 0
+    after = [next((k for k in range(end + 1, len(lines)) if lines[k].strip()), 0) for end in ends]
+    return next((number for number in after if lines[number].startswith(b"X_Value")), after[-1] if after else 0)
 
 
 def without_comment(titles: list[str], below: Sequence[str]) -> list[str]:

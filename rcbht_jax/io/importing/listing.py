@@ -15,7 +15,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Value
-from rcbht_jax.io.importing.marks import Names, ambiguous, beside, is_intervals
+from rcbht_jax.io.importing.marks import Names, ambiguous, beside, is_intervals, plain_number
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import OUTCOMES, Record, Row, is_outcome, text
 from rcbht_jax.io.importing.table import Table
@@ -51,7 +51,7 @@ def rows_of(
         rows = [{str(key): _word(value) for key, value in row.items()} for row in content]
     else:
         if table is None:
-            [table] = read_csv(path, path.name)
+            [table] = read_csv(path, path.name, words=True)
         columns = {key: [text(value) for value in values] for key, values in table.columns.items()}
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     there = dict.fromkeys(key for row in rows for key in row)
@@ -65,7 +65,7 @@ def rows_of(
         if len(meant) > 1:
             warnings.append((mapping.table, ambiguous(word)))
             continue
-        file = files[meant.pop()] if meant else word
+        file = files[meant.pop()] if meant else plain_number(word)
         again = mapping.table, f"has several rows for {file}; the last one counts."
         if file and file in found and again not in warnings:
             warnings.append(again)
@@ -113,7 +113,7 @@ def _listing(source: Path, path: Path, names: Names) -> tuple[str, Table] | None
         words = re.split(r"[,;\t\r\n]", head.decode("utf-8-sig", "replace"))
         if not any(names.meant(word.strip(' "')) for word in words):
             return None
-        [table] = read_csv(path, path.name)
+        [table] = read_csv(path, path.name, words=True)
     except (OSError, InputError):  # reported where it is read as a recording
         return None
     if is_intervals(table.columns):

@@ -22,6 +22,7 @@ from rcbht_jax.io.importing.record import text, without_arm
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.timing import unit_by_size
+from rcbht_jax.io.importing.unpacked import plain_name
 
 Marks = dict[int | None, list[Interval]]  # of one file, by recording; None = of any
 _NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
@@ -60,6 +61,17 @@ def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
     }  # fmt: skip
     found = {kind: next((parsed[word] for word in words if word in parsed), None) for kind, words in kinds.items()}
     return {kind: place for kind, place in found.items() if place is not None}
+
+
+def with_words(table: Table, path: Path) -> Table:
+    """A table of annotations from a text file, whose names and labels are as they stand there: 007, not 7."""
+    kinds = (place for kind, place in _fields(table.columns).items() if kind in ("label", "track", "recording"))
+    names = [name for name, _ in kinds if table.columns[name].dtype.kind == "f"]
+    if not names:
+        return table
+    [read] = read_csv(path, table.name, words=True)
+    same = {name: read.columns[name] for name in names if len(read.columns.get(name, ())) == len(table.columns[name])}
+    return replace(table, columns={**table.columns, **same})
 
 
 def unused(table: Table) -> list[str]:
@@ -178,12 +190,21 @@ class Names:
 
     def meant(self, word: str) -> set[int]:
         """Indices of the recordings that the word means; more than one if it is ambiguous, or names all arms."""
-        word = spelled(word)
-        return set(next((rank[word] for rank in self._ranks if word in rank), ()))
+        forms = (spelled(word), plain_name(spelled(word)), plain_number(word))
+        return set(next((rank[form] for form in forms for rank in self._ranks if form in rank), ()))
 
     def of_one_trial(self, places: Iterable[int]) -> bool:
         """Whether recordings are the arms of one trial: a word that means them is not ambiguous."""
         return len({self._trials[place] for place in places}) == 1
+
+
+def plain_number(word: str) -> str:
+    """A whole number without zeros before it, as a group of a column of numbers is called; any other word as it is.
+
+    >>> plain_number("007"), plain_number("0"), plain_number("run_007")
+    ('7', '0', 'run_007')
+    """
+    return str(int(word)) if word.isascii() and word.isdecimal() and len(word) < 16 else word
 
 
 def beside(source: Path, file: Path, pattern: str) -> Path:
@@ -274,7 +295,7 @@ def _marks_in(path: Path, track: Track, names: Names, warnings: list[tuple[str, 
     [table] = read_csv(path, path.name)
     if not is_intervals(table.columns):
         raise InputError(f"{path} has columns {', '.join(table.columns)}; expected label, start and end.")
-    rows = intervals_of(table, track)
+    rows = intervals_of(with_words(table, path), track)
     if not is_naming(table.columns):
         return {None: [interval for _, interval in rows]}
     meant = {word: names.meant(word) for word in dict.fromkeys(word for word, _ in rows)}

@@ -41,8 +41,9 @@ class Numerals:
             self._marks.add(".")
 
     def assume_commas(self) -> None:
-        """Other columns of the table have decimal commas, in quotes between commas."""
+        """Other columns of the table have decimal commas, in quotes between commas: no point is a decimal one then."""
         self._commas = True
+        self._marks.add(",")
 
     def read(self, cells: Sequence[str]) -> list[str]:
         """The cells, numbers with a point for the decimals and without marks between thousands.

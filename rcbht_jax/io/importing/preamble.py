@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 from rcbht_jax._util.columns import FORCES, MOMENTS, split_unit
 from rcbht_jax.io.importing import cells, labview
@@ -37,7 +38,7 @@ def line_of_names(lines: list[bytes]) -> int:
     Only a line of text with as many cells as all rows after it is one of names: rows that are cut off, or too few
     names, remain mistakes.
 
-    >>> line_of_names([b"Date,today", b"", b"t,Fx,Fz", b"0,1,2", b"1,1,2"])
+    >>> line_of_names([b"# a log", b"Date,today", b"t,Fx,Fz", b"0,1,2", b"1,1,2"])
     2
     """
     filled = [number for number, line in enumerate(lines) if line.strip()]
@@ -54,6 +55,8 @@ def line_of_names(lines: list[bytes]) -> int:
     delimiter = cells.delimiter_of(lines[filled[-1]])
     rows = [cells.split(lines[number], delimiter) for number in filled]
     width = len(rows[-1])
+    kept = [len(row) == width or not cells.is_comment(lines[at]) for row, at in zip(rows, filled, strict=True)]
+    rows, filled = list(compress(rows, kept)), list(compress(filled, kept))
     first = max((at + 1 for at, row in enumerate(rows) if len(row) != width), default=0)
     if not 0 < first < len(rows) - 1 or any(len(row) > width for row in rows[:first]):
         return 0
@@ -61,8 +64,7 @@ def line_of_names(lines: list[bytes]) -> int:
         first += 1  # a line about every column, such as its date or its number of samples
     below = row_of_numbers(rows[first + 1 :]) or []
     named = not cells.count_numbers(rows[first]) and 2 * cells.count_numbers(below) >= width
-    comments = any(cells.COMMENT.match(lines[number]) for number in filled[:first])
-    return filled[first] if named and not comments else 0
+    return filled[first] if named else 0
 
 
 def row_of_numbers(rows: Sequence[list[str]]) -> list[str] | None:

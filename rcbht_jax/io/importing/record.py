@@ -17,6 +17,7 @@ from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform, topics
+from rcbht_jax.io.importing.arms import column_of_arms, of_each_arm
 from rcbht_jax.io.importing.clock import first_second, no_time, seconds_of
 from rcbht_jax.io.importing.given import Given
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
@@ -105,10 +106,13 @@ def records(
     parts: dict[str, NDArray[Any]] = {"": np.arange(count)}
     stamps: NDArray[np.float64] | None = None
     if mapping.group:
-        group = table.columns[mapping.group]
-        if ((group == "") if group.dtype.kind == "U" else ~np.isfinite(group)).any():
-            yield table.name, f"rows without a value in {mapping.group} belong to no recording."
         parts = _groups(table, mapping.group)
+        sides = column_of_arms(table, mapping, parts)
+        for name in filter(None, (mapping.group, sides)):
+            group = table.columns[name]
+            if ((group == "") if group.dtype.kind == "U" else ~np.isfinite(group)).any():
+                yield table.name, f"rows without a value in {name} belong to no recording."
+        parts = of_each_arm(parts, table.columns[sides]) if sides else parts
     elif (stamps := _readable_stamps(table, mapping, parts[""])) is not None:
         starts = conform.restarts(stamps)
         if 0 < len(starts) < MAX_GROUPS:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax._util.printable import plural
-from rcbht_jax.io.importing.record import Record
+from rcbht_jax.io.importing.record import Record, text
 
 
 @dataclass
@@ -68,8 +68,8 @@ def without_copies(records: Sequence[Record], report: ImportReport, keep: bool =
             continue
         if same:
             first, name = records[same[0]], records[number].name
-            text = f"identical to {first.name}, whose columns or annotations differ; both are imported."
-            report.warnings.append((name, text))
+            differs = f"identical to {first.name}, whose columns or annotations differ; both are imported."
+            report.warnings.append((name, differs))
             _note(records[number], f"contradictory-duplicate:{first.name}")
             _note(first, f"contradictory-duplicate:{name}")
         same.append(number)
@@ -94,7 +94,8 @@ def _longer(content: Sequence[tuple[tuple[str, ...], bytes]], order: list[int], 
 
 
 def _facts(record: Record) -> tuple[Any, ...]:
-    return tuple(sorted(record.columns.items())), tuple(record.intervals)
+    """Columns and annotations as texts, of which those of unknown ends are equal."""
+    return tuple(tuple(map(text, row)) for row in (*sorted(record.columns.items()), *record.intervals))
 
 
 def _note(record: Record, flag: str) -> None:

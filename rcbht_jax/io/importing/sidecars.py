@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -38,8 +38,9 @@ class Sidecars:
 
 
 def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> Sidecars:
-    """The objects among other files of a folder: one named like a recording describes it, else one alone in a folder
-    below the source all recordings there.
+    """The objects among other files of a folder: one named after a recording describes it, else one alone in a folder
+    below the source all recordings there. ``run1_2.json`` is named after ``run1_2.csv``, or if there is none, after
+    ``run1.csv``.
 
     Numbers, texts and truth values of an object count, those of objects within it, and lists of objects that are
     annotations, with a label and a start. A document that is such a list is a table of annotations.
@@ -50,8 +51,11 @@ def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> S
         others: names of the files that are none.
     """
     files: defaultdict[str, list[str]] = defaultdict(list)
+    stems: defaultdict[tuple[str, str], list[str]] = defaultdict(list)  # of recordings by folder and stem
     for item in items:
-        files[str(PurePosixPath(item.name).parent)].append(item.name)
+        path = PurePosixPath(item.name)
+        files[str(path.parent)].append(item.name)
+        stems[str(path.parent), path.stem].append(item.name)
     facts: defaultdict[str, Facts] = defaultdict(dict)
     intervals: defaultdict[str, tuple[Interval, ...]] = defaultdict(tuple)
     alone: defaultdict[str, list[tuple[str, Stated]]] = defaultdict(list)
@@ -66,7 +70,7 @@ def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> S
             read.append(name)
             tables.append(found)
             continue
-        own = [file for file in files.get(folder, ()) if _names(path.stem, PurePosixPath(file).stem)]
+        own = next((stems[folder, stem] for stem in _stems(path.stem) if (folder, stem) in stems), [])
         if own:
             read.append(name)
             for file in own:
@@ -84,9 +88,10 @@ def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> S
     return Sidecars(dict(facts), dict(intervals), tuple(tables), tuple(read))
 
 
-def _names(stem: str, recording: str) -> bool:
-    """Whether a file is named after a recording: run1, run1_meta."""
-    return stem == recording or (stem.startswith(recording) and stem[len(recording)] in "_-.")
+def _stems(stem: str) -> Iterator[str]:
+    """The stems of recordings that a file may be named after, its own first: run1_meta, run1."""
+    yield stem
+    yield from (stem[:place] for place in range(len(stem) - 1, 0, -1) if stem[place] in "_-.")
 
 
 def _stated(source: Path, name: str) -> Stated | Table | None:

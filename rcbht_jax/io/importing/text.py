@@ -22,17 +22,19 @@ from rcbht_jax.io.importing.between import Between, Line
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
 from rcbht_jax.io.importing.numerals import Numerals, shows_commas, shows_points, two_meanings
 from rcbht_jax.io.importing.preamble import stated
+from rcbht_jax.io.importing.record import text
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.timing import are_dates
+from rcbht_jax.io.importing.timing import are_dates, check_one_time
 from rcbht_jax.io.importing.titles import Titles, read_titles
 from rcbht_jax.io.importing.unpacked import opened
 
 CHUNK = 20_000  # rows that are Python objects at a time
 PROBES = 100  # rows that show how numbers are written
+_NO_NUMBER = re.compile(r"0\d+|\d+[eE]\d+|\d{16,}")  # but a name, or a serial number
 _PLAIN = b"0123456789+-.eE,;\t \r\n"
 
 
-def read_csv(path: Path, name: str) -> Iterator[Table]:
+def read_csv(path: Path, name: str, words: bool = False) -> Iterator[Table]:
     """The table of a text file.
 
     Names are those of the first line, and a line of units may follow. Columns without one are called c0, c1, ... by
@@ -47,6 +49,11 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     >>> {key: values.tolist() for key, values in table.columns.items()}
     {'t': [0.0, 0.1], 'Fz': [1.5, 2.0], 'phase': ['free', 'touch']}
 
+    Args:
+        path: the file.
+        name: relative to the source.
+        words: a column of numbers is text if it holds one that says less than its cell, such as 007 or 1E5.
+
     Raises:
         InputError: not a regular file, too large, not text, a line of another number of cells, or text in a column of
             numbers; the sentence names the line.
@@ -55,9 +62,9 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
         encoding = encoding_of(file)
         titles = read_titles(file, path, encoding)
         between = Between(titles.lines, len(titles.names))
-        fast = _fast(file, titles.body, titles.delimiter, len(titles.names))
+        fast = None if words else _fast(file, titles.body, titles.delimiter, len(titles.names))
         faults: set[str] = set()
-        read = fast or _slow(path, file, titles, between, encoding, faults)
+        read = fast or _slow(path, file, titles, between, encoding, faults, words)
     notes: tuple[str, ...] = (f"preamble:{len(titles.before)}",) if titles.before else ()
     notes += (f"lines:{between.count}",) if between.count else ()
     notes += (encoding,) if encoding in WORDS else ()
@@ -71,6 +78,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
             columns[column] = columns[column].astype(np.float64) / counts
     notes += ("counts",) if about.counts else ()
     columns = labview.with_one_time(path, columns) if any(map(labview.ends_header, titles.before)) else columns
+    check_one_time(path, columns)
     yield Table(
         name, columns, about.rate, about.units, notes=notes, lines=tuple(between.left), faults=tuple(sorted(faults))
     )
@@ -119,15 +127,20 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
 
 
 def _slow(
-    path: Path, file: BinaryIO, titles: Titles, between: Between, encoding: str, faults: set[str]
+    path: Path, file: BinaryIO, titles: Titles, between: Between, encoding: str, faults: set[str], words: bool
 ) -> list[NDArray[np.generic]]:
     """Row by row: text columns, empty cells, and a message that names the first bad line."""
     file.seek(0)
     before = sum(1 for _ in iter(lambda: file.readline(MAX_TABLE_LINE) if file.tell() < titles.body else b"", b""))
     file.seek(titles.body)
-    columns = [_Column(path, name, titles.delimiter) for name in titles.names]
+    columns = [_Column(path, name, titles.delimiter, words) for name in titles.names]
     rows: list[Line] = []
     for number, row in _rows(path, file, titles.delimiter, before, encoding):
+        if labview.ends_header(row[0].encode()):
+            raise InputError(
+                f"{path}, line {number} ends a further header: it holds several segments (Multi_Headings in LabVIEW); "
+                "save it with one header only."
+            )
         # A delimiter at the end of every line makes an empty cell more.
         cut = row[:-1] if len(row) == len(columns) + 1 and not row[-1] else row
         rows += between.samples(number, cut)
@@ -189,16 +202,18 @@ def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
 class _Column:
     """A column that grows; it is text if its first cell with content is."""
 
-    def __init__(self, path: Path, name: str, delimiter: str) -> None:
+    def __init__(self, path: Path, name: str, delimiter: str, words: bool) -> None:
         self._path, self.name, self._where = path, name, f"{path}, column {name}"
         self._delimiter, self.numerals = delimiter, Numerals(delimiter)
         self._parts: list[NDArray[np.generic]] = []
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
+        self._words, self._cells = words, list[str]()  # as they stand, if numbers among them may be words
         self.count = 0
         self.faults: set[str] = set()  # words for numbers that are not there
 
     def add(self, written: tuple[str, ...], lines: list[int]) -> None:
         self.count += len(written)
+        self._cells += written if self._words else ()
         plain = [cells.plain(cell, "") for cell in written]
         try:
             row = self.numerals.read(plain) if self._kind != "U" else plain
@@ -239,7 +254,11 @@ class _Column:
 
     def array(self) -> NDArray[np.generic]:
         if self._kind != "U":
-            return np.concatenate(self._parts)
+            values = np.concatenate(self._parts)
+            less = [bool(_NO_NUMBER.fullmatch(cell)) for cell in self._cells]
+            triples = zip(less, self._cells, values.tolist(), strict=True) if any(less) else ()
+            words = [cell if says_more else text(value) for says_more, cell, value in triples]
+            return cells.texts(words, self._where) if words else values
         parts: list[NDArray[np.str_]] = [
             np.full(len(part), "") if part.dtype.kind == "f" else part.astype(np.str_, copy=False)
             for part in self._parts

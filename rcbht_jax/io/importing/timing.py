@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping as AnyMapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import SECONDS, TIMES, TIMES_ABROAD, base_and_unit, split_unit
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
 from rcbht_jax.io.importing.clock_parts import JOINT
@@ -20,6 +23,27 @@ SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 _SECONDS = re.compile(r"^(|.*[./_ ])(?:secs?|seconds)$")
 _DAYS = (2e4, 8e4), (6e5, 8e5)  # days since 1900 (spreadsheets) and since the year 0 (MATLAB), of our time
 _LAST = ("time", "times", "timestamp", "timestamps", "stamp", "duration", "datenum", *TIMES_ABROAD)
+
+
+def check_one_time(path: Path, columns: AnyMapping[str, NDArray[Any]]) -> None:
+    """Refuse columns of signals that have times of their own, in a further column of the same name.
+
+    Raises:
+        InputError: these times are not those of the first such column, within half a sample.
+    """
+    names = list(columns)
+    repeated = ((name, match[1]) for name in names[:-1] if (match := re.fullmatch(r"(.+)\.\d+", name)))
+    for name, first in repeated:
+        if base_and_unit(first)[0] not in (*TIMES, *TIMES_ABROAD) or first not in names[: names.index(name) - 1]:
+            continue  # no signals between them
+        own, others = columns[first], columns[name]
+        if own.dtype.kind != "f" or others.dtype.kind != "f":
+            continue
+        own, others = (both := np.stack([own, others]))[:, np.isfinite(both).all(0)]
+        if _grow(own) and _grow(others) and (np.abs(own - others) > np.median(np.abs(np.diff(own))) / 2).any():
+            raise InputError(
+                f"{path}: the times in column {name} are not those in {first}; save the signals of each one by one."
+            )
 
 
 def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
@@ -139,7 +163,11 @@ def grows(table: Table, name: str) -> bool:
     [True, False]
     """
     values = table.columns[name]
-    steps = np.diff(values) if values.dtype.kind != "U" else np.zeros(1)
+    return values.dtype.kind != "U" and _grow(values)
+
+
+def _grow(values: NDArray[Any]) -> bool:
+    steps = np.diff(values)
     return bool((steps > 0).any() and (steps >= 0).mean() > 0.9)
 
 

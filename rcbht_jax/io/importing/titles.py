@@ -165,12 +165,17 @@ def _is_heading(rows: Sequence[list[str]], width: int, used: int) -> bool:
 
 
 def _units(rows: Sequence[list[str]], width: int) -> list[str]:
-    """The units in the first of these rows, if those columns hold numbers in the next; else none."""
+    """The units in the first of these rows, if the columns of known ones hold numbers in the next; else none.
+
+    Words such as "UTC" above a time or a text are no units.
+    """
     units, first = cells.units(rows[0]) if rows else [], rows[1] if len(rows) > 1 else []
-    of_numbers = len(first) == len(units) == width and all(
-        cells.is_number(cell) or not cell for cell, unit in zip(first, units, strict=True) if unit
-    )
-    return units if of_numbers and any(map(cells.is_number, first)) else []
+    if not len(first) == len(units) == width or not any(map(cells.is_number, first)):
+        return []
+    above = [unit for unit, cell in zip(units, first, strict=True) if not cells.is_number(cell)]
+    if any(split_unit(f"x [{unit}]")[1] for unit in above):
+        return []
+    return [unit if cells.is_number(cell) else "" for unit, cell in zip(units, first, strict=True)]
 
 
 def _distinct(titles: list[str], path: Path) -> list[str]:

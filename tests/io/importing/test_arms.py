@@ -10,13 +10,20 @@ import numpy as np
 import pytest
 
 from rcbht_jax.io.importing.arms import arms_of
+from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Mapping, read_mapping, write_mapping
+from rcbht_jax.io.importing.sidecars import sidecars_of
 from rcbht_jax.labels import AXES
 
 N, DT = 400, 0.002
 TIME = np.arange(N) * DT
 LEFT, RIGHT = np.random.default_rng(5).normal(size=(2, N, 6))
+WRENCHES = {
+    (trial, arm): [",".join(map(str, row[3 * (arm == "left") :][:3])) for row in LEFT * trial]
+    for trial in (1, 2)
+    for arm in ("left", "right")
+}
 NAMES = {
     "left, right": [f"{side}_{axis}" for side in ("left", "right") for axis in ("fx", "fy", "fz", "tx", "ty", "tz")],
     "L, R last": [f"{axis}_{side}" for side in "LR" for axis in AXES],
@@ -74,6 +81,35 @@ def test_arms_of_one_name_are_refused(arms: tuple[str, ...], tmp_path: Path) -> 
         read_source(tmp_path, mapping=Mapping(arms=arms))
 
 
+@pytest.mark.parametrize("by_turns", [False, True])
+@pytest.mark.parametrize("group", ["", "trial"])
+def test_a_column_of_arms_beside_one_of_trials_separates_arms(tmp_path: Path, by_turns: bool, group: str) -> None:
+    keys = [(trial, arm) for trial in (1, 2) for arm in ("left", "right")]
+    blocks = [[f"{trial},{k * DT},{arm},{WRENCHES[trial, arm][k]}" for k in range(50)] for trial, arm in keys]
+    if by_turns:
+        blocks = [[row for pair in zip(*blocks[at : at + 2], strict=True) for row in pair] for at in (0, 2)]
+    lines = [line for block in blocks for line in block]
+    (tmp_path / "all.csv").write_text("\n".join(["trial,t,arm,Fx,Fy,Fz", *lines]))
+    imported = read_source(tmp_path, mapping=Mapping(group=group))
+    recordings = imported.recordings
+    names = list(zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True))
+    assert names == [(f"all-{trial}", arm) for trial, arm in keys]
+    for row, (trial, arm) in enumerate(keys):
+        assert recordings.wrench[row, 3, 0] == pytest.approx(float(WRENCHES[trial, arm][3].split(",")[0]), rel=1e-6)
+    again = read_source(tmp_path, mapping=imported.mapping).recordings
+    assert again.arm.tolist() == recordings.arm.tolist()
+    assert imported.report.warnings == imported.report.skipped == []
+
+
+def test_samples_of_two_sensors_by_turns_are_told(tmp_path: Path) -> None:
+    rows = [f"{k * DT},{'/left/ft' if k % 2 else '/right/ft'},{LEFT[k, 0]},{k % 7},{k % 5}" for k in range(N)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,topic,fx,fy,fz", *rows]))
+    text = "rows alternate between the values of topic; if it names sensors, separate them with --group topic."
+    assert read_source(tmp_path).report.warnings == [("log.csv", text)]
+    parted = read_source(tmp_path, mapping=Mapping(group="topic"))
+    assert (len(parted.recordings), parted.report.warnings) == (2, [])
+
+
 def described(folder: Path, **files: object) -> None:
     for name, content in files.items():
         (folder / f"{name}.json").write_text(json.dumps(content))
@@ -113,6 +149,28 @@ def test_an_object_describes_only_what_it_is_named_after(tmp_path: Path) -> None
     imported = read_source(tmp_path)
     assert imported.recordings.columns["operator"].tolist() == ["ann", ""]
     assert imported.report.remarks[0] == "2 other files were not read: run10.json, setup.json."
+
+
+def test_the_longest_name_of_a_recording_in_that_of_an_object_is_meant(tmp_path: Path) -> None:
+    for name in ("run", "run_2", "run_2-retry"):
+        csv(tmp_path / f"{name}.csv", list(AXES), LEFT + len(name))
+    facts = {"run": "ann", "run_2": "bob", "run_2-retry_meta": "eve"}
+    described(tmp_path, **{name: {"operator": operator} for name, operator in facts.items()})
+    recordings = read_source(tmp_path).recordings
+    operators = zip(recordings.trial.tolist(), recordings.columns["operator"].tolist(), strict=True)
+    assert dict(operators) == {"run": "ann", "run_2": "bob", "run_2-retry": "eve"}
+    (tmp_path / "run_2.json").unlink()
+    assert read_source(tmp_path).recordings.columns["operator"].tolist().count("ann") == 1
+
+
+def test_objects_beside_thousands_of_recordings_are_found_soon(tmp_path: Path) -> None:
+    names = [f"run{number}" for number in range(2000)]
+    described(tmp_path, **{name: {"part": "A"} for name in names})
+    items = [Item(f"{name}.csv", tmp_path / f"{name}.csv", "csv") for name in names]
+    start = time.process_time()
+    found = sidecars_of(tmp_path, items, [f"{name}.json" for name in names])
+    assert time.process_time() - start < 2
+    assert len(found.facts) == 2000
 
 
 def test_a_hostile_object_is_no_description(tmp_path: Path) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
 
+from rcbht_jax.io.importing.arrays import hdf5_tables
 from rcbht_jax.io.importing.importer import read_source
 from tests.io.importing.test_readers import AXES, DT, TIME, WRENCH, N, same
 
@@ -137,3 +139,18 @@ def test_hdf5_units_of_an_attribute(units: str | list[str], tmp_path: Path) -> N
     recordings = read_source(tmp_path / "run.h5").recordings
     assert recordings.units == ("N", "N", "N", "Nmm", "Nmm", "Nmm")
     assert recordings.dt == pytest.approx(DT)
+
+
+def test_hdf5_groups_of_many_recordings_are_read_in_linear_time(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    spent = []
+    for count in (50, 400):
+        with h5py.File(tmp_path / "demos.hdf5", "w") as file:
+            for number in range(count):
+                for key in ("force", "obs/joints", "obs/pose", "obs/gripper", "obs/image", "actions"):
+                    file[f"data/demo_{number}/{key}"] = np.zeros((9, 3))
+        start = time.process_time()
+        tables = list(hdf5_tables(tmp_path / "demos.hdf5", "demos.hdf5"))
+        spent.append(time.process_time() - start)
+        assert [table.columns["obs/pose_2"].shape for table in tables] == [(9,)] * count
+    assert spent[1] < 16 * spent[0]  # of 8

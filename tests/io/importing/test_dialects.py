@@ -101,6 +101,41 @@ def test_units_before_the_names_without_counts(tmp_path: Path) -> None:
     holds(read_source(tmp_path), UNITS)
 
 
+@pytest.mark.parametrize(
+    "before",
+    [
+        "# exported by a logger\nOperator,me\nSample Rate,100\n\n",
+        "Operator,me\n# of samples,50\n\n",
+        "# a\n# b\n",
+        "Operator,me\n// made by, a, logger, of, today\n",
+    ],
+)
+@pytest.mark.parametrize("units", ["", "s,N,N\n", "# a comment\n"])
+def test_comments_among_the_lines_before_the_names(before: str, units: str, tmp_path: Path) -> None:
+    rows = "\n".join(f"{time},{row[0]},{row[1]}" for time, row in zip(TIME, WRENCH, strict=True))
+    (tmp_path / "run.csv").write_text(f"{before}t,Fx,Fz\n{units}{rows}\n")
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.axes, recordings.length.tolist()) == (("Fx", "Fz"), [len(TIME)])
+    assert recordings.units == (("N", "N") if units.startswith("s") else ("", ""))
+
+
+@pytest.mark.parametrize(
+    ("units", "time", "phase"),
+    [
+        ("hh:mm:ss,ms;N;N", "12:00:{:06.3f}", ""),
+        ("UTC;N;N", "2024-05-01T12:00:{:06.3f}Z", ""),
+        ("s;N;N;text", "{:.3f}", ";push"),
+        ("[hh:mm:ss];[N];[N];", "12:00:{:06.3f}", ";push"),
+    ],
+)
+def test_words_about_times_and_texts_among_the_units(units: str, time: str, phase: str, tmp_path: Path) -> None:
+    rows = "\n".join(f"{time.format(t)};{row[0]};{row[1]}{phase}" for t, row in zip(TIME, WRENCH, strict=True))
+    (tmp_path / "run.csv").write_text(f"Zeit;Fx;Fz{';phase' if phase else ''}\n{units}\n{rows}\n")
+    imported = read_source(tmp_path)
+    assert (imported.recordings.axes, imported.mapping.units) == (("Fx", "Fz"), ("N", "N"))
+    assert imported.recordings.dt == pytest.approx(0.01)
+
+
 @pytest.mark.parametrize("mark", ["sep=;", '"sep=;"', "\ufeffsep=;"])
 def test_the_separator_that_a_spreadsheet_reads_is_no_name(mark: str, tmp_path: Path) -> None:
     rows = [";".join(map(str, (10 * k, *row))) + ";" for k, row in enumerate(WRENCH)]
@@ -202,6 +237,19 @@ def test_a_measurement_of_labview_without_times_states_its_rate(delta: str, tmp_
     forces(read_source(tmp_path / "run.lvm", "csv"))
 
 
+@pytest.mark.parametrize(("samples", "segments"), [(5, 4), (15, 2), (100, 3)])
+def test_several_segments_of_labview_are_refused(samples: int, segments: int, tmp_path: Path) -> None:
+    path, pairs = tmp_path / "run.lvm", list(zip(TIME, WRENCH, strict=True))
+    parts = []
+    for part in range(segments):
+        rows = [f"{t}\t{row[0]}\t{row[1]}" for t, row in pairs[part * samples : (part + 1) * samples]]
+        measurement(path, "X_Value\tFx\tFz", "0.01\t0.01", rows)
+        parts.append(path.read_text())
+    path.write_text("".join([parts[0], *(part.partition("\n\t\n")[2] for part in parts[1:])]))
+    with pytest.raises(InputError, match=r"ends a further header: it holds several segments \(Multi_Headings in"):
+        read_source(path, "csv")
+
+
 def test_times_of_labview_before_every_signal_are_no_signals(tmp_path: Path) -> None:
     names, pairs = "X_Value\tFx\tX_Value\tFz", list(zip(TIME, WRENCH, strict=True))
     measurement(tmp_path / "run.lvm", names, "0.01\t\t0.01", [f"{t}\t{row[0]}\t{t}\t{row[1]}" for t, row in pairs])
@@ -209,6 +257,22 @@ def test_times_of_labview_before_every_signal_are_no_signals(tmp_path: Path) -> 
     measurement(tmp_path / "run.lvm", names, "0.01\t\t0.02", [f"{t}\t{row[0]}\t{2 * t}\t{row[1]}" for t, row in pairs])
     with pytest.raises(InputError, match=r"column X_Value.2 are not those in X_Value; save the signals one by one."):
         read_source(tmp_path / "run.lvm", "csv")
+
+
+@pytest.mark.parametrize(
+    ("factor", "shift", "refused"), [(2, 0, True), (1, 0.2, True), (1, 0, False), (1, 1e-3, False)]
+)
+def test_signals_with_times_of_their_own_are_refused(factor: int, shift: float, refused: bool, tmp_path: Path) -> None:
+    path, columns = tmp_path / "run.csv", (TIME, WRENCH[:, 0], factor * TIME + shift, WRENCH[:, 3])
+    np.savetxt(path, np.column_stack(columns), "%.9g", ",", header="Time,Fx [N],Time,Mx [Nm]", comments="")
+    if refused:
+        with pytest.raises(InputError, match=r"the times in column Time\.2 are not those in Time; save the signals of"):
+            read_source(path)
+    else:
+        assert read_source(path).recordings.axes == ("Fx", "Mx")
+    columns = (TIME, factor * TIME + shift, *WRENCH.T[:2])
+    np.savetxt(path, np.column_stack(columns), "%.9g", ",", header="Time,Time,Fx [N],Fy [N]", comments="")
+    assert len(read_source(path).recordings) == 1  # both are of all signals
 
 
 @pytest.mark.parametrize("kind", ["auto", "csv"])

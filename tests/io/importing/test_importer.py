@@ -57,6 +57,14 @@ def test_copies_that_contradict_each_other_are_kept(tmp_path: Path) -> None:
     assert [name for name, _ in imported.report.duplicates] == ["c.csv"]
 
 
+def test_copies_with_the_same_annotation_without_an_end_are_copies(tmp_path: Path) -> None:
+    for name in "ab":
+        write(tmp_path / f"{name}.csv", noise(0))
+        (tmp_path / f"{name}_labels.csv").write_text("label,start,end\npush,0.1,\n")
+    report = read_source(tmp_path).report
+    assert report.duplicates == [("b.csv", "exact copy of a.csv; imported once.")]
+
+
 def test_folders_are_sessions_and_never_outcomes(tmp_path: Path) -> None:
     source = tmp_path / "my_unsuccessful_runs"
     for number, folder in enumerate(("failure", "success", "success")):

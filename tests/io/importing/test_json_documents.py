@@ -91,6 +91,33 @@ def test_arms_annotations_and_what_is_stated_once(tmp_path: Path) -> None:
     assert marked.annotations.labels == {"phases": ("free", "push")}
 
 
+@pytest.mark.parametrize("names", [("left", "right"), ("trial_0", "trial_1")])
+def test_what_stands_beside_recordings_is_of_all(names: tuple[str, str], tmp_path: Path) -> None:
+    axes = [{axis: WRENCH[number, :, k].tolist() for k, axis in enumerate(AXES)} for number in range(2)]
+    shared = {"t": TIME.tolist(), "phases": PHASES, "units": dict.fromkeys(AXES[:3], "N"), "gains": [1, 2]}
+    imported = read(tmp_path, shared | dict(zip(names, axes, strict=True)))
+    recordings = imported.recordings
+    assert (recordings.dt, recordings.units[:3]) == (pytest.approx(0.01), ("N",) * 3)
+    np.testing.assert_allclose(recordings.wrench, WRENCH[:2], rtol=1e-6)
+    assert not recordings.columns
+    lost = ["Arrays of another shape or kind were left out: 'phases'."]  # nothing says of which trial they are
+    of_arms = "left" in names
+    assert len(recordings.annotations) == (4 if of_arms else 0)
+    assert [text for text in imported.report.remarks if "left out" in text] == ([] if of_arms else lost)
+
+
+@pytest.mark.parametrize("orient", ["columns", "index", "split"])
+@pytest.mark.parametrize("form", ["seconds", "dates", "milliseconds since 1970"])
+def test_the_index_of_a_data_frame_may_be_its_time(orient: Any, form: str, tmp_path: Path) -> None:
+    dates = pd.to_datetime(TIME, unit="s", origin="2024-05-01")
+    stamps = 1_714_521_600_000 + (1000 * TIME).round().astype(np.int64)
+    index = {"seconds": pd.Index(TIME), "dates": dates}.get(form, pd.Index(stamps))
+    frame = pd.DataFrame(WRENCH[0], columns=list(AXES), index=index)
+    recordings = read(tmp_path, frame.to_json(orient=orient, date_format="iso")).recordings
+    assert (recordings.axes, recordings.dt) == (AXES, pytest.approx(0.01))
+    np.testing.assert_allclose(recordings.wrench, WRENCH[:1], rtol=1e-6)
+
+
 def test_missing_values_and_lists_of_another_length(tmp_path: Path) -> None:
     force = [None, *WRENCH[0, 1:, 2].tolist()]
     imported = read(tmp_path, {"dt": 0.01, "Fz": force, "speed": [1, 2, 3], "mixed": [1, "a"], "done": True})

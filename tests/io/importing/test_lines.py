@@ -158,6 +158,22 @@ def test_between_commas_other_columns_show_that_a_comma_is_no_decimal_one(tmp_pa
     assert (recordings.dt, recordings.length.tolist()) == (0.01, [20])
 
 
+@pytest.mark.parametrize("delimiter", [";", "\t", ","])
+def test_beside_decimal_commas_a_point_stands_between_thousands(delimiter: str, tmp_path: Path) -> None:
+    cells = ((f"{990 + k * 10:,}".replace(",", "."), f'"{k % 7 / 10}"'.replace(".", ","), 996 + k) for k in range(20))
+    rows = (delimiter.join((time, load, f"{force:,}".replace(",", "."))) for time, load, force in cells)
+    recordings = read(tmp_path, delimiter.join(["t [ms]", "load", "Fz\n"]) + "\n".join(rows)).recordings
+    assert recordings.dt == 0.01
+    np.testing.assert_array_equal(recordings.wrench[0, :, 1], 996 + np.arange(20))
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_where_no_comma_is_a_decimal_one_points_are(delimiter: str, tmp_path: Path) -> None:
+    rows = (f"{k / 100:.3f}{delimiter}{1 + k / 1000:.3f}{delimiter}{'free' if k < 9 else 'push'}" for k in range(20))
+    recordings = read(tmp_path, delimiter.join(["t", "Fz", "phase\n"]) + "\n".join(rows)).recordings
+    np.testing.assert_allclose(recordings.wrench[0, :, 0], 1 + np.arange(20) / 1000, rtol=1e-6)
+
+
 @pytest.mark.parametrize("cell", ["1,234", "0,5", "-1,5e-3"])
 def test_decimal_commas_remain_decimal(cell: str, tmp_path: Path) -> None:
     rows = "".join(f"{k * 10};{cell if k % 2 else '2,345'};{k}\n" for k in range(20))

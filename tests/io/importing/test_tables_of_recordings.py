@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 
@@ -241,3 +242,63 @@ def test_the_words_of_an_outcome_are_understood_where_a_map_states_none(
     write_mapping(tmp_path / "b.toml", imported.mapping)
     again = read_source(tmp_path, "csv", read_mapping(tmp_path / "b.toml"))
     assert again.recordings.outcome.tolist() == outcomes
+
+
+def test_names_and_words_of_digits_stay_as_they_are_written(tmp_path: Path) -> None:
+    for name in ("001", "002", "10"):
+        write(tmp_path / f"{name}.csv", noise(int(name)))
+    (tmp_path / "trials.csv").write_text("trial,operator,serial,mass\n001,007,1E5,1.50\n002,008,,2\n10,9,77,nan\n")
+    (tmp_path / "labels.csv").write_text("file,label,start\n001,01,0.05\n002,1,0.05\n002,1.0,0.1\n010,2,0.05\n")
+    recordings = read_source(tmp_path).recordings
+    assert recordings.trial.tolist() == ["001", "002", "10"]
+    columns = {name: values.tolist() for name, values in recordings.columns.items()}
+    assert columns["operator"] == ["007", "008", "9"]
+    assert (columns["serial"], columns["mass"]) == (["1E5", "", "77"], ["1.5", "2", ""])
+    marks = recordings.annotations
+    assert list(zip(marks.recording.tolist(), marks.names().tolist(), strict=True)) == [
+        (0, "01"), (1, "1"), (1, "1"), (2, "2")
+    ]  # fmt: skip
+    track = Track("event", file="labels.csv")
+    marks = read_source(tmp_path, mapping=Mapping(annotations=(track,))).recordings.annotations
+    assert "01" in marks.labels["event"]
+
+
+def test_digits_name_groups_of_a_column_of_numbers(tmp_path: Path) -> None:
+    rows = [f"{k % 50 * DT},{k // 50:03},{k}" for k in range(150)]
+    (tmp_path / "all.csv").write_text("\n".join(["t,trial,Fz", *rows]))
+    (tmp_path / "facts.csv").write_text("trial,part\n000,peg\n002,plug\n")
+    mapping = Mapping(table="facts.csv", key="trial", columns={"part": Value(table="part")})
+    assert read_source(tmp_path, mapping=mapping).recordings.columns["part"].tolist() == ["peg", "", "plug"]
+
+
+def test_a_table_may_name_packed_files_as_they_are(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write(tmp_path / f"{name}.csv", noise(ord(name)))
+        (tmp_path / f"{name}.csv.gz").write_bytes(gzip.compress((tmp_path / f"{name}.csv").read_bytes()))
+        (tmp_path / f"{name}.csv").unlink()
+    (tmp_path / "trials.csv").write_text("file,outcome\na.csv.gz,ok\nb.csv.gz,nok\n")
+    assert read_source(tmp_path).recordings.outcome.tolist() == ["success", "failure"]
+
+
+@pytest.mark.parametrize(
+    ("facts", "outcomes"),
+    [(("ok", "NOK"), ["success", "failure"]), ((True, 0), ["success", "failure"]), (("ok", "weak"), ["ok", "weak"])],
+)
+@pytest.mark.parametrize("kind", ["json", "h5"])
+def test_the_words_of_an_outcome_that_no_column_states_are_understood_too(
+    tmp_path: Path, kind: str, facts: tuple[object, object], outcomes: list[str]
+) -> None:
+    for number, fact in enumerate(facts):
+        values = noise(number)
+        if kind == "json":
+            write(tmp_path / f"{number}.csv", values)
+            (tmp_path / f"{number}.json").write_text(json.dumps({"outcome": fact}))
+        else:
+            with pytest.importorskip("h5py").File(tmp_path / f"{number}.h5", "w") as file:
+                file["wrench"], file.attrs["dt"], file.attrs["outcome"] = values, DT, fact
+    imported = read_source(tmp_path)
+    assert imported.recordings.outcome.tolist() == outcomes
+    assert any("No outcome is success or failure" in remark for remark in imported.report.remarks) == ("ok" in outcomes)
+    named = Mapping(columns={"outcome": Value("outcome", words={"ok": "success", "weak": "failure"})})
+    if "ok" in facts:
+        assert read_source(tmp_path, mapping=named).recordings.outcome.tolist()[0] == "success"
