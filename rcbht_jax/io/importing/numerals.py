@@ -33,10 +33,12 @@ class Numerals:
     def __init__(self, delimiter: str) -> None:
         """Take the mark between cells: between commas, a comma alone is a decimal one only if the table shows it."""
         self._commas = delimiter != ","
+        self._points = delimiter == ","  # whether a point is a decimal one where nothing else shows it
         self._marks: set[str] = set()  # decimal ones, without doubt
 
     def assume_points(self) -> None:
         """Other columns of the table have decimal points: between commas, no comma is a decimal one then."""
+        self._points = True
         if not self._commas:
             self._marks.add(".")
 
@@ -58,7 +60,8 @@ class Numerals:
             ValueError: a number may mean two; its message is that number.
         """
         whole = "".join(cells)
-        if not (self._marks - {"."}) and not any(mark in whole for mark in _BETWEEN if mark != "."):
+        marks = _BETWEEN if not self._points else _BETWEEN.replace(".", "")
+        if not (self._marks - {"."}) and not any(mark in whole for mark in marks):
             return list(cells)
         self._marks |= {mark for cell in cells if (mark := self._mark(cell))}
         whole_ones = any(map(_WHOLE.match, cells))
@@ -78,8 +81,9 @@ class Numerals:
             mark = "," if "," in cell else "."
             if self._marks == {"." if mark == "," else ","}:
                 return cell.replace(mark, "")
-            if mark == "," and whole_ones and self._commas and not self._marks:
-                raise ValueError(cell)  # 12,345 beside 998
+            unknown = self._commas if mark == "," else not self._points
+            if unknown and whole_ones and not self._marks:
+                raise ValueError(cell)  # 12,345 or 12.345 beside 998
         cell = ungrouped(cell)
         decimal = _DECIMAL.match(cell)
         commas = self._commas or self._marks == {","}

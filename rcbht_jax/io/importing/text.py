@@ -31,6 +31,7 @@ from rcbht_jax.io.importing.unpacked import opened
 CHUNK = 20_000  # rows that are Python objects at a time
 PROBES = 100  # rows that show how numbers are written
 _NO_NUMBER = re.compile(r"0\d+|\d+[eE]\d+|\d{16,}")  # but a name, or a serial number
+_POINT = re.compile(rb"(?<!\d)0?\.\d|\.\d{1,2}(?!\d)|\.\d{4}|\d{4}\.\d")  # is a decimal one without doubt
 _PLAIN = b"0123456789+-.eE,;\t \r\n"
 
 
@@ -104,11 +105,13 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
     file.seek(body)
     if width > MAX_COLUMNS:
         return None
-    blank = True
+    blank, shown = True, False
     while block := file.read(MAX_TABLE_LINE):
         blank = blank and not block.strip()
         if block.translate(None, _PLAIN):
             return None
+        if delimiter != "," and b"." in block and not (shown := shown or bool(_POINT.search(block))):
+            return None  # each point may stand between thousands
         if len(block) == MAX_TABLE_LINE and not (b"\n" in block or b"\r" in block):
             return None  # a line that long would be read as a whole; row by row it is refused
     if blank:

@@ -145,11 +145,22 @@ def test_marks_between_thousands_are_no_decimal_ones(delimiter: str, write: obje
     np.testing.assert_allclose(imported.recordings.wrench[0, :, 0], values, rtol=1e-6)
 
 
-@pytest.mark.parametrize("delimiter", [";", ","])
-def test_a_number_that_may_mean_two_is_refused(delimiter: str, tmp_path: Path) -> None:
-    rows = "".join(f'{k * 10}{delimiter}"{990 + 4 * k:,}"\n' for k in range(20))
+@pytest.mark.parametrize(("delimiter", "mark"), [(";", ","), (",", ","), (";", "."), ("\t", ".")])
+@pytest.mark.parametrize("phase", ["", "free"])
+def test_a_number_that_may_mean_two_is_refused(delimiter: str, mark: str, phase: str, tmp_path: Path) -> None:
+    cells = ((f"{k * 10}", f'"{990 + 4 * k:,}"'.replace(",", mark), phase) for k in range(20))
+    rows = "\n".join(delimiter.join(filter(None, row)) for row in cells)
+    rows = rows if mark == "," else rows.replace('"', "")
+    head = delimiter.join(filter(None, ("t [ms]", "Fz", phase and "phase")))
     with pytest.raises(InputError, match=r"It may mean 10\d\d or 1\.0\d\d; write numbers without marks between"):
-        read(tmp_path, f"t [ms]{delimiter}Fz\n{rows}")
+        read(tmp_path, f"{head}\n{rows}")
+
+
+@pytest.mark.parametrize("other", ["0.5", "12.25", "1234.5"])
+def test_points_elsewhere_show_that_points_are_decimal_ones(other: str, tmp_path: Path) -> None:
+    rows = "\n".join(f"{k * 10};{k + 1 if k % 2 else f'{k + 1:.3f}'};{other}" for k in range(20))
+    recordings = read(tmp_path, f"t [ms];Fz;mass\n{rows}").recordings
+    np.testing.assert_array_equal(recordings.wrench[0, :, 0], 1 + np.arange(20))
 
 
 def test_between_commas_other_columns_show_that_a_comma_is_no_decimal_one(tmp_path: Path) -> None:
