@@ -146,7 +146,8 @@ class Encode(RuleCommand):
             dt = result["config"]["dt"]
             longer = max(4 * self.window, round(USUAL_SPAN / dt))
             text += (
-                f"\nEverything on {', '.join(hidden)} is labelled constant, although the values change: within a "
+                f"\nIn most recordings, everything on {', '.join(hidden)} is labelled constant, although the values "
+                "change: within a "
                 f"window of {self.window} samples ({1e3 * self.window * dt:.3g} ms), noise may be steeper than they "
                 f"are; try a longer one (--window {longer}, {1e3 * longer * dt:.3g} ms)."
             )
@@ -277,7 +278,7 @@ class _Run:
 
 
 def _hidden(recordings: Recordings, tracks: LabelTracks, window: int) -> list[str]:
-    """The axes that change, although all their labels are constant."""
+    """The axes that change, although all their labels are constant in most recordings."""
     from rcbht_jax.calibration.rest import hidden_changes
     from rcbht_jax.labels import Primitive
 

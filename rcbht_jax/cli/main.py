@@ -165,6 +165,8 @@ def _dispatch(words: list[str]) -> int:
     typed = " ".join(words[:2])
     alike = words[0] if any(sign in typed for sign in "./") else typed  # the second word names a file
     close = [*_similar(alike, names), *(nested or _similar(words[0], names))]
+    if len(words) > 1 and (auto := f"{words[0]} auto") in nested and os.path.exists(words[1]):
+        close = [auto]  # no kind is named, but what to read
     raise InputError(f"rcbht has no command {typed!r}; {_suggestion(close, 'rcbht --help', 'the commands')}")
 
 

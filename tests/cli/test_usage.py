@@ -60,6 +60,7 @@ def test_help_is_as_quick_as_importing_jax() -> None:
         ("plot mpa x.zarr", "did you mean plot map"),
         ("plot", "trial"),
         ("import hrio a b", "did you mean import hiro or"),
+        ("import tests a.zarr", "has no command 'import tests'; did you mean import auto?"),
         ("simulat x.zarr", "did you mean simulate?"),
         ("qqqq", '"rcbht --help" lists the commands'),
         ("encode x.zarr --windw 5", "rcbht encode has no option --windw; did you mean --window?"),

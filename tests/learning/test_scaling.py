@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import model_io
-from rcbht_jax.learning.evaluation import TrainedModel
+from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.scaling import KNOTS, SPREAD, fit_scale
 from rcbht_jax.learning.svm import Grid, SvmSpec, fit, predictions, select
 from rcbht_jax.learning.validation import nested_svm

@@ -192,7 +192,8 @@ def _exported(source: Path, item: Item, others: list[str]) -> Imported:
     check_inside(source, source)
     recordings = read_export(item.path)
     names = [f"{trial}/{arm}" for trial, arm in zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True)]
-    report = ImportReport(names, remarks=[f"{spelled(item.path.name)} was written by rcbht export; read as it is."])
+    told = f"{spelled(item.path.name)} was written by rcbht export; read as it is, but for labels."
+    report = ImportReport(names, remarks=[told])
     report.remarks += _unread(source, others)
     report.content_sha256 = _digest(source, [item])
     return Imported(recordings, Mapping(), report)
