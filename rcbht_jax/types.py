@@ -304,7 +304,8 @@ class Recordings(ByValue):
             InputError: different axes, a time that disagrees with the rate, a column of another length or of neither
                 texts nor numbers, or annotations about other recordings.
         """
-        parts, named = read_parts(wrenches, period(rate))
+        dt = period(rate)
+        parts, named = read_parts(wrenches, dt)
         if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
             shapes = sorted({part.shape for part in parts})
             raise InputError(f"Recordings have shapes {shapes}; expected a list of [time, axis] of the same axes.")
@@ -325,7 +326,7 @@ class Recordings(ByValue):
         marks = annotations if isinstance(annotations, Annotations) else Annotations.from_rows(annotations)
         marks.check(count)
         return Recordings(
-            wrench, length, 1 / rate, annotations=marks, columns=extra, axes=names, units=tuple(units), **values
+            wrench, length, dt, annotations=marks, columns=extra, axes=names, units=tuple(units), **values
         )
 
     def column(self, name: str) -> NDArray[Any]:

@@ -25,6 +25,22 @@ def usable(samples: NDArray[np.floating]) -> bool:
     return bool((np.abs(samples) <= LARGEST).all())  # NaN compares as false
 
 
+def check_usable(wrench: NDArray[np.floating], length: NDArray[np.integer]) -> None:
+    """Raise an error for recordings ``[recording, time, axis]`` that are not :func:`usable` within their lengths.
+
+    >>> check_usable(np.array([[[1.0], [np.nan]]]), np.array([1]))
+
+    Raises:
+        InputError: it names the first one.
+    """
+    for index, samples in enumerate(length):
+        if not usable(wrench[index, :samples]):
+            raise InputError(
+                f"Recording {index} holds values that are not finite numbers, or beyond {LARGEST:g}; remove or "
+                "interpolate them."
+            )
+
+
 def positive(values: NDArray[np.floating]) -> bool:
     """Whether all values are positive numbers that single precision holds with all its digits.
 

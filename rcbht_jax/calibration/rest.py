@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rcbht_jax._util.values import expect
+from rcbht_jax._util.values import check_usable, expect
 from rcbht_jax.encoding.choices import check_choices
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
 from rcbht_jax.errors import InputError
@@ -92,7 +92,7 @@ def changing(recordings: Recordings) -> Bool[np.ndarray, " axis"]:
     [True, False]
     """
     pairs = zip(recordings.wrench, recordings.length, strict=True)
-    return np.any([np.ptp(one[:samples], axis=0) > 0 for one, samples in pairs], axis=0)
+    return np.any([np.ptp(one[: max(samples, 1)], axis=0) > 0 for one, samples in pairs], axis=0)
 
 
 @jax.tree_util.register_dataclass
@@ -160,11 +160,12 @@ def window_slopes(
     """Slopes of the straight-line fits of the encoder's windows, unit/s, and which windows are complete.
 
     Raises:
-        InputError: no recordings, or a window that no encoder can have.
+        InputError: no recordings, a window that no encoder can have, or values that are not finite.
     """
     expect("The data set", recordings, Recordings)
     expect("The window", window, int, np.integer)
     check_choices(window, recordings.dt)
+    check_usable(recordings.wrench, recordings.length)
     rows, samples, axes = recordings.wrench.shape
     count = samples // window
     cut = recordings.wrench[:, : count * window].reshape(rows, count, window, axes)

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.compiling import jit
-from rcbht_jax._util.values import LARGEST, usable
+from rcbht_jax._util.values import check_usable
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, encode
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of
@@ -128,12 +128,7 @@ def _checked(
     if length.min() < 0 or length.max() > wrench.shape[1]:
         wrong = int(length.min()) if length.min() < 0 else int(length.max())
         raise InputError(f"A length is {wrong}; expected 0 to {wrench.shape[1]} samples.")
-    for index, samples in enumerate(length):
-        if not usable(wrench[index, :samples]):
-            raise InputError(
-                f"Recording {index} holds values that are not finite numbers, or beyond {LARGEST:g}; remove or "
-                "interpolate them."
-            )
+    check_usable(wrench, length)
     limits, axes = checked_limits(config, thresholds), wrench.shape[2]
     width = limits.shape[-1]
     if limits.shape not in ((axes, width), (len(length), axes, width)):

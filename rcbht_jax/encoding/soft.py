@@ -9,8 +9,9 @@ Pairs of the tables are soft by both rules: the expected label of two soft partn
 pair or merge, and by the paper's rule which windows form an item: the hard encoder decides that, and its decisions are
 held fixed for the derivative.
 
-So the soft labels are the hard ones at temperature 0, are smooth wherever the hard decisions do not change, and
-jump where they do. Gradients reach all limits of every axis; by the paper's rule the wrench as well.
+So the soft labels tend to the hard ones as the temperature, which is positive, tends to 0. They are smooth wherever the
+hard decisions do not change, and jump where they do. Gradients reach all limits of every axis; by the paper's rule the
+wrench as well.
 """
 
 from __future__ import annotations
@@ -74,7 +75,8 @@ def soft_encode(
         thresholds: limits ``[axis, 4]``; by the fit rule FitLimits, or their numbers ``[axis, 5]``, the tolerance last.
         wrench: N and Nm, padded with anything finite; its precision is that of the labels.
         length: samples that count.
-        temperature: see :func:`rcbht_jax.encoding.segments.soft_windows` and :mod:`rcbht_jax.encoding.soft_runs`.
+        temperature: positive; see :func:`rcbht_jax.encoding.segments.soft_windows` and
+            :mod:`rcbht_jax.encoding.soft_runs`.
         straight_through: give the hard labels, with the gradients of the soft ones.
     """
     trials, samples, axes = wrench.shape

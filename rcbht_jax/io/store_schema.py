@@ -66,7 +66,7 @@ class Schema:
     def header(self) -> list[Any]:
         """The properties of all recordings that belong to the digest."""
         labels = [[track, *names] for track, names in self.labels.items()]
-        return [repr(self.dt), *map(list, (self.axes, self.units, labels, sorted(self.columns.items())))]
+        return [repr(float(self.dt)), *map(list, (self.axes, self.units, labels, sorted(self.columns.items())))]
 
 
 def schema_of(

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 
 from rcbht_jax._util.printable import plural
+from rcbht_jax._util.selection import rows_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS
 from rcbht_jax.plots.canvas import LAYER_TITLES, check_rows, label_legend, new_figure, plain
@@ -117,8 +118,7 @@ def _panels(axes: tuple[str, ...], columns: int, rows: int, foot: float) -> tupl
 
 
 def _sorted_rows(recordings: Recordings, select: Bool[np.ndarray, " recording"] | Rows | None) -> Rows:
-    chosen = np.arange(len(recordings)) if select is None else np.asarray(select)
-    rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
+    rows = np.arange(len(recordings)) if select is None else rows_of(select, len(recordings))
     if len(rows) == 0:
         raise InputError("No recording is selected; a label map needs at least one.")
     keys = [getattr(recordings, key)[rows] for key in ("arm", "trial", "source", "outcome", "session")]

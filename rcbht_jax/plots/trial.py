@@ -210,7 +210,8 @@ def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, view: 
     dot = "o" if len(values) == 1 else ""  # of which there would be no line
     ax.plot(times, values, color="0.72", linewidth=2.6, gid="wrench", solid_joinstyle="round", marker=dot)
     visible = values[(times >= view.start) & (times <= view.stop)]
-    low, high = float(visible.min()), float(visible.max())
+    visible = visible[np.isfinite(visible)]  # of a gap there is nothing to see
+    low, high = (float(visible.min()), float(visible.max())) if len(visible) else (0.0, 0.0)
     margin = 0.08 * (high - low) or max(1e-3, 0.05 * abs(high))  # of a constant
     ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
     _name_axis(ax, ", ".join(filter(None, (recordings.axes[axis], recordings.units[axis]))))

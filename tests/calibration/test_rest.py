@@ -83,6 +83,17 @@ def test_units_and_other_axes_do_not_matter() -> None:
     np.testing.assert_array_equal(np.asarray(rest_thresholds(alone).thresholds.limits)[0], limits[1])
 
 
+def test_empty_recordings_do_not_matter_and_values_that_are_none_are_named() -> None:
+    wrench = 0.01 * np.random.default_rng(0).normal(size=(3, 400, 2))
+    wrench[:, 200:] += np.linspace(0, 10, 200)[:, None]
+    made = Recordings.from_arrays(list(wrench), RATE)
+    more = Recordings.from_arrays([*wrench, np.zeros((0, 2))], RATE)
+    np.testing.assert_array_equal(rest_thresholds(more).thresholds.limits, rest_thresholds(made).thresholds.limits)
+    wrench[1, 100] = np.nan
+    with pytest.raises(InputError, match="Recording 1 holds values that are not finite numbers"):
+        rest_thresholds(Recordings.from_arrays(list(wrench), RATE))
+
+
 def test_slopes_are_those_of_a_straight_line_fit() -> None:
     recordings, _ = pushes()
     slope, used = window_slopes(recordings, 7)

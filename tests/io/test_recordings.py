@@ -87,6 +87,15 @@ def test_columns_as_tables_hold_them_can_be_stored(case: str, tmp_path: Path) ->
     assert read_recordings(tmp_path / "a.zarr").column("day").tolist() == expected
 
 
+@pytest.mark.parametrize("kind", [float, int, np.float64])
+def test_any_number_is_a_rate(kind: Callable[[Any], Any], tmp_path: Path) -> None:
+    made = Recordings.from_arrays(REST, kind(500))
+    assert (type(made.dt), made.dt) == (float, 0.002)
+    write_recordings(tmp_path / "a.zarr", made, {})
+    write_recordings(tmp_path / "b.zarr", replace(made, dt=np.float64(0.002)), {})
+    assert read_recordings(tmp_path / "a.zarr") == made == read_recordings(tmp_path / "b.zarr")
+
+
 def test_names_that_are_numbers_are_texts_and_missing_ones_are_as_if_not_given(tmp_path: Path) -> None:
     made = Recordings.from_arrays(
         REST, trial=[7, 8, 9], session=pd.Series(["x", None, "y"]), outcome=[True, False, None]

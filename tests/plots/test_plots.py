@@ -237,6 +237,8 @@ def test_map_cuts_long_sentences_and_says_so(recordings: Recordings, tracks: Lab
         ({"layer": "words"}, "'words'"),
         ({"layer": "llb", "words": 0}, "number of words to show is 0"),
         ({"layer": "llb", "select": np.zeros(3, bool)}, "No recording is selected"),
+        ({"layer": "llb", "select": np.ones(4, bool)}, "There are 3 recordings; expected numbers of some of them"),
+        ({"layer": "llb", "select": np.array([3])}, "There are 3 recordings; expected numbers of some of them"),
     ],
 )
 def test_wrong_maps_are_refused(

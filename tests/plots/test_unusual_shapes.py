@@ -29,6 +29,16 @@ def overlapping(figure: Figure, texts: list[Text]) -> list[tuple[str, str]]:
     return [(a, b) for n, (a, one) in enumerate(boxes) for b, other in boxes[n + 1 :] if one.overlaps(other)]
 
 
+@pytest.mark.parametrize("gap", [slice(30, 40), slice(None)])
+def test_a_gap_is_left_out(gap: slice) -> None:
+    wrench = np.linspace(0, 5, 100)[None, :, None].repeat(2, 2)
+    wrench[0, gap, 1] = np.nan
+    figure = trial_figure(Recordings.from_arrays(wrench, 100.0, axes=["grip", "twist"]), None, 0)
+    low, high = figure.axes[1].get_ylim()
+    assert np.isfinite([low, high]).all()
+    assert (low < 0 < 5 < high) == (gap.stop is not None)
+
+
 @pytest.mark.parametrize("axes", [1, 12])
 def test_any_number_of_axes_gets_the_same_room(axes: int) -> None:
     names = [f"M{number}_right" for number in range(axes)]
