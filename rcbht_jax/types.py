@@ -304,8 +304,7 @@ class Recordings(ByValue):
             InputError: different axes, a time that disagrees with the rate, a column of another length or of neither
                 texts nor numbers, or annotations about other recordings.
         """
-        dt = period(rate)
-        parts, named = read_parts(wrenches, dt)
+        parts, named = read_parts(wrenches, dt := period(rate))
         if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
             shapes = sorted({part.shape for part in parts})
             raise InputError(f"Recordings have shapes {shapes}; expected a list of [time, axis] of the same axes.")
