@@ -267,7 +267,8 @@ def identifiability(jacobian: Jacobian, names: list[str], loss: float, samples: 
         >>> [round(value, 2) for value in found["spectrum"]], found["weakest"]
         ([2.03, 0.35], {'b': 0.73, 'a': -0.68})
     """
-    _, found, turned = np.linalg.svd(jacobian, full_matrices=True)
+    wide = len(jacobian) < len(names)  # of many residuals, the full left vectors would fill the memory
+    _, found, turned = np.linalg.svd(jacobian, full_matrices=wide)
     spectrum = np.concatenate([found, np.zeros(len(names) - len(found))])  # of fewer residuals than parameters
     seen = spectrum > np.finfo(np.float64).eps * max(jacobian.shape) * spectrum[0]
     noise = loss / max(samples - len(names), 1.0)
