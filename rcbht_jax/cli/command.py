@@ -302,8 +302,7 @@ class EncodingCommand(Command):
         """The limits of the file, of a robot's preset or of these recordings, and where they come from.
 
         Args:
-            recordings: what is encoded.
-            store: where they are stored.
+            recordings, store: what is encoded, and where it is stored.
             scale: factor on all gradient limits.
 
         Returns:
@@ -312,22 +311,23 @@ class EncodingCommand(Command):
         Raises:
             InputError: the file is missing or damaged, or has no limits for an axis.
         """
-        from rcbht_jax.encoding.limit_files import read_limits
+        from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.rules import scaled
         from rcbht_jax.encoding.thresholds import preset
 
-        thresholds: AnyLimits
         if self.thresholds:
-            thresholds, source = read_limits(self.thresholds, recordings.axes)
+            thresholds, source = self.limits_in_file(self.thresholds, recordings.axes)
         elif (robot := self.robot or _robot(recordings, store)) == "auto":
-            from rcbht_jax.calibration.rest import auto_thresholds
-
             thresholds, source = auto_thresholds(recordings, self.window), {"method": "auto"}
         else:
             thresholds, source = preset(robot, recordings.axes), {"method": "preset", "robot": robot}
-        if scale == 1:
-            return thresholds, source
-        return scaled(thresholds, scale), {**source, "scale": scale}
+        return (thresholds, source) if scale == 1 else (scaled(thresholds, scale), {**source, "scale": scale})
+
+    def limits_in_file(self, file: Path, axes: tuple[str, ...]) -> tuple[AnyLimits, dict[str, Any]]:
+        """Limits of a file of ``rcbht calibrate``; errors as of :meth:`read_limits`."""
+        from rcbht_jax.encoding.limit_files import read_limits
+
+        return read_limits(file, axes)
 
 
 @dataclass(frozen=True, kw_only=True)

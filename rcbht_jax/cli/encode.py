@@ -147,9 +147,8 @@ class Encode(RuleCommand):
             longer = max(4 * self.window, round(USUAL_SPAN / dt))
             text += (
                 f"\nIn most recordings, everything on {', '.join(hidden)} is labelled constant, although the values "
-                "change: within a "
-                f"window of {self.window} samples ({1e3 * self.window * dt:.3g} ms), noise may be steeper than they "
-                f"are; try a longer one (--window {longer}, {1e3 * longer * dt:.3g} ms)."
+                f"change: within a window of {self.window} samples ({1e3 * self.window * dt:.3g} ms), noise may be "
+                f"steeper than they are; try a longer one (--window {longer}, {1e3 * longer * dt:.3g} ms)."
             )
         return text
 
@@ -193,15 +192,11 @@ class Encode(RuleCommand):
 
         return _Run(encode, how, bar, training, rows)
 
-    def read_limits(self, recordings: Recordings, store: Path, scale: float = 1.0) -> tuple[AnyLimits, dict[str, Any]]:
-        from rcbht_jax.encoding.rules import scaled
+    def limits_in_file(self, file: Path, axes: tuple[str, ...]) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.learning.model_io import load
         from rcbht_jax.learning.predict import limits_in
 
-        if self.thresholds is None or not is_zipfile(self.thresholds):
-            return super().read_limits(recordings, store, scale)
-        limits, source = limits_in(load(self.thresholds), self.window, recordings.axes)
-        return scaled(limits, scale), source if scale == 1 else {**source, "scale": scale}
+        return limits_in(load(file), self.window, axes) if is_zipfile(file) else super().limits_in_file(file, axes)
 
     def config(self, dt: float) -> AnyConfig:
         from rcbht_jax.encoding.encoder import EncoderConfig

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.resampling import CLOCK_JUMP, LARGEST, Resampler
+from rcbht_jax.introspection.resampling import CLOCK_JUMP, LARGEST, on_grid
 from rcbht_jax.io.importing.conform import checked_period, clock, fresh
 from rcbht_jax.io.messages import Malformed, Message, Reset, Sample
 from rcbht_jax.types import Recordings, axis_names
@@ -72,12 +72,8 @@ class Opening:
 
     def recordings(self, rate: float, axes: Sequence[str], units: Sequence[str] | None = None) -> Recordings:
         """The readings as one recording, at the moments at which an encoder of this rate gets samples."""
-        read = []
-        for values, time in zip(_parts(self.wrench, self.stretch), _parts(self.time, self.stretch), strict=True):
-            grid = Resampler(1 / rate, axes=values.shape[1])
-            stamps = [None if np.isnan(stamp) else stamp for stamp in time.tolist()]
-            readings = (Sample(tuple(value), stamp) for value, stamp in zip(values.tolist(), stamps, strict=True))
-            read += [grid.feed(reading).samples for reading in readings]
+        pairs = zip(_parts(self.wrench, self.stretch), _parts(self.time, self.stretch), strict=True)
+        read = [on_grid(values, time, rate) for values, time in pairs]
         return Recordings.from_arrays([np.concatenate(read)], rate, axes=axes, units=units)
 
 

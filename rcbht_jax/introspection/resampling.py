@@ -212,6 +212,25 @@ class Resampler:
         return reports
 
 
+def on_grid(
+    wrench: Float[np.ndarray, "reading axis"], time: Float[np.ndarray, " reading"], rate: float
+) -> Float[np.ndarray, "sample axis"]:
+    """Readings as an encoder of this rate gets them.
+
+    Args:
+        wrench: of one trial.
+        time: stamps of the readings, s; NaN = none.
+        rate: samples per second.
+
+    >>> on_grid(np.array([[0.0], [2.0], [4.0]]), np.array([0.0, 0.02, 0.04]), 100).ravel().tolist()
+    [0.0, 1.0, 2.0, 3.0, 4.0]
+    """
+    grid = Resampler(1 / rate, axes=wrench.shape[1])
+    stamps = (None if np.isnan(stamp) else stamp for stamp in time.tolist())
+    readings = (Sample(tuple(row), stamp) for row, stamp in zip(wrench.tolist(), stamps, strict=True))
+    return np.concatenate([grid.feed(reading).samples for reading in readings])
+
+
 def resampled(recordings: Recordings, rate: float) -> Recordings:
     """Recordings as an encoder of this rate gets them; those of this rate unchanged, else without annotations.
 
@@ -229,11 +248,8 @@ def resampled(recordings: Recordings, rate: float) -> Recordings:
     """
     if math.isclose(rate * recordings.dt, 1, rel_tol=1e-6):
         return recordings
-    parts = []
-    for wrench, length in zip(recordings.wrench, recordings.length.tolist(), strict=True):
-        grid = Resampler(1 / rate, axes=wrench.shape[1])
-        readings = (Sample(tuple(row), k * recordings.dt) for k, row in enumerate(wrench[:length].tolist()))
-        parts.append(np.concatenate([grid.feed(reading).samples for reading in readings]))
+    pairs = zip(recordings.wrench, recordings.length.tolist(), strict=True)
+    parts = [on_grid(wrench[:length], np.arange(length) * recordings.dt, rate) for wrench, length in pairs]
     return Recordings.from_arrays(parts, rate, axes=recordings.axes, units=recordings.units)
 
 
