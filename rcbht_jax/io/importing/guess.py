@@ -17,8 +17,10 @@ from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.numerals import two_meanings
 from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
+from rcbht_jax.io.importing.record import text as as_text
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, with_time
+from rcbht_jax.io.importing.topics import filled
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
@@ -149,16 +151,18 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         stamps = text and ((base in TIMES and are_dates(values)) or is_clock(values))  # that --source-rate replaces
         if (
             (base in names.COUNTERS and not text)
+            or (short in names.ENDS and _is_flag(values))
             or stamps
             or not (text or name in facts or (_is_label(name) and _integers(values)))
         ):
             continue
         target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
+        result = short == "success" and _is_flag(values) and _rises(values, groups)
         # An outcome that changes is a mistake, not a track, which would replace it in every recording.
-        if short == "outcome" or all(_constant(values[rows], short in names.LABELS) for rows in groups):
+        if short == "outcome" or result or all(_constant(values[rows], short in names.LABELS) for rows in groups):
             if is_outcome(short, _distinct(values).tolist()):
-                columns.setdefault("outcome", Value(name, words=OUTCOMES))
-            columns.setdefault(target, Value(name))
+                columns.setdefault("outcome", Value(name, words=OUTCOMES, last=result))
+            columns.setdefault(target, Value(name, last=result))
         elif short in names.TOPICS:
             continue
         elif not text:
@@ -210,6 +214,18 @@ def _distinct(values: NDArray[Any]) -> NDArray[Any]:
     return np.unique(values[values != ""] if values.dtype.kind == "U" else values[np.isfinite(values)])
 
 
+def _is_flag(values: NDArray[Any]) -> bool:
+    words = _distinct(values)
+    return len(words) <= 2 and {as_text(word).lower() for word in words} <= {"true", "false", "1", "0"}
+
+
+def _rises(values: NDArray[Any], groups: list[NDArray[np.bool_]]) -> bool:
+    """Whether a flag is set in the course of recordings and never taken back, so that its last value is the result."""
+    truth = np.isin([as_text(value).lower() for value in values], ("true", "1"))
+    steps = [np.diff(truth[rows & filled(values)].astype(np.int8)) for rows in groups]
+    return any((step > 0).any() for step in steps) and not any((step < 0).any() for step in steps)
+
+
 def _constant(values: NDArray[Any], label: bool) -> bool:
     """Whether a column has one value; a label that only some rows have is not constant."""
     gone = values == "" if values.dtype.kind == "U" else ~np.isfinite(values)
@@ -234,7 +250,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
     if wrench := names.preferred(names.wrenches(numeric)):
         return tuple(Channel(column, axis, _unit_of(table, column, axis)) for axis, column in wrench.items())
-    other = {*names.COUNTERS, *names.GROUPS, *names.NANOSECONDS}
+    other = {*names.COUNTERS, *names.ENDS, *names.GROUPS, *names.NANOSECONDS}
     rest = [name for name in numeric if not other & {base_and_unit(name)[0], names.group_base(name)}]
     # a T that does not grow is a temperature or a torque
     rest = [name for name in rest if base_and_unit(name)[0] not in TIMES or not grows(table, name)]

@@ -61,6 +61,7 @@ class Value:
     value: str = ""  # the same for all
     folder: int = 0  # name of a folder of the file below the source: 1 = the outermost, -1 = the innermost
     words: AnyMapping[str, str] = field(default_factory=dict)  # text in the file -> text
+    last: bool = False  # whether a column that changes counts with its last value
 
 
 @dataclass(frozen=True)
@@ -186,7 +187,7 @@ def _toml(value: Any) -> str:
     # A string of JSON is one of TOML, but for the delete character.
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return repr(value if isinstance(value, int) else float(value))
+    return json.dumps(value) if isinstance(value, bool) else repr(value if isinstance(value, int) else float(value))
 
 
 def _mapping(content: dict[str, Any]) -> Mapping:
@@ -227,6 +228,10 @@ def _typed(kind: str, value: Any) -> Any:
     """A value as the field of that type holds it."""
     if kind == "str":
         if not isinstance(value, str):
+            raise TypeError
+        return value
+    if kind == "bool":
+        if not isinstance(value, bool):
             raise TypeError
         return value
     if kind == "int":

@@ -16,6 +16,7 @@ COUNTERS = (
     "index", "sample", "samples", "frame", "frame_index", "step", "row", "seq", "header.seq", "unnamed: 0",
     "field.header.seq", "task_index", "next.done", "__index_level_0__",
 )  # fmt: skip
+ENDS = ("is_first", "is_last", "is_terminal", "terminated", "truncated", "done", "dones")  # flags of learning data sets
 GROUPS = (
     "instance", "episode", "recording", "series", "run", "demo", "sequence", "trial", "experiment", "traj",
     "trajectory",
@@ -37,6 +38,7 @@ _DEMANDED = {
 _RAW, _COMPENSATED = {"raw", "uncompensated"}, {"compensated", "comp", "tared"}
 _QUALIFIERS = (
     "continuous|raw|filtered|compensated|comp|measured|meas|ext|external|data|values?|sensor|tcp|tool|ee|base|world|"
+    "cartesian|"
     "history|calibrated|tared|est|estimated|left|right|l|r"
 )
 _WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*(?!\{arm\})[\[({]\s*([^\W\d][^\])}]*)[\])}]$")

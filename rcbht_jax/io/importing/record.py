@@ -331,7 +331,10 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
     elif source.table:
         found = row.get(source.table, "")
     elif source.column in table.columns:
-        values = {text(value) for value in np.unique(table.columns[source.column][rows])} - {""}
+        column = table.columns[source.column][rows]
+        if source.last:
+            column = column[topics.filled(column)][-1:]
+        values = {text(value) for value in np.unique(column)} - {""}
         if len(values) > 1:
             return None
         found = values.pop() if values else ""

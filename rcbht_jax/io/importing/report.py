@@ -11,6 +11,7 @@ import numpy as np
 
 from rcbht_jax._util.printable import plural
 from rcbht_jax.io.importing.record import Record, text
+from rcbht_jax.labels import AXES
 
 
 @dataclass
@@ -103,11 +104,14 @@ def _note(record: Record, flag: str) -> None:
 
 
 def most_common(records: Sequence[Record], report: ImportReport) -> list[Record]:
-    """The recordings with the most frequent axes and units; the others are reported."""
+    """The recordings with the most frequent axes and units, of those with forces if there are any; reports the others.
+
+    Beside the wrench, a folder may hold as many files of another sensor.
+    """
     kinds = Counter((record.axes, record.units) for record in records)
     if len(kinds) < 2:
         return list(records)
-    [(common, count)] = kinds.most_common(1)
+    common, count = max(kinds.items(), key=lambda kind: (not set(AXES).isdisjoint(kind[0][0]), kind[1]))
     for record in records:
         if (record.axes, record.units) != common:
             own, others = _axes(record.axes, record.units), _axes(*common)

@@ -29,6 +29,8 @@ RATE_NAMES = (
     "frequency",
     "sampling_frequency",
 )
+LONGEST_TEXT = 100_000  # characters of a fact in which a rate is looked for
+_CONTROL = re.compile(r'"control_freq(?:uency)?"\s*:\s*(\d+(?:\.\d+)?)\s*[,}]')
 PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")
 LENGTH_NAMES = ("length", "lengths", "n_samples", "num_samples", "n_steps", "num_steps", "seq_len", "seq_lengths")
 
@@ -279,7 +281,7 @@ def scalars_of(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[
     >>> scalars_of({"dt": np.array(0.01), "part": np.array("A")})
     (100.0, {'part': 'A'})
     """
-    rate, facts = None, dict[str, str | float]()
+    rate, within, facts = None, None, dict[str, str | float]()
     for key, value in scalars.items():
         if not _usable(value):
             continue
@@ -289,7 +291,18 @@ def scalars_of(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[
             rate = fact * unit if short in RATE_NAMES else 1 / (fact * unit)
         else:
             facts[key] = fact
-    return rate, facts
+            within = within or (_control_rate(fact) if isinstance(fact, str) else None)
+    return rate or within, facts
+
+
+def _control_rate(text: str) -> float | None:
+    """The rate of the controller in a JSON object such as ``env_args`` of robomimic; None = it states none.
+
+    >>> _control_rate('{"env_name": "Lift", "env_kwargs": {"control_freq": 20}}')
+    20.0
+    """
+    found = _CONTROL.search(text[:LONGEST_TEXT]) if text.startswith("{") else None
+    return float(found[1]) if found and 0 < float(found[1]) < np.inf else None
 
 
 def _without_unit(key: str) -> tuple[str, float]:

@@ -1,0 +1,82 @@
+"""Files of data sets for robot learning: flags of success and of ends, rates of controllers, other sensors beside."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.io.importing.importer import Imported, read_source
+from rcbht_jax.io.importing.mapping import Mapping, read_mapping, write_mapping
+from rcbht_jax.labels import AXES
+
+N = 60
+WRENCH = np.random.default_rng(3).normal(size=(N, 6))
+
+
+def _flags(folder: Path, name: str, flags: list[list[int]], kind: type = bool) -> Imported:
+    for number, flag in enumerate(flags):
+        set_at = np.array(flag, kind).repeat(N // len(flag))
+        np.savez(folder / f"episode_{number}.npz", wrench=WRENCH + number, rate=100, done=set_at, **{name: set_at})
+    return read_source(folder)
+
+
+@pytest.mark.parametrize("kind", [bool, np.uint8])
+@pytest.mark.parametrize("name", ["success", "next.success"])
+def test_a_flag_that_is_set_is_the_outcome(name: str, kind: type, tmp_path: Path) -> None:
+    """Where it is never set, it is constant; ``done`` says nothing but where a recording ends."""
+    imported = _flags(tmp_path, name, [[0, 1], [0, 0], [0, 1, 1]], kind)
+    assert imported.recordings.outcome.tolist() == ["success", "failure", "success"]
+    assert imported.recordings.annotations.names().size == 0
+    assert set(imported.recordings.columns) == {name}
+    assert not any("outcome" in remark for remark in imported.report.remarks)
+
+
+def test_a_flag_that_is_taken_back_is_annotated(tmp_path: Path) -> None:
+    recordings = _flags(tmp_path, "success", [[0, 1, 0]]).recordings
+    assert recordings.outcome.tolist() == ["unknown"]
+    assert recordings.annotations.of("success").names().tolist() == ["False", "True", "False"]
+
+
+def test_a_map_states_that_the_last_value_counts(tmp_path: Path) -> None:
+    lines = [f"{row[0]},{'busy' if place < N - 1 else 'nok'}" for place, row in enumerate(WRENCH)]
+    (tmp_path / "a.csv").write_text("\n".join(["Fz,result", *lines]))
+    (tmp_path / "map.toml").write_text('source_rate = 100\n[columns.outcome]\ncolumn = "result"\nlast = true\n')
+    mapping = read_mapping(tmp_path / "map.toml")
+    assert read_source(tmp_path / "a.csv", mapping=mapping).recordings.outcome.tolist() == ["failure"]
+    write_mapping(tmp_path / "again.toml", mapping)
+    assert read_mapping(tmp_path / "again.toml") == mapping
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_files_of_another_sensor_do_not_displace_the_wrench(count: int, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "run_wrench.csv", WRENCH, delimiter=",", header=",".join(AXES), comments="")
+    for number in range(count):
+        np.savetxt(tmp_path / f"a{number}.csv", WRENCH[:, :3] + number, delimiter=",", header="ax,ay,az", comments="")
+    imported = read_source(tmp_path, mapping=Mapping(source_rate=100))
+    assert (len(imported.recordings), imported.recordings.axes) == (1, AXES)
+    assert [name for name, _ in imported.report.skipped] == [f"a{number}.csv" for number in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("stated", "rate"), [({"control_freq": 20}, 20), ({"env_kwargs": {"control_freq": 12.5}}, 12.5)]
+)
+def test_the_rate_of_the_controller_is_that_of_the_samples(
+    stated: dict[str, object], rate: float, tmp_path: Path
+) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "demo.hdf5", "w") as file:
+        file.create_group("data").attrs["env_args"] = json.dumps({"env_name": "Assembly", **stated})
+        for number in range(2):
+            for name, part in (("force", WRENCH[:, :3]), ("torque", WRENCH[:, 3:])):
+                file[f"data/demo_{number}/obs/robot0_ee_{name}"] = part + number
+    recordings = read_source(tmp_path).recordings
+    assert (len(recordings), recordings.axes, 1 / recordings.dt) == (2, AXES, pytest.approx(rate))
+
+
+def test_six_numbered_forces_are_a_wrench(tmp_path: Path) -> None:
+    names = [f"effort_force_cartesian_{number}" for number in range(6)]
+    np.savez(tmp_path / "a.npz", rate=100, setpoint_pos_0=WRENCH[:, 0], **dict(zip(names, WRENCH.T, strict=True)))
+    assert read_source(tmp_path).recordings.axes == AXES
