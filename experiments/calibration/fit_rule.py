@@ -100,7 +100,7 @@ class Experiment:
         limits, data = self.limits(method), self.training
         stacked = checked_limits(self.config, limits)
         tracks = encode_batch(self.config, limits, data.wrench, data.length)
-        rest = rest_thresholds(data, WINDOW).rest
+        rest = rest_thresholds(data, WINDOW, "fit").rest
         moving = rest_not_constant(tracks.primitive, rest, WINDOW, Primitive.CONS)
         one = FitLimits(stacked[None, :, :4], stacked[None, :, 4])
         accuracy, fit = score_candidates(self.data, self.config, one)[0, :2].tolist()

@@ -67,7 +67,8 @@ def of_set(folder: str, kind: str, mapping: str, window: int) -> dict[str, Any]:
     rows = {}
     for rule in ("paper", "fit"):
         config = config_of(rule, window, recordings.dt)
-        limits = limits_for(config, calibration.thresholds, AUTO, recordings.wrench, recordings.length)
+        thresholds = rest_thresholds(recordings, window, rule).thresholds
+        limits = limits_for(config, thresholds, AUTO, recordings.wrench, recordings.length)
         tracks = encode_batch(config, limits, recordings.wrench, recordings.length)
         rows |= {f"{rule}: {name}": constant(tracks, rest) | {"seconds": seconds[name]} for name, rest in rests.items()}
     return {"recordings": len(recordings), "axes": list(recordings.axes), "window": window, "rows": rows}

@@ -80,9 +80,9 @@ class Part:
         """Windows of the published rules; fewer of them where each has to be compiled for one set."""
         return (5, 10, 20) if self.hiro else (2, 5) if self.windows[0] < 5 else (5, 20)
 
-    def limits(self, window: int) -> NDArray[np.float64]:
+    def limits(self, window: int, rule: str = "paper") -> NDArray[np.float64]:
         """Gradient limits ``[axis, 4]``."""
-        found = preset("hiro", self.recordings.axes) if self.hiro else auto_thresholds(self.recordings, window)
+        found = preset("hiro", self.recordings.axes) if self.hiro else auto_thresholds(self.recordings, window, rule)
         return np.asarray(found.limits, np.float64)
 
     def words(self, rule: str, window: int, tolerance: Any = None, of: Recordings | None = None) -> LabelTracks:
@@ -93,7 +93,7 @@ class Part:
             copies.wrench,
             1 / copies.dt,
             window=window,
-            thresholds=self.limits(window),
+            thresholds=self.limits(window, rule),
             lengths=copies.length,
             **options,
         )

@@ -2,7 +2,9 @@
 
 No annotation is needed. Recordings are cut into blocks of about half a second; on a logarithmic scale the steepness of
 blocks falls into two groups, rest and movement. The limit of a constant is what nearly all windows at rest stay below,
-noise and drift included; the limit of an impulse is the steepness that contacts usually reach.
+noise and drift included; the limit of an impulse is the steepness that contacts usually reach. Runs of the fit rule are
+longer than windows, so its limits come from longer lines, which noise tilts less, and its rest is what deviates little
+from the mean of a block.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, Recordings
 
 BLOCK = 0.5  # s, over which rest and movement are separated
+CALM, CONTACT = 0.1, 0.05  # s: lines of the fit rule at rest, and in a contact
 QUIET = 0.99  # share of the windows at rest that shall be constant
 MARGIN = 1.5  # on that: rest differs from recording to recording, and one window spoils a composition
 HELD = 0.05  # share of the blocks that may be stiller than rest is
@@ -45,12 +48,13 @@ class RestCalibration:
     rest: Bool[np.ndarray, "recording window axis"]
 
 
-def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
+def rest_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper") -> RestCalibration:
     """Thresholds from the steepness of windows at rest and of contacts; HIRO's for an axis that never changes.
 
     Args:
         recordings: any axes and units.
         window: samples per straight-line fit, as the encoder will have it.
+        rule: of the words, "paper" or "fit".
 
     Raises:
         InputError: no ``Recordings``, none is as long as two windows, or no encoder has such a window.
@@ -69,20 +73,53 @@ def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
         raise InputError(f"No recording has two windows of {window} samples; choose a smaller window.")
     steep = np.abs(slope)
     per_block = max(1, round(BLOCK / (window * recordings.dt)))
-    activity = _block_means(steep, used, per_block)
-    limits, rest = np.array(preset(axes=recordings.axes).limits), np.zeros(steep.shape, bool)
-    changes = changing(recordings)
-    for axis in range(len(recordings.axes)):
-        here, moved = steep[used, axis], activity[used, axis]
-        if not changes[axis] or not here.any():  # rounding is no slope
-            rest[used, axis] = True
-            continue
-        quiet = moved <= _border(moved)
-        rest[used, axis] = quiet
-        constant = MARGIN * max(float(np.quantile(here[quiet], QUIET)), 1e-3 * float(here.max()))
-        impulse = _contact_steepness(steep[..., axis], used & ~rest[..., axis])
+    fit = rule == "fit"
+    activity = _deviations(recordings, window, used, per_block) if fit else _block_means(steep, used, per_block)
+    moving = changing(recordings) & steep[used].any(0)  # rounding is no slope
+    limits, rest = np.array(preset(axes=recordings.axes).limits), used[..., None] & ~moving
+    for axis in np.flatnonzero(moving).tolist():
+        rest[used, axis] = activity[used, axis] <= _border(activity[used, axis])
+    windows = _Lines(steep, used, rest)
+    calm = windows.longer(recordings, window, CALM) if fit else windows
+    contact = windows.longer(recordings, window, CONTACT) if fit else windows
+    for axis in np.flatnonzero(moving).tolist():
+        lines = calm if calm.seen(axis) else windows
+        least = 1e-3 * float(lines.steep[lines.used, axis].max())
+        constant = MARGIN * max(float(np.quantile(lines.steep[lines.rest[..., axis], axis], QUIET)), least)
+        impulse = _contact_steepness(contact.steep[..., axis], contact.used & ~contact.rest[..., axis])
         limits[axis] = [*np.maximum(impulse * STEPS, constant * LEAST), constant]
     return RestCalibration(GradientThresholds(limits).validate(), rest)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Straight lines through parts of equal length of all recordings."""
+
+    steep: Float[np.ndarray, "recording line axis"]
+    used: Bool[np.ndarray, "recording line"]  # which are complete
+    rest: Bool[np.ndarray, "recording line axis"]  # which are complete and lie at rest
+
+    def longer(self, recordings: Recordings, window: int, seconds: float) -> _Lines:
+        """The lines of about that length, of whole windows; these are lines of one window."""
+        windows = min(max(1, round(seconds / (window * recordings.dt))), self.rest.shape[1])
+        slope, used = _slopes(recordings, windows * window)
+        parts = self.rest[:, : slope.shape[1] * windows].reshape(*slope.shape[:2], windows, -1)
+        return _Lines(np.abs(slope), used, parts.all(2) & used[..., None])
+
+    def seen(self, axis: int) -> bool:
+        """Whether some line is at rest, and some line has a slope."""
+        return bool(self.rest[..., axis].any() and self.steep[self.used, axis].any())
+
+
+def _deviations(
+    recordings: Recordings, window: int, used: Bool[np.ndarray, "recording window"], length: int
+) -> Float[np.ndarray, "recording window axis"]:
+    """Standard deviation of the values in the block of so many windows that a window lies in."""
+    rows, count = used.shape
+    parts = recordings.wrench[:, : count * window].astype(np.float64).reshape(rows, count, window, -1)
+    parts = parts - parts[:, :1, :1]
+    mean, square = (_block_means(part.mean(2), used, length) for part in (parts, parts**2))
+    return np.sqrt(np.maximum(square - mean**2, 0.0))
 
 
 def changing(recordings: Recordings) -> Bool[np.ndarray, " axis"]:
@@ -144,14 +181,19 @@ def excess(steep: Array, small: Array) -> Array:
     return SOFTNESS * jax.nn.softplus(ratio / SOFTNESS)
 
 
-def auto_thresholds(recordings: Recordings, window: int = 5) -> GradientThresholds:
+def auto_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper") -> GradientThresholds:
     """Thresholds for recordings of an unknown robot; HIRO's preset where they are too short to see rest.
+
+    Args:
+        recordings, window, rule: as of :func:`rest_thresholds`.
 
     Raises:
         InputError: no encoder has such a window.
     """
     longest = int(recordings.length.max())
-    return rest_thresholds(recordings, window).thresholds if longest >= 2 * window else preset(axes=recordings.axes)
+    if longest < 2 * window:
+        return preset(axes=recordings.axes)
+    return rest_thresholds(recordings, window, rule).thresholds
 
 
 def window_slopes(
@@ -166,6 +208,12 @@ def window_slopes(
     expect("The window", window, int, np.integer)
     check_choices(window, recordings.dt)
     check_usable(recordings.wrench, recordings.length)
+    return _slopes(recordings, window)
+
+
+def _slopes(
+    recordings: Recordings, window: int
+) -> tuple[Float[np.ndarray, "recording window axis"], Bool[np.ndarray, "recording window"]]:
     rows, samples, axes = recordings.wrench.shape
     count = samples // window
     cut = recordings.wrench[:, : count * window].reshape(rows, count, window, axes)

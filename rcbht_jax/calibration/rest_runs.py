@@ -64,7 +64,7 @@ def fit_rest_limits(recordings: Recordings, config: FitConfig) -> FitRestCalibra
         >>> bool(0.015 < found.limits.tolerance[0] < 0.1), bool(found.constant[0] >= 0.95)
         (True, True)
     """
-    calibrated = rest_thresholds(recordings, config.window)
+    calibrated = rest_thresholds(recordings, config.window, "fit")
     least = _rest_noise(recordings, calibrated.rest, config)
     runs = _runs(recordings, config, least * STEPS[:, None], calibrated.rest)
     share = 1 - runs.moving(np.asarray(calibrated.thresholds.limits)[:, 3])
@@ -98,7 +98,7 @@ class RestRuns:
         Raises:
             InputError: no recording is as long as two windows, or an axis has no rest.
         """
-        rest = rest_thresholds(recordings, config.window).rest
+        rest = rest_thresholds(recordings, config.window, "fit").rest
         usual = auto_tolerance(recordings.wrench, recordings.length, config.needed)
         return _runs(recordings, config, usual * RANGE[:, None], rest, weight)
 

@@ -270,8 +270,8 @@ def _is_whole(folder: Path) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EncodingCommand(Command):
-    """Options of the commands that encode."""
+class RuleCommand(Command):
+    """Options of the commands that encode by either rule."""
 
     window: Annotated[int, option("Samples per linear fit.")] = 5
     robot: Annotated[
@@ -291,6 +291,8 @@ class EncodingCommand(Command):
         ),
         MadeBy('"rcbht calibrate STORE.zarr -o {path}"'),
     ] = None
+    rule: WordRule = "paper"
+    tolerance: Annotated[tuple[float, ...], option(_TOLERANCE, f"those of --thresholds; else {_AUTO_TOLERANCE}")] = ()
 
     def check_inputs(self) -> None:
         """Refuse two choices of thresholds as well."""
@@ -318,7 +320,7 @@ class EncodingCommand(Command):
         if self.thresholds:
             thresholds, source = self.limits_in_file(self.thresholds, recordings.axes)
         elif (robot := self.robot or _robot(recordings, store)) == "auto":
-            thresholds, source = auto_thresholds(recordings, self.window), {"method": "auto"}
+            thresholds, source = auto_thresholds(recordings, self.window, self.rule), {"method": "auto"}
         else:
             thresholds, source = preset(robot, recordings.axes), {"method": "preset", "robot": robot}
         return (thresholds, source) if scale == 1 else (scaled(thresholds, scale), {**source, "scale": scale})
@@ -328,14 +330,6 @@ class EncodingCommand(Command):
         from rcbht_jax.encoding.limit_files import read_limits
 
         return read_limits(file, axes)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RuleCommand(EncodingCommand):
-    """Options of the commands that encode by either rule."""
-
-    rule: WordRule = "paper"
-    tolerance: Annotated[tuple[float, ...], option(_TOLERANCE, f"those of --thresholds; else {_AUTO_TOLERANCE}")] = ()
 
     def config(self, dt: float) -> AnyConfig:
         """The configuration of the rule for samples ``dt`` seconds apart."""

@@ -109,7 +109,7 @@ class Encode(RuleCommand):
         restless, hidden = {}, []
         if run.training is not None:
             labels = run.labels_of_training()
-            restless = _restless(run.training, labels, self.window)
+            restless = _restless(run.training, labels, self.window, self.rule)
             hidden = _hidden(run.training, labels, self.window)
         facts = {
             "labels": run.counts,
@@ -281,13 +281,13 @@ def _hidden(recordings: Recordings, tracks: LabelTracks, window: int) -> list[st
     return [axis for axis, one in zip(recordings.axes, hidden.tolist(), strict=True) if one]
 
 
-def _restless(recordings: Recordings, tracks: LabelTracks, window: int) -> dict[str, float]:
+def _restless(recordings: Recordings, tracks: LabelTracks, window: int, rule: str) -> dict[str, float]:
     """By axis, the share of the time at rest that is not labelled constant; empty where rest cannot be seen."""
     from rcbht_jax.calibration.rest import rest_not_constant, rest_thresholds
     from rcbht_jax.labels import Primitive
 
     try:
-        rest = rest_thresholds(recordings, window).rest
+        rest = rest_thresholds(recordings, window, rule).rest
     except InputError:
         return {}
     share = rest_not_constant(tracks.primitive, rest, window, Primitive.CONS)

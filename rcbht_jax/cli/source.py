@@ -301,7 +301,7 @@ class Source(RuleCommand):
         if _is_store(path):
             thresholds, _ = self.read_limits(recordings, path)
         elif learns:
-            thresholds = auto_thresholds(recordings, self.window)
+            thresholds = auto_thresholds(recordings, self.window, self.rule)
         else:
             thresholds, _ = replace(self, robot=robot).read_limits(recordings, path)
         config = self.config(1 / rate)

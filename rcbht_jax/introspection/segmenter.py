@@ -111,7 +111,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         self.classes_ = classes
         self.axes_, self._dt = (recordings.axes, recordings.units), recordings.dt
         config = config_of(self.rule, self.window, recordings.dt)
-        self.thresholds_ = auto_thresholds(recordings, self.window)
+        self.thresholds_ = auto_thresholds(recordings, self.window, self.rule)
         self._limits = limits_for(config, self.thresholds_, self.tolerance, recordings.wrench, recordings.length)
         self.tolerance_ = np.asarray(self._limits.tolerance) if isinstance(self._limits, FitLimits) else None
         rng = np.random.default_rng(self.random_state)

@@ -120,7 +120,7 @@ def at_rest(seed: int, noise: float) -> Recordings:
 def test_rest_is_constant_with_the_tolerance_of_rest():
     recordings = at_rest(0, 0.05)
     found = fit_rest_limits(recordings, CONFIG)
-    rest = rest_thresholds(recordings, 5)
+    rest = rest_thresholds(recordings, 5, "fit")
     np.testing.assert_array_equal(found.limits.gradients, rest.thresholds.limits)
     tracks = encode_batch(CONFIG, found.limits, recordings.wrench, recordings.length)
     moving = rest_not_constant(tracks.primitive, rest.rest, 5, Primitive.CONS)
@@ -150,7 +150,7 @@ def test_noise_at_rest_is_that_of_the_blocks_at_rest():
 def test_penalties_are_the_share_of_rest_that_words_do_not_call_constant():
     recordings = at_rest(1, 0.2)
     runs = RestRuns.of(recordings, CONFIG, weight=2.0)
-    rest = rest_thresholds(recordings, 5).rest
+    rest = rest_thresholds(recordings, 5, "fit").rest
     gradients = np.tile([80.0, 40.0, 20.0, 0.5], (2, 1)) * np.array([1, 1e-3])[:, None]
     shares = []
     for tolerance in runs.tolerance[[0, 4, 8, 12]]:

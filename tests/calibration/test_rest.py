@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import rcbht_jax
 from rcbht_jax.calibration.rest import (
     LEAST,
     STEPS,
@@ -221,3 +222,29 @@ def test_the_steepness_of_contacts_is_the_median_of_the_steepest_windows_of_thei
                 before = now
         np.testing.assert_allclose(limits[:3], np.maximum(np.median(peaks) * STEPS, limits[3] * LEAST), rtol=1e-5)
         assert np.median(peaks) * STEPS[0] > limits[3] * LEAST[0]
+
+
+@pytest.mark.parametrize(("noise", "rate"), [(0.02, 500), (0.1, 500), (0.3, 500), (0.3, 125)])
+def test_limits_of_the_fit_rule_name_slow_changes_in_noise(noise: float, rate: int) -> None:
+    """A contact, a push and a release, each far above the noise but slower than noise tilts windows of five samples."""
+    time = np.arange(12 * rate) / rate
+    force = np.interp(time, [2, 2.05, 3, 5, 6, 6.5, 8, 10], [0, 8, 8, 8, 30, 30, 5, 5])
+    wrench = force + noise * np.random.default_rng(0).normal(size=len(time))
+    recordings = Recordings.from_arrays([wrench[:, None]], rate, axes=("Fz",), units=("N",))
+    limits = {rule: auto_thresholds(recordings, 5, rule) for rule in ("paper", "fit")}
+    tracks = rcbht_jax.encode(recordings.wrench, rate=rate, rule="fit", thresholds=limits["fit"])
+    assert tracks.words(0) == ["FX", "CT", "FX", "PS", "FX", "PL", "FX"]
+    if noise * rate > 100:
+        assert limits["paper"].limits[0, 3] > 150 > 10 > limits["fit"].limits[0, 3]
+
+
+def test_limits_of_the_fit_rule_need_no_whole_line() -> None:
+    """Recordings shorter than a line, a spike after the last whole line, and one axis that never changes."""
+    wrench = np.random.default_rng(1).normal(size=(5, 13, 2)) * 0.1
+    short = Recordings.from_arrays([*wrench[:4], wrench[4, :6]], rate=50, axes=("a", "b"))
+    spike = np.zeros((2, 109, 2))
+    spike[:, 107, 0] = 5.0
+    for recordings in (short, Recordings.from_arrays(spike, rate=50, axes=("a", "b"))):
+        limits = np.asarray(rest_thresholds(recordings, 3, "fit").thresholds.limits)
+        assert (np.diff(limits) < 0).all()
+        assert (limits > 0).all()
