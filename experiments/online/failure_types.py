@@ -51,7 +51,7 @@ FOLDS = 5
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the record
 GRID = replace(TRIAL_GRID, kernels=("rbf",), costs=(1.0, 10.0))
 RANKS = replace(GRID, costs=(1.0,), ranks=True)  # with ranks all costs from here on are much the same
-ENDS = 20  # snapshots that a complete record counts for: before contact a record has no information on its failure
+ENDS = 20  # snapshots that a complete record counts for: early ones have little information on the failure
 
 Floats = NDArray[np.float64]
 

@@ -53,7 +53,7 @@ def will_it_seat_said(result: Result) -> Lines:
 
 @table("types-across", "types_across")
 def types_across(result: Result) -> Lines:
-    """Failure types of the batch that did not train, from contact on, and the ceilings."""
+    """Failure types of the batch that did not train, from contact on and by the approach, and those within a batch."""
     ways = ("begins at rest to begins loaded", "begins loaded to begins at rest")
     rows = result["rows"]
     kinds = [name.split(" | ")[1] for name in rows if name.startswith(f"{ways[0]} | ")]
@@ -61,7 +61,9 @@ def types_across(result: Result) -> Lines:
     for kind in kinds:
         yield (kind, *(score(rows[f"{way} | {kind}"]["score"]) for way in ways))
     tested = ("begins loaded", "begins at rest")
-    yield ("ceiling: folds within the tested batch", *(score(rows[f"within | {b}"]["score"]) for b in tested))
+    yield ("folds within the tested batch", *(score(rows[f"within | {b}"]["score"]) for b in tested))
+    alone = (score(rows[f"within | {b} | approach alone"]["score"]) for b in tested)
+    yield ("folds within the tested batch, approach alone", *alone)
 
 
 @table("types-across-recall", "types_across")
