@@ -48,7 +48,7 @@ def stored_by(store: Path, rule: str) -> str:
     return found[0] if found else ""
 
 
-def thresholds_now(store: Path, window: int | None) -> AnyLimits | None:
+def thresholds_now(store: Path, window: int | None, rule: Literal["fit", "paper"]) -> AnyLimits | None:
     """Gradient thresholds of labels that are made now, as ``rcbht encode`` chooses them; None = none are made.
 
     Raises:
@@ -59,7 +59,7 @@ def thresholds_now(store: Path, window: int | None) -> AnyLimits | None:
 
     if window is None:
         return None
-    return Encode(store, window=window).read_limits(read_sample(store)[0], store)[0]
+    return Encode(store, window=window, rule=rule).read_limits(read_sample(store)[0], store)[0]
 
 
 def drawn_words(store: Path, tracks: str, rule: Literal["fit", "paper"]) -> tuple[str, LabelTracks, dict[str, Any]]:

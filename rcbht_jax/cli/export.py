@@ -53,7 +53,7 @@ class Export(Command):
 
         check_target(self.out)
         words = (self.tracks, self.window, self.rule, self.tolerance)
-        data = load(self.store, *words, thresholds_now(self.store, self.window))
+        data = load(self.store, *words, thresholds_now(self.store, self.window, self.rule))
         with progress_bar("export", "trials", len(data.recordings)) as bar:
             export(data, self.out, self.format, lambda done: bar.update(done) and None)
         files = [path for path in self.out.rglob("*") if path.is_file()]
@@ -119,7 +119,7 @@ class Report(Command):
             most=self.max_trials,
         )
         words = self._words()
-        data = load(self.store, *words, thresholds_now(self.store, words[1]))
+        data = load(self.store, *words, thresholds_now(self.store, *words[1:3]))
         count = len(chosen(data.recordings, options))
         with progress_bar("report", "trials", count) as bar:
             text = page(data, options, lambda done: bar.update(done) and None)
@@ -134,7 +134,7 @@ class Report(Command):
             "bytes": self.out.stat().st_size,
         }
 
-    def _words(self) -> tuple[str, int | None, str, tuple[float, ...]]:
+    def _words(self) -> tuple[str, int | None, DrawnRule, tuple[float, ...]]:
         """Which words are shown: tracks, window, rule and tolerance of :func:`rcbht_jax.io.export.load`."""
         from rcbht_jax.io.label_store import list_tracks
 

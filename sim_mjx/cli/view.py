@@ -123,7 +123,7 @@ class View(Command):
         alone = _only(recordings, row)
         config = config_of(self.rule, WINDOW, recordings.dt)
         known = HARMONISED in recordings.annotations.labels
-        thresholds = preset("hiro") if known else auto_thresholds(recordings, WINDOW)
+        thresholds = preset("hiro") if known else auto_thresholds(recordings, WINDOW, self.rule)
         sampled = read_sample(self.store)[0]  # tolerances of one trial turn the noise of an axis at rest into words
         limits = limits_for(config, thresholds, None, sampled.wrench, sampled.length)
         return alone, encode_batch(config, limits, alone.wrench, alone.length), 0, self.rule
