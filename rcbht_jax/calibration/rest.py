@@ -18,6 +18,8 @@ from jaxtyping import Bool, Float
 
 from rcbht_jax._util.values import check_usable, expect
 from rcbht_jax.encoding.choices import check_choices
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.rules import config_of
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, Recordings
@@ -57,7 +59,7 @@ def rest_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper"
         rule: of the words, "paper" or "fit".
 
     Raises:
-        InputError: no ``Recordings``, none is as long as two windows, or no encoder has such a window.
+        InputError: no ``Recordings``, none is as long as two windows, or no encoder has such a window or rule.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -73,7 +75,7 @@ def rest_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper"
         raise InputError(f"No recording has two windows of {window} samples; choose a smaller window.")
     steep = np.abs(slope)
     per_block = max(1, round(BLOCK / (window * recordings.dt)))
-    fit = rule == "fit"
+    fit = isinstance(config_of(rule, window, recordings.dt), FitConfig)
     activity = _deviations(recordings, window, used, per_block) if fit else _block_means(steep, used, per_block)
     moving = changing(recordings) & steep[used].any(0)  # rounding is no slope
     limits, rest = np.array(preset(axes=recordings.axes).limits), used[..., None] & ~moving
@@ -116,10 +118,11 @@ def _deviations(
 ) -> Float[np.ndarray, "recording window axis"]:
     """Standard deviation of the values in the block of so many windows that a window lies in."""
     rows, count = used.shape
-    parts = recordings.wrench[:, : count * window].astype(np.float64).reshape(rows, count, window, -1)
-    parts = parts - parts[:, :1, :1]
-    mean, square = (_block_means(part.mean(2), used, length) for part in (parts, parts**2))
-    return np.sqrt(np.maximum(square - mean**2, 0.0))
+    parts = recordings.wrench[:, : count * window].reshape(rows, count, window, -1)
+    mean = parts.mean(2, dtype=np.float64)
+    mean -= mean[:, :1]  # a large offset would leave nothing of the differences of squares
+    square = parts.var(2, dtype=np.float64) + mean**2
+    return np.sqrt(np.maximum(_block_means(square, used, length) - _block_means(mean, used, length) ** 2, 0.0))
 
 
 def changing(recordings: Recordings) -> Bool[np.ndarray, " axis"]:
@@ -188,7 +191,7 @@ def auto_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper"
         recordings, window, rule: as of :func:`rest_thresholds`.
 
     Raises:
-        InputError: no encoder has such a window.
+        InputError: no encoder has such a window or rule.
     """
     longest = int(recordings.length.max())
     if longest < 2 * window:

@@ -238,6 +238,11 @@ def test_limits_of_the_fit_rule_name_slow_changes_in_noise(noise: float, rate: i
         assert limits["paper"].limits[0, 3] > 150 > 10 > limits["fit"].limits[0, 3]
 
 
+def test_there_are_two_rules() -> None:
+    with pytest.raises(InputError, match="no rule 'sax'; there are paper and fit"):
+        rest_thresholds(pushes(0.005)[0], 5, "sax")
+
+
 def test_limits_of_the_fit_rule_need_no_whole_line() -> None:
     """Recordings shorter than a line, a spike after the last whole line, and one axis that never changes."""
     wrench = np.random.default_rng(1).normal(size=(5, 13, 2)) * 0.1
