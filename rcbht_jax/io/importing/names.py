@@ -56,7 +56,7 @@ _WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)[._/ \-]*([xyz])()$")
 _AXIS_FIRST = re.compile(r"^(|.*[._/ \-])([xyz])[._/ \-]*([^\W\d_]+)((?:[._/ \-][\w{}]+)?)$")  # x_force
 _ELEMENT = re.compile(
     r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
-    r"((?:_(?:" + _QUALIFIERS + r"|\{arm\}))*)"
+    r"((?:_(?:" + _QUALIFIERS + r"|\{arm\}))*(?:_\d+(?=_\d+$))?)"
     r"(?:[._/](?:signals[._/])?(?:data|values?|variables))?(_|\[|\(|)(\d+)[\])]?$"
 )
 _SIX = ("wrench", "force_torque", "forcetorque", "ft", "ft_sensor", "f_ext_hat_k")
@@ -82,7 +82,8 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
             if certain:
                 axes[kind + letter] = name
             axes.setdefault(kind + letter, name)
-        elif (match := _ELEMENT.match(base)) and (match[4] or match[2] in _SIX):  # F1, F2, ... may be of one axis each
+        elif (match := _ELEMENT.match(base)) and (match[2] in _SIX or (match[4] and not match[3][-1:].isdigit())):
+            # F1, F2, ... may be of one axis each, F_0_0, F_0_1, ... those of a grid
             rows.setdefault((match[1], match[2], match[3], match[4]), {})[int(match[5])] = name
     for (prefix, kind, qualifiers, bracket), elements in rows.items():
         # F_1, F_2, ... may be sensors of one axis each

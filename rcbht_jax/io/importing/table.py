@@ -31,6 +31,7 @@ RATE_NAMES = (
 )
 LONGEST_TEXT = 100_000  # characters of a fact in which a rate is looked for
 _CONTROL = re.compile(r'"control_freq(?:uency)?"\s*:\s*(\d+(?:\.\d+)?)\s*[,}]')
+FORCES = {"wrench", "force", "forces", "ft"}
 PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")
 LENGTH_NAMES = ("length", "lengths", "n_samples", "num_samples", "n_steps", "num_steps", "seq_len", "seq_lengths")
 
@@ -157,10 +158,21 @@ def _of_one_length(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArra
     lengths = [len(array) for array in flat.values() if len(array) > 1]
     if not lengths:
         return {}, tuple(flat)
-    sampled = [length for length in set(lengths) if wrenches(_titles(flat, length))] or set(lengths)
-    rows = max(sampled, key=lambda length: (lengths.count(length), length))
+    sampled = [length for length in set(lengths) if wrenches(_titles(flat, length))]
+    # An array of forces need not have the six columns of a wrench.
+    sampled = sampled or [len(array) for key, array in flat.items() if len(array) > 1 and _has_forces(key)]
+    rows = max(sampled or set(lengths), key=lambda length: (lengths.count(length), length))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
     return chosen, tuple(key for key in flat if key not in chosen)
+
+
+def _has_forces(name: str) -> bool:
+    """Whether a name is one of forces.
+
+    >>> _has_forces("ft_wrench"), _has_forces("object_pose")
+    (True, False)
+    """
+    return not FORCES.isdisjoint(re.split(r"[\W_\d]+", snake(name)))
 
 
 def _left_out(arrays: tuple[str, ...]) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from rcbht_jax.io.importing.table import Table
 SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 _SECONDS = re.compile(r"^(|.*[./_ ])(?:secs?|seconds)$")
 _DAYS = (2e4, 8e4), (6e5, 8e5)  # days since 1900 (spreadsheets) and since the year 0 (MATLAB), of our time
-_LAST = ("time", "times", "timestamp", "timestamps", "stamp", "duration", "datenum", *TIMES_ABROAD)
+_LAST = ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "duration", "datenum", *TIMES_ABROAD)
 
 
 def check_one_time(path: Path, columns: AnyMapping[str, NDArray[Any]]) -> None:
@@ -130,8 +130,8 @@ def is_stamp(table: Table, name: str) -> bool:
 
 
 def _is_called(table: Table, name: str, last: str) -> bool:
-    """Whether a name ends in a word for a time, or begins with one and does not count steps."""
-    words = re.split(r"[\W_]+", last)
+    """Whether a name ends in a word for a time, numbers aside, or begins with one and does not count steps."""
+    words = re.split(r"[\W_]+", re.sub(r"_\d+$", "", last))
     return words[-1] in _LAST or (words[0] in _LAST and bool((np.diff(table.columns[name]) != 1).any()))
 
 

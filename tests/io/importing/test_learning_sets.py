@@ -80,3 +80,29 @@ def test_six_numbered_forces_are_a_wrench(tmp_path: Path) -> None:
     names = [f"effort_force_cartesian_{number}" for number in range(6)]
     np.savez(tmp_path / "a.npz", rate=100, setpoint_pos_0=WRENCH[:, 0], **dict(zip(names, WRENCH.T, strict=True)))
     assert read_source(tmp_path).recordings.axes == AXES
+
+
+def test_an_array_of_forces_is_the_signal_though_it_is_no_whole_wrench(tmp_path: Path) -> None:
+    """Of a sensor of two forces and a moment, with the time in the first column; poses have times of their own."""
+    stamps = 1.45e9 + np.arange(N) / 250
+    pose = np.column_stack([1.45e9 + np.arange(50) / 200, WRENCH[:50, :3]])
+    np.savez(tmp_path / "a.npz", ft_wrench=np.column_stack([stamps, WRENCH[:, :3]]), tip_pose=pose, object_pose=pose)
+    imported = read_source(tmp_path)
+    assert imported.mapping.time == "ft_wrench_0"
+    assert imported.recordings.axes == ("ft_wrench_1", "ft_wrench_2", "ft_wrench_3")
+    assert 1 / imported.recordings.dt == pytest.approx(250, rel=1e-4)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_the_times_of_a_numbered_sensor_have_its_number(unit: float, tmp_path: Path) -> None:
+    stamps = np.arange(N) / 500 * unit
+    arrays = {"wrench_0": WRENCH, "wrench_time_stamps_0": stamps, "wrench_1": WRENCH, "wrench_time_stamps_1": stamps}
+    np.savez(tmp_path / "a.npz", **arrays, robot_time_stamps_0=np.arange(9.0) * unit, ts_pose_fb_0=np.zeros((9, 7)))
+    imported = read_source(tmp_path)
+    assert imported.mapping.time == "wrench_time_stamps_0"
+    assert (imported.recordings.axes, 1 / imported.recordings.dt) == (AXES, pytest.approx(500))
+
+
+def test_a_grid_of_forces_is_no_wrench(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", rate=100, force_0=WRENCH[:, :3], force_1=WRENCH[:, 3:])
+    assert read_source(tmp_path).recordings.axes == tuple(f"force_{row}_{k}" for row in range(2) for k in range(3))
