@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
-_ABOUT = ("second", "minute", "time", "libraries", "complete")  # keys whose values may differ between runs
+# Keys whose values may differ between runs: what a machine takes, and what is installed on it.
+_ABOUT = re.compile(
+    r"libraries|complete|time first|(?:.*[ _])?(?:seconds|microseconds)(?:[ _(].*)?|"
+    r"(?:.*[ _])?(?:samples|steps|candidates|readings|trials(?:_of_15_s)?)[ _]per[ _](?:second|minute).*"
+)
 
 
 def numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
     """Every number of a result, with its place."""
     for key, within, part in _parts(value, place):
-        if not any(word in key for word in _ABOUT):
+        if not _ABOUT.fullmatch(key) or _is_score(part):
             yield from numbers(part, within)
     if isinstance(value, int | float):
         yield place, float(value)
+
+
+def _is_score(value: Any) -> bool:
+    """Whether an object holds a score, at any depth: names of rows may speak of seconds."""
+    if not isinstance(value, dict):
+        return False
+    return bool({"mean", "accuracy", "low"} & set(value)) or any(map(_is_score, value.values()))
 
 
 def _parts(value: Any, place: str) -> Iterator[tuple[str, str, Any]]:

@@ -8,18 +8,21 @@ from typing import Any
 from experiments.figures.sim_to_real import TITLES_OF_ROWS
 from experiments.tables.cells import Lines, ends, score, table
 
+BOUNDARIES = ("merged", "harmonised")  # three states, four states
 Result = dict[str, Any]
 
 
 def _transfers(result: Result, groups: tuple[str, ...]) -> Lines:
     """States of recorded trials by classifiers trained on simulated ones only: some groups of rows."""
-    rows = _worst_draws(result["rows"])
+    rows = _by_draw(result["rows"])
     yield ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
     for name in [name for group in groups for name in rows if name.split(" | ")[0] == group]:
-        scores = [rows[name][states][on] for states in ("merged", "harmonised") for on in ("A", "B", "A+B")]
+        draws = rows[name]
+        worst = {key: min((row[key] for row in draws), key=lambda one: one["A+B"]["accuracy"]) for key in BOUNDARIES}
+        scores = [worst[key][on] for key in BOUNDARIES for on in ("A", "B", "A+B")]
         cells = [f"{one['accuracy']:.3f}{ends(*one['interval'])}" for one in scores]
         title = TITLES_OF_ROWS.get(name, name.replace(" | ", ": "))
-        yield (title, str(rows[name]["merged"]["trials"]), *cells)
+        yield (title, str(draws[0]["merged"]["trials"]), *cells)
 
 
 @table("simulated-draws", "simulated_draws")
@@ -53,11 +56,11 @@ for _name, _groups in GROUPS.items():
     table(_name, "sim_to_real")(partial(_transfers, groups=_groups))
 
 
-def _worst_draws(rows: dict[str, Any]) -> dict[str, Any]:
-    """Rows with scores on both sessions; of several draws of training trials the one that is worst at four states."""
+def _by_draw(rows: dict[str, Any]) -> dict[str, list[Any]]:
+    """Rows with scores on both sessions, and several draws of the training trials together."""
     groups: dict[str, list[Any]] = {}
     for name, row in rows.items():
         if "A+B" in row.get("merged", {}):
             title, _, drawn = name.partition(", draw")
             groups.setdefault(f"{title}, worst draw" if drawn else title, []).append(row)
-    return {name: min(draws, key=lambda row: row["harmonised"]["A+B"]["accuracy"]) for name, draws in groups.items()}
+    return groups

@@ -227,7 +227,7 @@ def score(
         fold_accuracy=scored.fold_accuracy,
         confusion=scored.confusion,
         chosen=dict(Counter(_line(c) for c in scored.chosen).most_common()),
-        confounds=" ".join(confounds(items, facts)),
+        confounds=" ".join(confounds(items.take(scored.used), facts)),
         provenance=provenance,
     )
 

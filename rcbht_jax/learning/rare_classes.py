@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,12 +41,4 @@ def learnable(
     few = [items.classes[code] for code in np.flatnonzero(counts < 2)]
     reason = f"class in one {group} only: {', '.join(few[:5])}" + (", ..." if len(few) > 5 else "")
     dropped = {**items.dropped, reason: len(np.unique(items.trial[~kept]))}
-    chosen = LabelledIntervals(
-        tuple(name for name, count in zip(items.classes, counts.tolist(), strict=True) if count > 1),
-        (np.cumsum(counts > 1) - 1)[items.y[kept]],
-        items.trial[kept],
-        items.session[kept],
-        tuple(part.take(kept) for part in items.intervals),
-        dropped,
-    )
-    return chosen, kept
+    return replace(items.take(kept), dropped=dropped), kept

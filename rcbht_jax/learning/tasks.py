@@ -96,6 +96,13 @@ class LabelledIntervals:
         """Length of every sentence ``[item, arm]``, s: all that the duration-only baseline sees."""
         return np.stack([(i.end - i.start) * i.dt for i in self.intervals], 1).astype(np.float64)
 
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> LabelledIntervals:
+        """Some of the items, by number or by a mask, with the classes that occur in them."""
+        known, y = np.unique(self.y[rows], return_inverse=True)
+        parts = tuple(part.take(rows) for part in self.intervals)
+        classes = tuple(self.classes[code] for code in known.tolist())
+        return LabelledIntervals(classes, y, self.trial[rows], self.session[rows], parts, self.dropped)
+
 
 @dataclass(frozen=True)
 class UnlabelledIntervals:

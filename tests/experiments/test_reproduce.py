@@ -178,6 +178,24 @@ def test_differences() -> None:
     assert agreement.largest_difference(first, {"a": [0.5]})[0] == float("inf")
 
 
+@pytest.mark.parametrize(
+    ("key", "compared"),
+    [
+        ("seconds", False), ("compile_seconds", False), ("seconds to simulate", False), ("libraries", False),
+        ("physics steps per second", False), ("trials_of_15_s_per_minute", False), ("microseconds_in_scan", False),
+        ("words per second", True), ("time", True), ("untimed", True), ("detected | elapsed time", True),
+    ],
+)  # fmt: skip
+def test_times_are_not_compared_but_rows_whose_names_speak_of_them_are(key: str, compared: bool) -> None:
+    assert bool(agreement.largest_difference({key: 1.0}, {key: 2.0})[0]) == compared
+
+
+@pytest.mark.parametrize("key", ["first second alone", "every tenth of a second", "median noise of 3 seconds"])
+def test_a_score_is_compared_whatever_its_row_is_called(key: str) -> None:
+    one, other = ({key: {"accuracy": {"mean": mean}, "seconds": mean}} for mean in (0.5, 0.75))
+    assert agreement.largest_difference(one, other) == (0.25, f"{key} > accuracy > mean")
+
+
 def test_a_shorter_form_without_intervals() -> None:
     said = agreement.shorter("some", {"a": 0.5, "b": 2}, {"a": 0.75, "c": 1}, "--few")
     assert said.endswith("no interval to hold it against; largest difference of 1 numbers 0.25 a")

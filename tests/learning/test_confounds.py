@@ -13,6 +13,8 @@ from rcbht_jax.features import Intervals
 from rcbht_jax.learning import confounds as module
 from rcbht_jax.learning import wrench_facts
 from rcbht_jax.learning.confounds import confounds
+from rcbht_jax.learning.evaluation import EvaluationProtocol, score
+from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import Recordings
@@ -96,3 +98,14 @@ def test_a_bias_that_gives_the_class_away_is_told_by_the_first_second() -> None:
         texts.append(" ".join(confounds(items, WrenchFacts.of(recordings))))
     assert "first second" not in texts[0]
     assert "first second predicts the classes with a balanced accuracy of 100%" in texts[1]
+
+
+def test_a_session_that_is_not_scored_says_nothing_about_the_score():
+    """C, which is neither trained on nor tested on, holds a single class and a class of its own."""
+    items = labelled("AAAABBBBCC", [100] * 10, [0, 1, 0, 1, 0, 1, 0, 1, 1, 1])
+    grid = Grid(kernels=("linear",), costs=(1.0,), scalings=(False,), inner=2)
+    said = {}
+    for train in (("A",), ("A", "C")):
+        protocol = EvaluationProtocol(grid=grid, train_on=train, test_on=("B",))
+        said[train] = score(items, {"": np.eye(2)[items.y]}, protocol, {}, {}).confounds
+    assert ["C (success)" in sentences for sentences in said.values()] == [False, True]
