@@ -38,6 +38,12 @@ class Context:
     thresholds: GradientThresholds  # [6, 4]
     trials: Int[np.ndarray, " 2"]  # numbers of trials behind the impulse and the constant limits
 
+    @property
+    def ungraded(self) -> tuple[str, ...]:
+        """The axes whose limits are all one, because there the rotation is as steep as the insertion."""
+        rows = np.asarray(self.thresholds.limits, np.float64)
+        return tuple(axis for axis, row in zip(AXES, rows, strict=True) if row[0] <= row[3] * (1 + 1e-5))
+
 
 def spectrum(
     impulse: Float[np.ndarray, "*batch"], constant: Float[np.ndarray, "*batch"]

@@ -275,6 +275,8 @@ class Calibrate(RuleCommand):
         ]
         if still := result.get("never_change"):
             lines.append(f"HIRO's limits stand for what never changes here: {', '.join(still)}.")
+        if one := result.get("ungraded"):
+            lines.append(f"Rotation is as steep as insertion, so all limits are one: {', '.join(one)}.")
         return "\n".join([*lines, "These trials chose the thresholds: evaluate on others."])
 
     @property
@@ -334,7 +336,8 @@ class Calibrate(RuleCommand):
         assert isinstance(config, EncoderConfig)  # run() refuses the fit rule
         every = np.arange(len(given.training))
         context = contextual.calibrate(given.training, every, config, given.base, copy, least)
-        return _Found(context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes})
+        facts = {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
+        return _Found(context.thresholds, {**facts, "ungraded": list(context.ungraded)})
 
     def _chosen_devices(self) -> list[jax.Device] | None:
         import jax

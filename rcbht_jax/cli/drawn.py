@@ -62,6 +62,14 @@ def thresholds_now(store: Path, window: int | None, rule: Literal["fit", "paper"
     return Encode(store, window=window, rule=rule).read_limits(read_sample(store)[0], store)[0]
 
 
+def made_now(store: Path, name: str) -> str:
+    """What to say after the name of words that were made for a picture, while the store holds others; "" = nothing."""
+    from rcbht_jax.io.label_store import list_tracks
+
+    stored = list_tracks(store)
+    return "" if not stored or name in stored else f" made now (--tracks shows those of the store: {', '.join(stored)})"
+
+
 def drawn_words(store: Path, tracks: str, rule: Literal["fit", "paper"]) -> tuple[str, LabelTracks, dict[str, Any]]:
     """Name, labels and attributes of what is drawn: tracks by name, stored ones by the rule, or words made now.
 

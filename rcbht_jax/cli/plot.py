@@ -27,7 +27,7 @@ from rcbht_jax.cli.command import (
     option,
     unset,
 )
-from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, rule_of
+from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, made_now, rule_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,7 +81,8 @@ class PlotTrial(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         missing = f'no labels; make them with "rcbht encode {self.store}"'
-        labels = missing if result["tracks"] is None else f"labels {result['tracks']}"
+        name = result["tracks"]
+        labels = missing if name is None else f"labels {name}{made_now(self.store, name)}"
         what = ", ".join(filter(None, (f"{result['source']} {result['trial']}", title_of(result["arm"]))))
         return f"{result['figure']}: {what}, {labels}"
 
@@ -123,7 +124,8 @@ class PlotMap(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         count = plural(result["recordings"], "recording")
-        return f"{result['figure']}: {result['layer']} labels {result['tracks']} of {count}"
+        name = result["tracks"]
+        return f"{result['figure']}: {result['layer']} labels {name} of {count}{made_now(self.store, name)}"
 
 
 @dataclass(frozen=True)

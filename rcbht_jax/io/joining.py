@@ -87,7 +87,10 @@ def _check(paths: Sequence[Path], parts: Sequence[Recordings]) -> None:
                 "with --rate."
             )
         if (part.axes, part.units) != (parts[0].axes, parts[0].units):
-            raise InputError(f"{path} has {_axes(part)}; {paths[0]} has {_axes(parts[0])}.")
+            how = "" if part.axes != parts[0].axes else (
+                " State units in the names of columns, such as Fx [N], or in a map, and import again."
+            )  # fmt: skip
+            raise InputError(f"{path} has {_axes(part)}; {paths[0]} has {_axes(parts[0])}.{how}")
 
 
 def _corrected(parts: Sequence[Recordings]) -> list[Recordings]:

@@ -37,6 +37,20 @@ def leave_out(dropped: Counter[str], reason: str, trials: int) -> None:
         dropped[reason] += trials
 
 
+def trials_in(recordings: Recordings, chosen: NDArray[np.bool_]) -> int:
+    """How many trials the chosen recordings are of."""
+    rows = np.flatnonzero(chosen).tolist()
+    return len({(recordings.source[row], recordings.trial[row]) for row in rows})
+
+
+def leave_out_sources(
+    recordings: Recordings, wanted: NDArray[np.bool_], rows: NDArray[np.int64], dropped: Counter[str]
+) -> None:
+    """Name the sources of which all wanted recordings are left out, though the rows are of others."""
+    for source in sorted(set(recordings.source[wanted].tolist()) - set(recordings.source[rows].tolist())):
+        leave_out(dropped, f"all of the source {source}", trials_in(recordings, recordings.source == source))
+
+
 def track_items(
     recordings: Recordings,
     rows: NDArray[np.int64],

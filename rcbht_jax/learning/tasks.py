@@ -27,7 +27,7 @@ from rcbht_jax.features import (
     interval_features,
 )
 from rcbht_jax.learning.task_choice import column_names
-from rcbht_jax.learning.task_items import leave_out, track_items, whole_items
+from rcbht_jax.learning.task_items import leave_out, leave_out_sources, track_items, trials_in, whole_items
 from rcbht_jax.types import LabelTracks, Recordings
 
 SUCCESS, FAILURE, UNKNOWN, UNFINISHED = "success", "failure", "unknown", "unfinished"  # the last two: not judged
@@ -182,6 +182,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         )
     y = np.array([classes.index(name) for name in found.label.tolist()], np.int64)
     first = found.rows[:, 0]
+    leave_out_sources(recordings, chosen_recordings(recordings, spec, True), first, dropped)
     trial, session = _trials(recordings, first), recordings.session[first]
     return LabelledIntervals(classes, y, trial, session, found.intervals(recordings), dict(dropped))
 
@@ -368,9 +369,10 @@ def _rows(recordings: Recordings, spec: TaskSpec, dropped: Counter[str], unknown
     chosen = chosen_recordings(recordings, spec, unknown)
     outcomes = dict.fromkeys([*_outcomes(recordings, spec), *[UNKNOWN] * unknown])
     if track_of(recordings, spec) or spec.outcomes:  # of a column the others have no class
-        others = np.flatnonzero(chosen_recordings(recordings, replace(spec, outcomes=())) & ~chosen)
-        trials = {(recordings.source[row], recordings.trial[row]) for row in others.tolist()}
-        leave_out(dropped, f"outcome not {' or '.join(outcomes)}", len(trials))
+        others = chosen_recordings(recordings, replace(spec, outcomes=())) & ~chosen
+        unstated = recordings.outcome == UNKNOWN
+        leave_out(dropped, f"outcome not {' or '.join(outcomes)}", trials_in(recordings, others & ~unstated))
+        leave_out(dropped, "outcome unknown", trials_in(recordings, others & unstated))
     wanted = chosen_arms(recordings.arm[chosen].tolist(), spec.arms)
     by_trial: dict[tuple[str, str], dict[str, int]] = {}
     for row in np.flatnonzero(chosen).tolist():

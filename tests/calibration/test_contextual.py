@@ -91,6 +91,9 @@ def test_axes_copy_as_the_authors_do_and_the_preset_stands_in():
     silent = np.full((2, 6), np.nan)
     fallback = contextual.combine(silent, silent, preset()).thresholds.limits
     np.testing.assert_allclose(fallback[:, [0, 3]], np.asarray(preset().limits)[:, [0, 3]])
+    found = contextual.combine(np.array([[9.0] * 6]), np.array([[1.0, 9, 12, 1, 1, 1]]), preset(), contextual.OWN)
+    assert found.ungraded == ("Fy", "Fz")  # there the rotation is as steep as the insertion
+    assert (np.ptp(np.asarray(found.thresholds.limits)[[1, 2]], axis=1) < 1e-3).all()
     with pytest.raises(InputError, match="copying rule"):
         contextual.combine(impulse, constant, preset(), (("Fx", "Fx"),))
 

@@ -142,6 +142,10 @@ def test_streams_pictures_reports_and_exports(store: Path, tmp_path: Path, capsy
     track = ("--tracks", "online-W5")
     assert main(["plot", "trial", str(store), name, "-o", str(tmp_path / "trial.png"), *track]) == 0
     assert main(["plot", "map", str(store), "--by", "state", "-o", str(tmp_path / "map.png"), *track]) == 0
+    capsys.readouterr()
+    assert main(["plot", "map", str(store), "--by", "state", "-o", str(tmp_path / "map.png")]) == 0
+    said = "online-W5-fit of 12 recordings made now (--tracks shows those of the store: "
+    assert said in capsys.readouterr().out
     beliefs_figure = ["plot", "beliefs", str(store), name, "--model", str(model), "-o", str(tmp_path / "b.png")]
     assert main(beliefs_figure) == 0
     page = tmp_path / "report.html"

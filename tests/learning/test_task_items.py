@@ -18,3 +18,32 @@ def test_an_interval_that_begins_before_the_record_is_cut_at_its_first_sample() 
     assert [items.classes[k] for k in items.y] == ["reach", "push", "push"]
     assert (only.start.tolist(), only.end.tolist()) == ([0, 200, 100], [200, 400, 400])
     assert items.dropped == {"intervals that are empty, lie outside the record or have no known end": 1}
+
+
+def _two_sources(outcome: list[str], tracks: list[str]) -> Recordings:
+    """Four recordings, two of each source, with the phases of a track each."""
+    rows = [(row, track, *part) for row, track in enumerate(tracks) for part in (("reach", 0, 1), ("push", 1, 2))]
+    return Recordings.from_arrays(
+        np.zeros((4, 400, 6)), 200, annotations=Annotations.from_rows(rows), outcome=outcome,
+        source=["own", "own", "simulated", "simulated"], trial=["a", "b", "a", "b"],
+    )  # fmt: skip
+
+
+def test_recordings_that_nobody_judged_are_no_failures() -> None:
+    """Beside successes they are left out; that a whole source is, is said."""
+    data = _two_sources(["unknown", "unknown", "success", "failure"], ["phase"] * 4)
+    left = labelled_intervals(data, TaskSpec("phase")).dropped
+    assert left == {"outcome not success": 1, "outcome unknown": 2, "all of the source own": 2}
+    assert labelled_intervals(data, TaskSpec("phase", outcomes=())).dropped == {}
+    assert "all of the source own" not in labelled_intervals(data, TaskSpec("phase", sources=("simulated",))).dropped
+
+
+def test_a_source_without_the_track_is_named() -> None:
+    data = _two_sources(["success"] * 4, ["phase", "phase", "states", "states"])
+    left = labelled_intervals(data, TaskSpec("states")).dropped
+    assert left == {"no annotation of the track states": 2, "all of the source own": 2}
+
+
+def test_a_source_of_failures_alone_is_left_out_as_asked() -> None:
+    data = _two_sources(["failure", "failure", "success", "success"], ["phase"] * 4)
+    assert labelled_intervals(data, TaskSpec("phase")).dropped == {"outcome not success": 2}
