@@ -27,7 +27,7 @@ from rcbht_jax.io.store_reader import Stored
 from rcbht_jax.io.store_schema import LABELS, open_store
 from sim_mjx.synthesis import claims, descriptions
 
-MANIFEST, PARTIAL = "manifest.json", ".*.partial-*"
+MANIFEST, PARTIAL, WORK = "manifest.json", ".*.partial-*", ".work"
 _TRIES = 25
 _DIGESTS = {  # described in words, since a digest says nothing to a reader
     "own_sha256": "your files", "scene_sha256": "what your files read", "sim_mjx_sha256": "the simulation's code",
@@ -48,7 +48,14 @@ def folder_of(target: Path) -> Path:
     """
     if not target.name:
         raise InputError(f'"{target}" is not a name for a store; expected for example trials.zarr.')
-    return target.with_name(f"{target.name}.work")
+    return target.with_name(target.name + WORK)
+
+
+def target_of(path: Path) -> Path:
+    """The store that becomes of one in a work folder with a plan; any other store itself."""
+    here = Path(os.path.realpath(path))
+    inside = here == store_of(here.parent) and here.parent.suffix == WORK and has_plan(here.parent)
+    return here.parent.with_suffix("") if inside else path
 
 
 def begin(folder: Path, manifest: Mapping[str, Any]) -> None:
