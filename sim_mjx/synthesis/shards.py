@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from rcbht_jax._util.atomic import atomic_new, delete
+from rcbht_jax._util.checkpoint import first_difference
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
@@ -207,15 +208,14 @@ def _is_claims(entry: Path) -> bool:
     return entry.name == claims.FOLDER and entry.is_dir()
 
 
-def _difference(existing: Any, wanted: Any, name: str = "") -> str:
+def _difference(existing: Any, wanted: Any) -> str:
     """The first value that differs, in words."""
-    if isinstance(existing, dict) and isinstance(wanted, dict):
-        for key in sorted({*existing, *wanted}):
-            if existing.get(key) != wanted.get(key):
-                return _difference(existing.get(key), wanted.get(key), f"{name}.{key}" if name else key)
+    name, existing, wanted = first_difference(existing, wanted)
     last = name.rpartition(".")[2]
     if last in _DIGESTS and existing and wanted:
         return f"another content of {_DIGESTS[last]} ({last})"
+    if existing is wanted is None:
+        return f"other options (one of the manifests alone has {name})"
     if name in _OPTIONS and existing is None:
         return f"no {_OPTIONS[name]}, not with {json.dumps(wanted)}"
     said = "none" if wanted is None else json.dumps(wanted)
