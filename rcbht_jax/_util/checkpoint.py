@@ -45,9 +45,22 @@ def load(path: Path, made_by: Any) -> Any:
     return content
 
 
-def difference(known: Any, wanted: Any, name: str = "") -> str:
+def difference(known: Any, wanted: Any) -> str:
     """The first value in which two JSON values differ, in words."""
-    if isinstance(known, dict) and isinstance(wanted, dict):
-        key = next(key for key in sorted({*known, *wanted}) if known.get(key) != wanted.get(key))
-        return difference(known.get(key), wanted.get(key), f"{name}.{key}" if name else key)
+    name, known, wanted = first_difference(known, wanted)
+    if known is wanted is None:
+        return f"one of them alone has {name}"
     return f"{name} {json.dumps(known)}, not {json.dumps(wanted)}".lstrip()
+
+
+def first_difference(known: Any, wanted: Any, name: str = "") -> tuple[str, Any, Any]:
+    """The place of the first value in which two JSON values differ, and that value in both; None = null or lacking.
+
+    >>> first_difference({"job": {"seed": 1}}, {"job": {"seed": 2}})
+    ('job.seed', 1, 2)
+    """
+    if not (isinstance(known, dict) and isinstance(wanted, dict)):
+        return name, known, wanted
+    keys = sorted({*known, *wanted})
+    key = next(key for key in keys if (key in known) != (key in wanted) or known.get(key) != wanted.get(key))
+    return first_difference(known.get(key), wanted.get(key), f"{name}.{key}" if name else key)

@@ -1,13 +1,20 @@
-"""Stores in object stores: a URL such as ``s3://bucket/trials.zarr`` wherever the path of a store is read."""
+"""Stores in object stores: a URL such as ``s3://bucket/trials.zarr`` wherever the path of a store is read.
+
+A URL of a file, such as ``file:///data/trials.zarr``, is only another spelling of a path.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path, PosixPath
+from urllib.parse import unquote_to_bytes
 
 from rcbht_jax._util.values import expect
+from rcbht_jax.errors import InputError
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]+:")  # two letters and more: C: is a drive
+_FILE = re.compile("(?i:file):(?://(?P<host>[^/]*))?(?P<path>/.*)", re.DOTALL)  # Path leaves one slash of three
 
 
 class UrlPath(PosixPath):
@@ -22,12 +29,19 @@ class UrlPath(PosixPath):
 
 
 def as_path(place: Path | str) -> Path:
-    """A path as it is, and text as the path or URL that it names.
+    """A path as it is, and text as the path or URL that it names; a URL of a file, as either, as the path of the file.
+
+    >>> as_path("file:///data/my%20trials.zarr")
+    PosixPath('/data/my trials.zarr')
 
     Raises:
-        InputError: it is neither.
+        InputError: it is neither, or a file of another computer.
     """
     expect("The path", place, Path, str)
+    if file := _FILE.fullmatch(str(place)):
+        if file["host"] not in (None, "", "localhost") or "%00" in file["path"]:
+            raise InputError(f"{place} is not a file of this computer; expected file:///PATH.")
+        return Path(os.fsdecode(unquote_to_bytes(file["path"])))
     if isinstance(place, Path):
         return place
     return UrlPath(place) if "://" in place else Path(place)
@@ -40,4 +54,5 @@ def url_of(path: Path) -> str | None:
     ('s3://bucket/trials.zarr', None)
     """
     first, *rest = path.parts or ("",)
-    return f"{first}//{'/'.join(rest)}" if rest and _SCHEME.fullmatch(first) else None
+    slashes = "///" if first == "file:" else "//"
+    return f"{first}{slashes}{'/'.join(rest)}" if rest and _SCHEME.fullmatch(first) else None

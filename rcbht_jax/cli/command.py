@@ -54,10 +54,24 @@ def unset(**more: Any) -> Any:
     return tyro.conf.arg(help_behavior_hint="", **more)
 
 
-OPTIONAL = tyro.constructors.ConstructorRegistry()
+RULES = tyro.constructors.ConstructorRegistry()
 
 
-@OPTIONAL.primitive_rule
+@RULES.primitive_rule
+def _path(info: tyro.constructors.PrimitiveTypeInfo) -> Any:
+    """A file, a folder or a URL, which Path would fold."""
+    if info.type is not Path:
+        return None
+    return tyro.constructors.PrimitiveConstructorSpec[Path](
+        nargs=1,
+        metavar="PATH",
+        instance_from_str=lambda words: as_path(words[0]),
+        is_instance=lambda value: isinstance(value, Path),
+        str_from_instance=lambda path: [str(path)],
+    )
+
+
+@RULES.primitive_rule
 def _optional(info: tyro.constructors.PrimitiveTypeInfo) -> Any:
     """An option that may be None is shown as what it takes, and is None only if it is left out."""
     kinds = [kind for kind in typing.get_args(info.type) if kind is not type(None)]
@@ -78,16 +92,9 @@ def _optional(info: tyro.constructors.PrimitiveTypeInfo) -> Any:
 # Options that several commands have; one without a text is described by the docstring of its field.
 STORE = MadeBy('"rcbht simulate {path}", or from files of yours with "rcbht import auto FOLDER {path}"')
 ONLINE_MODEL = MadeBy('"rcbht train-online STORE.zarr -o {path}"')
-_PLACE = tyro.constructors.PrimitiveConstructorSpec[Path](  # a folder or a URL, which Path would fold
-    nargs=1,
-    metavar="STORE.zarr",
-    instance_from_str=lambda words: as_path(words[0]),
-    is_instance=lambda value: isinstance(value, Path),
-    str_from_instance=lambda path: [str(path)],
-)
-Store = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), _PLACE, STORE]
+Store = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE]
 Stores = Annotated[
-    tuple[Annotated[Path, _PLACE], ...],
+    tuple[Path, ...],
     tyro.conf.Positional,
     option("Stores to read, two or more.", "", metavar="STORE.zarr STORE.zarr"),
     STORE,
@@ -96,10 +103,9 @@ LabelledStore = Annotated[
     Path,
     tyro.conf.Positional,
     option('Store with label tracks, made by "rcbht encode".', metavar="STORE.zarr"),
-    _PLACE,
     STORE,
 ]
-OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr"), _PLACE, Folder()]
+OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr"), Folder()]
 Trial = Annotated[str, tyro.conf.Positional, option("Name of the trial.", metavar="TRIAL")]
 Tracks = Annotated[str, option("Label tracks to use, if the store has several.", "")]
 Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]
@@ -221,7 +227,7 @@ class Command(ABC):
         paths = [(name, each) for name, value in vars(self).items() for each in _each(value) if isinstance(each, Path)]
         source = vars(self).get("source")
         if source and isinstance(source, str):
-            paths.append(("source", Path("/dev/stdin" if source == "-" else source)))
+            paths.append(("source", as_path("/dev/stdin" if source == "-" else source)))
         return paths
 
 

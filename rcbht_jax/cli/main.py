@@ -219,7 +219,7 @@ def parse(name: str, words: list[str]) -> Command | None:
     with needs_extra("all"):
         import tyro
 
-        from rcbht_jax.cli.command import OPTIONAL
+        from rcbht_jax.cli.command import RULES
         from rcbht_jax.cli.completion import COMMON, options_of
 
         described: Any = command_class(name)
@@ -239,7 +239,7 @@ def parse(name: str, words: list[str]) -> Command | None:
             prog=f"rcbht {name}",
             description=f"{inspect.getdoc(described)}\n\n--json prints the result as JSON on stdout.",
             config=(tyro.conf.FlagCreatePairsOff,),
-            registry=OPTIONAL,
+            registry=RULES,
         )
     except SystemExit as stop:
         if stop.code:

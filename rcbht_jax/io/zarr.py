@@ -39,6 +39,8 @@ META = "zarr.json"  # of a group or an array
 def check_target(path: Path, kind: str, overwrite: bool) -> None:
     """Check that a group of format ``kind`` can be written at ``path``; see :func:`store.check_target`."""
     check_writable(path)
+    if os.path.islink(path):
+        raise InputError(f"{path} is a link; name the place that it leads to: {os.path.realpath(path)}.")
     if not path.name:
         raise InputError(f'"{path}" is not a name for a store; expected for example trials.zarr.')
     if not path.parent.is_dir():
@@ -52,7 +54,7 @@ def check_target(path: Path, kind: str, overwrite: bool) -> None:
         ours = open_group(path).attrs.get("format") == kind
     except InputError:
         ours = False
-    if not ours or path.is_symlink():
+    if not ours:
         raise InputError(f"{path} exists and is not a store made by rcbht; move it away or choose another name.")
 
 

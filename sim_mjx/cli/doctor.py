@@ -24,7 +24,7 @@ class Doctor(Command):
     """Check this machine: versions, devices, folder of compiled programs, disk, and speed in a few seconds.
 
     With a store: check every checksum, whether everything that its simulation made is there, and whether the installed
-    versions are those that made it. The exit status is 2 if the store is damaged.
+    versions are those that made it. The exit status is 2 if the store is damaged or not finished.
 
     Example: rcbht doctor
 
@@ -41,6 +41,14 @@ class Doctor(Command):
             "then, and the result lists them."
         ),
     ] = False
+
+    def check_inputs(self) -> None:
+        """Refuse a store that its simulation has not finished as such, not as one that is missing."""
+        from sim_mjx.synthesis.status import check_finished
+
+        if self.store is not None:
+            check_finished(self.store)
+        super().check_inputs()
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.cli.bench import batch_encoder, signal

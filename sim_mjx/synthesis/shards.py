@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from rcbht_jax._util.atomic import atomic_new, delete
+from rcbht_jax._util.checkpoint import first_difference
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
@@ -27,7 +28,7 @@ from rcbht_jax.io.store_reader import Stored
 from rcbht_jax.io.store_schema import LABELS, open_store
 from sim_mjx.synthesis import claims, descriptions
 
-MANIFEST, PARTIAL = "manifest.json", ".*.partial-*"
+MANIFEST, PARTIAL, WORK = "manifest.json", ".*.partial-*", ".work"
 _TRIES = 25
 _DIGESTS = {  # described in words, since a digest says nothing to a reader
     "own_sha256": "your files", "scene_sha256": "what your files read", "sim_mjx_sha256": "the simulation's code",
@@ -48,7 +49,14 @@ def folder_of(target: Path) -> Path:
     """
     if not target.name:
         raise InputError(f'"{target}" is not a name for a store; expected for example trials.zarr.')
-    return target.with_name(f"{target.name}.work")
+    return target.with_name(target.name + WORK)
+
+
+def target_of(path: Path) -> Path:
+    """The store that becomes of one in a work folder with a plan; any other store itself."""
+    here = Path(os.path.realpath(path))
+    inside = here == store_of(here.parent) and here.parent.suffix == WORK and has_plan(here.parent)
+    return here.parent.with_suffix("") if inside else path
 
 
 def begin(folder: Path, manifest: Mapping[str, Any]) -> None:
@@ -200,15 +208,14 @@ def _is_claims(entry: Path) -> bool:
     return entry.name == claims.FOLDER and entry.is_dir()
 
 
-def _difference(existing: Any, wanted: Any, name: str = "") -> str:
+def _difference(existing: Any, wanted: Any) -> str:
     """The first value that differs, in words."""
-    if isinstance(existing, dict) and isinstance(wanted, dict):
-        for key in sorted({*existing, *wanted}):
-            if existing.get(key) != wanted.get(key):
-                return _difference(existing.get(key), wanted.get(key), f"{name}.{key}" if name else key)
+    name, existing, wanted = first_difference(existing, wanted)
     last = name.rpartition(".")[2]
     if last in _DIGESTS and existing and wanted:
         return f"another content of {_DIGESTS[last]} ({last})"
+    if existing is wanted is None:
+        return f"other options (one of the manifests alone has {name})"
     if name in _OPTIONS and existing is None:
         return f"no {_OPTIONS[name]}, not with {json.dumps(wanted)}"
     said = "none" if wanted is None else json.dumps(wanted)

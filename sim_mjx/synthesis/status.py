@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
@@ -95,6 +96,23 @@ def status_of(target: Path) -> SynthesisStatus:
             for task, tries in sorted(board.items())
             if task.isdecimal() and int(task) not in present and tries[-1].state == "dead"
         ],
+    )
+
+
+def check_finished(path: Path) -> None:
+    """Refuse a store that a synthesis has begun and not finished, at its place or in the work folder.
+
+    Raises:
+        InputError: says how much of it is there, and what shows its progress and resumes it.
+    """
+    target = shards.target_of(path)
+    if target == path and (path.exists() or not shards.has_plan(shards.folder_of(path))):
+        return
+    now, state = status_of(target), "still being written" if path.exists() else "not finished"
+    raise InputError(
+        f"{path} is {state}: {now.shards_done} of {plural(now.shards, 'part')} are there; "
+        f'"rcbht simulate {target} --status" shows its progress, and without --status, but with the options of before, '
+        "it is resumed."
     )
 
 

@@ -24,6 +24,7 @@ from sim_mjx import engines
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import shards
 from sim_mjx.synthesis.plan import SynthesisConfig, job_of, manifest_of, provenance
+from sim_mjx.synthesis.status import check_finished
 from sim_mjx.validation.label_repair import made_how, simulated_how
 
 PACKAGES = ("rcbht-jax", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "warp-lang", "zarr")
@@ -94,9 +95,12 @@ def check_store(path: Path) -> StoreHealth:
     """Read all of a store, part by part, and compare it with its checksums, and its provenance with the installed code.
 
     Raises:
-        InputError: there is no store.
+        InputError: there is no store, or it is not finished, which is no damage.
     """
+    check_finished(path)
     attrs = store.read_attrs(path)
+    if not store.is_finished(path):
+        store.verify(path)
     damage: list[str] = []
     notes: list[str] = []
     _read(partial(store.verify, path), damage)
@@ -108,8 +112,8 @@ def check_store(path: Path) -> StoreHealth:
         _read(partial(verify_tracks, path, name), damage)
         if len(damage) > before:
             tracks[name] = made_how(path, name)
-    if shards.folder_of(path).is_dir():
-        notes.append(f"{shards.folder_of(path)} is of a simulation that goes on, or was interrupted.")
+    if (folder := shards.folder_of(path)).is_dir():
+        notes.append(f"{folder} {_state(folder)}")
     simulated = attrs.get("simulated")
     if simulated is None:
         return StoreHealth(count, damage, notes, False, _known(tracks, alone))
@@ -126,6 +130,13 @@ def check_store(path: Path) -> StoreHealth:
     if difference:
         notes.append(difference)
     return StoreHealth(count, damage, notes, job is not None and not difference, _known(tracks, alone))
+
+
+def _state(folder: Path) -> str:
+    """What a work folder beside a store is, as the end of a sentence."""
+    if shards.has_plan(folder):
+        return "is of a simulation that goes on, or was interrupted."
+    return "is a leftover, not of a simulation that goes on or can be resumed; it may be deleted."
 
 
 def _known(tracks: dict[str, dict[str, Any] | None], alone: bool) -> dict[str, dict[str, Any]]:

@@ -7,6 +7,7 @@ import sys
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
@@ -119,3 +120,40 @@ def test_urls_are_told_from_folders() -> None:
     for plain in ("x.zarr", "/s3:/b", "./a:/b", "C:/b", "a b://c", "s3:"):
         assert url_of(Path(plain)) is None, plain
     assert as_path("x.zarr") == Path("x.zarr")
+
+
+@pytest.mark.parametrize(
+    ("url", "path"),
+    [
+        ("file:///data/x.zarr", "/data/x.zarr"),
+        ("file:/data/x.zarr", "/data/x.zarr"),
+        ("FILE://localhost/data/x.zarr", "/data/x.zarr"),
+        ("file:///a%20b/%C3%A4 #1?%2520.zarr", "/a b/ä #1?%20.zarr"),
+    ],
+)
+def test_a_url_of_a_file_is_its_path(url: str, path: str) -> None:
+    assert as_path(url) == Path(path)
+    assert url_of(as_path(url)) is None
+    if "localhost" not in url:  # which Path leaves as the first folder
+        assert as_path(Path(url)) == Path(path)
+
+
+@pytest.mark.parametrize("url", ["file://server/x.zarr", "file:///x%00.zarr"])
+def test_a_url_of_no_file_of_this_computer_is_refused(url: str) -> None:
+    with pytest.raises(InputError, match=f"{url} is not a file of this computer; expected file:///PATH"):
+        as_path(url)
+
+
+def test_stores_are_written_and_read_by_urls_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / "my trials %20.zarr"
+    url = f"file://{quote(str(place))}"
+    store.write_recordings(url, ragged(), {})
+    same(store.read_recordings(Path(url)), store.read_recordings(place))
+    plain = tmp_path / "x.zarr"
+    place.rename(plain)
+    assert store.read_attrs(Path(f"file://{plain}")) == store.read_attrs(plain)  # takes paths alone
+    export = ["export", "--format", "csv", "-o", f"file://{tmp_path}/my%20tables"]
+    for command in (["info"], ["encode", "--robot", "auto"], ["doctor"], export):
+        assert main([command[0], f"file://{plain}", *command[1:]]) == 0, command
+    assert (tmp_path / "my tables" / "labels.csv").exists()
+    assert str(plain) in capsys.readouterr().out

@@ -110,11 +110,21 @@ def test_only_a_store_is_ever_deleted(tmp_path: Path, path: Path) -> None:
     precious.mkdir()
     (precious / "chapter1.tex").write_text("...")
     (tmp_path / "file").write_text("...")
-    (tmp_path / "link").symlink_to(path)
-    for name in ("thesis", "file", "link"):
+    for name in ("thesis", "file"):
         with pytest.raises(InputError, match="not a store made by rcbht"):
             store.write_recordings(tmp_path / name, simple(), {}, overwrite=True)
     assert (precious / "chapter1.tex").exists()
+    same(store.read_recordings(path), simple())
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["trials.zarr", "none.zarr"])
+def test_a_link_is_never_replaced(name: str, overwrite: bool, path: Path) -> None:
+    link = path.with_name("link")
+    link.symlink_to(name)
+    with pytest.raises(InputError, match=f"link is a link; name the place that it leads to: {path.with_name(name)}"):
+        store.write_recordings(link, simple(5), {}, overwrite=overwrite)
+    assert link.is_symlink()
     same(store.read_recordings(path), simple())
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,11 +20,21 @@ def test_content_comes_back_and_a_missing_file_is_none(tmp_path: Path) -> None:
     assert checkpoint.load(path, {"axes": [1, 2], "seed": 1}) == [1.5, math.inf]
 
 
-def test_other_work_is_refused_with_the_value_that_differs(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("known", "wanted", "told"),
+    [
+        ({"job": {"seed": 1}}, {"job": {"seed": 2}}, "job.seed 1, not 2"),
+        ({"job": {}}, {"job": {"seed": 2}}, "job.seed null, not 2"),
+        ({"job": {}}, {"job": {"limit": None}}, "one of them alone has job.limit"),
+        ({"job": {"limit": None}}, {"job": {}}, "one of them alone has job.limit"),
+        ([1], {"seed": 1}, '[1], not {"seed": 1}'),
+    ],
+)
+def test_other_work_is_refused_with_the_value_that_differs(tmp_path: Path, known: Any, wanted: Any, told: str) -> None:
     path = tmp_path / "c.json"
-    checkpoint.save(path, {"job": {"seed": 1}}, [])
-    with pytest.raises(InputError, match=r"other data or options \(job.seed 1, not 2\)"):
-        checkpoint.load(path, {"job": {"seed": 2}})
+    checkpoint.save(path, known, [])
+    with pytest.raises(InputError, match=re.escape(f"other data or options ({told})")):
+        checkpoint.load(path, wanted)
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"made_by": 1', "\xff"])

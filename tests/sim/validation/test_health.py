@@ -18,8 +18,9 @@ from sim_mjx.cli import doctor as doctor_command
 from sim_mjx.synthesis import plan, shards
 from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
+from sim_mjx.synthesis.workers import SynthesisProgress
 from sim_mjx.validation import health
-from tests.support.fake_simulation import short, tree
+from tests.support.fake_simulation import SMALL, fake_engine, short, tree
 from tests.support.store_cases import simple
 
 JOB = SynthesisConfig("C", 4, seed=3, shard=3, spec=short(), window=5)
@@ -199,13 +200,59 @@ def test_what_other_code_made_is_not_made_again(
 def test_a_store_that_was_not_simulated_has_no_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_recordings(tmp_path / "t.zarr", simple(4, 100), {})
     assert doctor(capsys, 0, str(tmp_path / "t.zarr"))["damage"] == []
-    shards.folder_of(tmp_path / "t.zarr").mkdir()
+    folder = shards.folder_of(tmp_path / "t.zarr")
+    folder.mkdir()
+    assert "is a leftover" in doctor(capsys, 0, str(tmp_path / "t.zarr"))["notes"][0]
+    (folder / shards.MANIFEST).write_text("{}")
     assert "goes on, or was interrupted" in doctor(capsys, 0, str(tmp_path / "t.zarr"))["notes"][0]
     flip(tmp_path / "t.zarr" / "wrench")
     assert main(["doctor", str(tmp_path / "t.zarr"), "--repair"]) == 2
     assert "was not simulated" in capsys.readouterr().err
     assert main(["doctor", "--repair"]) == 2
     assert "--repair needs a store" in capsys.readouterr().err
+
+
+@pytest.fixture
+def interrupted(tmp_path: Path) -> Path:
+    """The place of a store whose job has ended after the first of three shards."""
+
+    def progress(now: SynthesisProgress) -> None:
+        if now.done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine, progress=progress)
+    return tmp_path / "t.zarr"
+
+
+@pytest.mark.parametrize("repair", [(), ("--repair",)])
+@pytest.mark.parametrize("place", ["target", "work folder", "inside"])
+def test_a_store_that_its_job_has_not_finished_is_not_damaged(
+    place: str,
+    repair: tuple[str, ...],
+    interrupted: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    draft = shards.store_of(shards.folder_of(interrupted))
+    monkeypatch.chdir(draft.parent)
+    path = {"target": interrupted, "work folder": draft, "inside": Path(draft.name)}[place]
+    before = tree(interrupted.parent)
+    assert main(["doctor", str(path), *repair]) == 2
+    told, said = capsys.readouterr()
+    state = "not finished" if place == "target" else "still being written"
+    assert f"{path} is {state}: 1 of 3 parts are there" in said
+    assert f'"rcbht simulate {interrupted} --status"' in said
+    assert "damaged" not in told + said
+    assert tree(interrupted.parent) == before
+
+
+def test_an_unfinished_store_without_a_job_is_not_damaged(
+    interrupted: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shards.store_of(shards.folder_of(interrupted)).rename(moved := interrupted.with_name("moved.zarr"))
+    assert main(["doctor", str(moved), "--repair"]) == 2
+    assert "moved.zarr is still being written: 1 of 3 parts" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["B", "two", "hooked-A", "peg-in-hole@panda"])
