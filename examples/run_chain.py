@@ -5,7 +5,8 @@
 
 Each line of the input is {"wrench": [Fx, Fy, Fz, Mx, My, Mz]}, one per sampling period, in the order and the units that
 chain.json in the archive names, or {"begin": true} where a sub-task begins and {"reset": true} where a trial does; a
-reading on such a line is the next one. One JSON line with the probabilities of every head is printed per window.
+reading on such a line is the next one. One JSON line with the probabilities of every head is printed per window. A
+reading that is not finite, or has other axes, is left out with a message: it would stay in the state for good.
 """
 
 import io
@@ -35,12 +36,16 @@ def main() -> None:
             begins = np.where([scope == "subtask" for scope in meta["sentences"]], received, begins).astype(np.int32)
         if "wrench" not in message:
             continue
-        window[received % len(window)] = message["wrench"]
+        reading = np.asarray(message["wrench"], np.float32)
+        if reading.shape != window.shape[1:] or not np.isfinite(reading).all():
+            print(f"left out: {line.strip()}", file=sys.stderr)
+            continue
+        window[received % len(window)] = reading
         received += 1
         if received % len(window) == 0:
             state, said, _ = chain(state, window.copy(), np.int32(len(window)), begins)
             heads = {
-                head["name"]: dict(zip(head["classes"], np.asarray(p).round(4).tolist(), strict=True))
+                head["name"]: dict(zip(head["classes"], np.asarray(p, np.float64).round(4).tolist(), strict=True))
                 for head, p in zip(meta["heads"], said, strict=True)
             }
             print(json.dumps({"sample": received, **heads}), flush=True)

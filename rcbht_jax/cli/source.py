@@ -289,8 +289,8 @@ class Source(RuleCommand):
             opening = read_opening(messages, self.lead if learns or measured else 0.0, known)
             messages, rate = opening.messages, known or opening.rate()
             its = reads is not None and not self.axes and len(reads.axes) == len(opening.axes)
-            named = reads[:2] if reads and its else (self._axes_of(opening.axes),)
-            recordings = opening.recordings(rate, *named)
+            axes, units = reads[:2] if reads and its else (self._axes_of(opening.axes), None)
+            recordings = opening.recordings(rate, axes, units, self.max_gap)
         if self.axes:
             if len(self.axes) != len(recordings.axes):
                 raise InputError(

@@ -70,20 +70,28 @@ class Opening:
             raise InputError("The readings have no time stamps; state their rate with --sampling-rate.")
         return 1 / checked_period(clock(np.cumsum([0.0, *steps])).period)
 
-    def recordings(self, rate: float, axes: Sequence[str], units: Sequence[str] | None = None) -> Recordings:
-        """The readings as one recording, at the moments at which an encoder of this rate gets samples."""
+    def recordings(
+        self, rate: float, axes: Sequence[str], units: Sequence[str] | None = None, bridge: float | None = None
+    ) -> Recordings:
+        """The readings as one recording, at the moments at which an encoder of this rate gets samples.
+
+        Args:
+            rate: samples per second.
+            axes, units: of the readings.
+            bridge: longest gap that is filled, s; None = as of :class:`~rcbht_jax.introspection.resampling.Resampler`.
+        """
         pairs = zip(_parts(self.wrench, self.stretch), _parts(self.time, self.stretch), strict=True)
-        read = [on_grid(values, time, rate) for values, time in pairs]
+        read = [on_grid(values, time, rate, bridge) for values, time in pairs]
         return Recordings.from_arrays([np.concatenate(read)], rate, axes=axes, units=units)
 
 
 def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float | None = None) -> Opening:
-    """Read the beginning of a stream: at least ``READINGS`` readings and ``seconds`` seconds.
+    """Read the beginning of a stream: ``READINGS`` readings and ``seconds`` seconds; one reading if neither is needed.
 
     Args:
         messages: the stream.
         seconds: least duration; see :class:`Elapsed`.
-        rate: of the samples, Hz, if it is known.
+        rate: of the samples, Hz, if it is known; the period is then not taken from the readings.
 
     Raises:
         InputError: the stream, or ``MOST`` messages of it, has no reading.
@@ -95,13 +103,13 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
     """
     read: list[Message] = []
     samples: list[tuple[int, Sample]] = []  # with their stretch
-    elapsed = Elapsed(rate)
+    elapsed, least = Elapsed(rate), 1 if rate and not seconds else READINGS
     for message in islice(messages, MOST):
         read.append(message)
         if not elapsed.feed(message):
             continue
         samples.append((elapsed.stretch, message))
-        if elapsed.readings >= READINGS and elapsed.seconds >= seconds:
+        if elapsed.readings >= least and elapsed.seconds >= seconds:
             break
     if not samples:
         what = f"The first {MOST} messages of the stream have" if len(read) == MOST else "The stream ended and has"

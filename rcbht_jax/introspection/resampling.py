@@ -29,7 +29,7 @@ COUNTED = 50  # readings of which this is the mean
 JITTER = 0.25  # of a period: readings further off the grid are reported
 PAUSE = 1.0  # s between reports of continuing irregularities: jitter, bridged readings
 CLOCK_JUMP = 1.0  # s back in time: the source was restarted
-WIDEST = 60.0  # s: gap that may be bridged
+SHORT, WIDEST = 0.05, 60.0  # s: gaps that are bridged by default, if they are no longer; that may be bridged at most
 LARGEST = 1e6  # N or Nm: beyond any sensor's range, and single precision sums stay finite
 
 Kind = Literal["gap", "late", "repeated", "not-finite", "jitter", "faster"]
@@ -77,7 +77,7 @@ class Resampler:
                 f"A stream needs a reading every {WIDEST / 2:g} s at least; this one has one every {dt:g} s. Are its "
                 "time stamps in seconds?"
             )
-        bridge = min(max(0.05, 4 * dt), WIDEST) if bridge is None else bridge
+        bridge = min(max(SHORT, 4 * dt), WIDEST) if bridge is None else bridge
         if not 2 * dt <= bridge <= WIDEST:
             raise InputError(f"Gaps of {bridge:g} s cannot be bridged; expected {2 * dt:g} to {WIDEST:g} s.")
         self._dt, self._bridge = dt, bridge
@@ -213,7 +213,10 @@ class Resampler:
 
 
 def on_grid(
-    wrench: Float[np.ndarray, "reading axis"], time: Float[np.ndarray, " reading"], rate: float
+    wrench: Float[np.ndarray, "reading axis"],
+    time: Float[np.ndarray, " reading"],
+    rate: float,
+    bridge: float | None = None,
 ) -> Float[np.ndarray, "sample axis"]:
     """Readings as an encoder of this rate gets them.
 
@@ -221,11 +224,12 @@ def on_grid(
         wrench: of one trial.
         time: stamps of the readings, s; NaN = none.
         rate: samples per second.
+        bridge: as of :class:`Resampler`.
 
     >>> on_grid(np.array([[0.0], [2.0], [4.0]]), np.array([0.0, 0.02, 0.04]), 100).ravel().tolist()
     [0.0, 1.0, 2.0, 3.0, 4.0]
     """
-    grid = Resampler(1 / rate, axes=wrench.shape[1])
+    grid = Resampler(1 / rate, bridge, wrench.shape[1])
     stamps = (None if np.isnan(stamp) else stamp for stamp in time.tolist())
     readings = (Sample(tuple(row), stamp) for row, stamp in zip(wrench.tolist(), stamps, strict=True))
     return np.concatenate([grid.feed(reading).samples for reading in readings])
@@ -249,7 +253,8 @@ def resampled(recordings: Recordings, rate: float) -> Recordings:
     if math.isclose(rate * recordings.dt, 1, rel_tol=1e-6):
         return recordings
     pairs = zip(recordings.wrench, recordings.length.tolist(), strict=True)
-    parts = [on_grid(wrench[:length], np.arange(length) * recordings.dt, rate) for wrench, length in pairs]
+    bridge = min(max(SHORT, 4 / rate, 2 * recordings.dt), WIDEST)  # a recording that is slower has no gaps
+    parts = [on_grid(wrench[:length], np.arange(length) * recordings.dt, rate, bridge) for wrench, length in pairs]
     return Recordings.from_arrays(parts, rate, axes=recordings.axes, units=recordings.units)
 
 

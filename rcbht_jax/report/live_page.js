@@ -1,6 +1,6 @@
 // What the page keeps of a stream, and how it gets it. The controls are in live_controls.js, the charts in live_draw.js.
 
-const KEEP = 600, MOST = 600000, GAP = 0.3; // s kept; readings kept; s without a reading that are drawn as a gap
+const KEEP = 600, MOST = 700000, GAP = 0.3; // s kept; readings kept, ten minutes at 1 kHz and what is cut at once; s without a reading that are drawn as a gap
 const byId = id => document.getElementById(id);
 let about = null; // what the frames mean, see live_page.description
 let kept = empty(0); // of the present stream

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+import rcbht_jax as rj
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Notice
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.opening import read_opening
-from rcbht_jax.introspection.resampling import Resampler
+from rcbht_jax.introspection.resampling import Resampler, resampled
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.io.messages import Sample
 from tests.support.introspection_models import model
@@ -157,3 +159,36 @@ def test_a_source_too_slow_for_every_gap_is_told_what_helps() -> None:
     assert first == "no reading for 0.100 s; everything starts anew"  # a gap of a source that is fast enough
     assert second == first + "; a source that is always so slow needs a longer --max-gap"
     assert not any("anew" in text for text in said(0.2))
+
+
+def test_a_slow_recording_has_no_gaps_for_a_faster_encoder() -> None:
+    """At 10 Hz every reading comes after more than the gap that is filled by default; the line between two is known."""
+    force = np.interp(np.arange(600) * 0.1, [0, 20, 25, 60], [0, 0, 5, 5])
+    slow = rj.Recordings.from_arrays([force[:, None]], rate=10, axes=("Fz",), units=("N",))
+    made = resampled(slow, 100)
+    assert (made.length.tolist(), made.dt) == ([5991], 0.01)
+    np.testing.assert_allclose(made.wrench[0, ::10], slow.wrench[0], atol=1e-5)
+
+
+def test_the_opening_is_bridged_as_the_stream_is() -> None:
+    readings = [Sample((float(k),), 0.1 * k) for k in range(50)]
+    opening = read_opening(iter(readings))
+    assert opening.recordings(100.0, ("Fz",), bridge=0.2).length.tolist() == [491]
+    assert opening.recordings(100.0, ("Fz",)).length.tolist() == [50]  # the stream begins anew with every reading
+
+
+@pytest.mark.parametrize(
+    ("rate", "seconds", "read"), [(2.0, 0.0, 1), (None, 0.0, 50), (2.0, 3.0, 50), (100.0, 3.0, 300)]
+)
+def test_where_the_rate_is_known_the_first_reading_is_enough(rate: float | None, seconds: float, read: int) -> None:
+    """Words of a slow source would wait for long, and nothing is learned from the readings."""
+    taken: list[int] = []
+
+    def source() -> Iterator[Sample]:
+        for k in range(1000):
+            taken.append(k)
+            yield Sample((1.0, 2.0), k / (rate or 10.0))
+
+    opening = read_opening(source(), seconds, rate)
+    assert opening.wrench.shape[1] == 2
+    assert len(taken) == pytest.approx(read, abs=1)

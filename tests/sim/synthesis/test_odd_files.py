@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable
@@ -94,3 +95,13 @@ def test_a_claim_that_is_a_folder_holds_nobody_up(tmp_path: Path, monkeypatch: p
     assert attempt.state == "dead"
     claims.clear(tmp_path)
     assert not list((tmp_path / claims.FOLDER).iterdir())
+
+
+def test_work_of_a_version_without_an_option_is_not_resumed(tmp_path: Path) -> None:
+    interrupted(tmp_path / "t.zarr", SMALL)
+    file = shards.folder_of(tmp_path / "t.zarr") / shards.MANIFEST
+    manifest = json.loads(file.read_text())
+    del manifest["job"]["spec"]["longest"]  # null
+    file.write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match=r"begun with other options \(one of the manifests alone has job.spec.longest"):
+        synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
