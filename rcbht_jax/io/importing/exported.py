@@ -29,6 +29,7 @@ from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
 _OURS = ("recording", "samples", "seconds")
 _TEXTS = ("trial", *STANDARD_COLUMNS)
+_KINDS = {"text", "str", "bool"} | {str(np.dtype(code)) for code in "bhilqBHILQefd"}  # of columns, as exports name them
 Columns = dict[str, NDArray[Any]]
 
 
@@ -111,9 +112,17 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
 
 
 def _types(about: Mapping[str, Any]) -> dict[str, str]:
-    """Of each further column: "text", or the type of its numbers."""
+    """Of each further column: "text", or the type of its numbers.
+
+    Raises:
+        InputError: a type that no column of a store has.
+    """
     types = about.get("column_types")
-    return {name: str(kind) for name, kind in types.items()} if isinstance(types, dict) else {}
+    found = {name: str(kind) for name, kind in types.items()} if isinstance(types, dict) else {}
+    for name, kind in found.items():
+        if kind not in _KINDS:
+            raise InputError(f"dataset.json: column {name} is of the type {kind[:40]!r}; expected text or numbers.")
+    return found
 
 
 def exported_tables(path: Path, name: str) -> Iterator[Table]:

@@ -101,6 +101,8 @@ def test_a_damaged_export_is_one_sentence(exported: Path) -> None:
         ({"axes": {"Qx": "N"}}, "Qx|no topic"),
         ({"annotations": {"phase": [["free"]]}}, "no table of lists of texts"),
         ({"annotations": {"phase": {"free": 0}}}, "no table of lists of texts"),
+        ({"column_types": {"depth": 1e308}}, "column depth is of the type '1e[+]308'; expected text or numbers"),
+        ({"column_types": {"depth": "O"}}, "column depth is of the type 'O'"),
     ):
         (exported / "dataset.json").write_text(json.dumps(about | change))
         with pytest.raises(InputError, match=sentence):
