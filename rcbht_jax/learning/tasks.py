@@ -381,7 +381,7 @@ def _rows(recordings: Recordings, spec: TaskSpec, dropped: Counter[str], unknown
             raise InputError(f"Two recordings of {key[0]!r} are named {key[1]!r}, arm {arm}; a name must be unique.")
     complete = [[arm[a] for a in wanted] for arm in by_trial.values() if set(wanted) <= set(arm)]
     leave_out(dropped, f"no arm {' and '.join(wanted)}", len(by_trial) - len(complete))
-    return np.array(complete, np.int64).reshape(-1, len(wanted))
+    return np.array(complete, np.int64).reshape(-1, max(len(wanted), 1))
 
 
 def _known(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from rcbht_jax.annotations import Annotations
+from rcbht_jax.errors import InputError
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
@@ -36,6 +38,14 @@ def test_recordings_that_nobody_judged_are_no_failures() -> None:
     assert left == {"outcome not success": 1, "outcome unknown": 2, "all of the source own": 2}
     assert labelled_intervals(data, TaskSpec("phase", outcomes=())).dropped == {}
     assert "all of the source own" not in labelled_intervals(data, TaskSpec("phase", sources=("simulated",))).dropped
+
+
+def test_a_source_that_nobody_judged_teaches_nothing_and_the_error_says_why() -> None:
+    data = _two_sources(["unknown", "unknown", "success", "failure"], ["phase"] * 4)
+    with pytest.raises(
+        InputError, match=r"no class in 0 trials that passed.* Left out: 2 \(outcome unknown"
+    ):
+        labelled_intervals(data, TaskSpec("phase", sources=("own",)))
 
 
 def test_a_source_without_the_track_is_named() -> None:
