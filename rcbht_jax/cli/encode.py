@@ -145,10 +145,11 @@ class Encode(RuleCommand):
         if hidden := result["changes_all_constant"]:
             dt = result["config"]["dt"]
             longer = max(4 * self.window, round(USUAL_SPAN / dt))
+            other = "" if self.rule == "fit" else ", or the fit rule, whose lines are longer (--rule fit)"
             text += (
                 f"\nIn most recordings, everything on {', '.join(hidden)} is labelled constant, although the values "
                 f"change: within a window of {self.window} samples ({1e3 * self.window * dt:.3g} ms), noise may be "
-                f"steeper than they are; try a longer one (--window {longer}, {1e3 * longer * dt:.3g} ms)."
+                f"steeper than they are; try a longer one (--window {longer}, {1e3 * longer * dt:.3g} ms){other}."
             )
         return text
 

@@ -95,7 +95,7 @@ def test_encode_says_where_noise_hides_all_changes(tmp_path: Path, capsys: pytes
     said = capsys.readouterr().out
     assert "In most recordings, everything on torque is labelled constant, although the values change: within" in said
     assert "(1.25 ms)" in said
-    assert "try a longer one (--window 100, 25 ms)." in said  # as long as those of the paper
+    assert "try a longer one (--window 100, 25 ms), or the fit rule, whose lines are longer (--rule fit)." in said
     assert run(capsys, "encode", path, "--window", "100")["changes_all_constant"] == []
 
 
