@@ -88,14 +88,18 @@ def _neighbours(folder: Path) -> dict[str, Any]:
     """Imported modules that lie in a folder, and all modules of packages that do."""
     if folder.name in _LIBRARIES or folder == _STANDARD:  # whose modules all code shares
         return {}
-    tops = {name for name, module in sys.modules.items() if "." not in name and _lies_in(folder, module)}
+    known = dict(sys.modules)  # other threads import, too
+    tops = {name for name, module in known.items() if "." not in name and _lies_in(folder, module)}
     tops = {name for name in tops if name not in _OURS and not name.startswith(_PREFIX)}
-    return {name: module for name, module in sys.modules.items() if name.partition(".")[0] in tops}
+    return {name: module for name, module in known.items() if name.partition(".")[0] in tops}
 
 
 def _lies_in(folder: Path, module: Any) -> bool:
     """Whether it is a module or a package of this folder, not of one below it."""
-    values: Mapping[str, Any] = getattr(module, "__dict__", {})
+    try:  # any other access would load a module that is imported lazily
+        values: Mapping[str, Any] = object.__getattribute__(module, "__dict__")
+    except AttributeError:
+        return False
     package = values.get("__path__")
     file = values.get("__file__")
     places = [file] if package is None else [*package]

@@ -204,3 +204,17 @@ def test_the_digest_of_a_file_without_neighbours_stands_in_work_folders(tmp_path
     job = SynthesisConfig(f"clip@{tmp_path}/arm.py:ARM", 1, spec=get_scenario("clip@panda").spec())
     content = hashlib.sha256((tmp_path / "arm.py").read_bytes()).digest()
     assert manifest_of(job)["versions"]["own_sha256"] == [hashlib.sha256(b"arm.py" + content).hexdigest()]
+
+
+def test_a_module_that_is_imported_lazily_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To load one changes the table of modules that is gone through, and takes what its user wanted to save."""
+
+    class Lazy(ModuleType):
+        def __getattribute__(self, name: str) -> object:
+            sys.modules[f"loaded_by_{name}"] = ModuleType("loaded")
+            return super().__getattribute__(name)
+
+    monkeypatch.setattr(sys, "modules", {**sys.modules, "lazy_one": Lazy("lazy_one"), "no_module": object()})
+    (tmp_path / "part.py").write_text("VALUE = 7\n")
+    assert run_file(str(tmp_path / "part.py")).module.VALUE == 7
+    assert not [name for name in sys.modules if name.startswith("loaded_by_")]
