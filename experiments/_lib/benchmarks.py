@@ -41,7 +41,7 @@ CONFOUNDS = {
         "separated just as well. A mixed-session score does not show that failure was recognised."
     ),
     "failure-type": (
-        "The authors deviate the approach, which tells the type before the parts touch. The failures of one batch "
+        "The authors perturb the approach, so the type can be predicted before contact. The failures of one batch "
         "share starting pose and length: types are recognised far less well in a batch that was held out than in mixed "
         "ones."
     ),

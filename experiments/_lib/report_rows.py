@@ -16,8 +16,8 @@ NOTES = {
     "sessions": "The classes were recorded in different sessions, which differ before contact: the score does not show "
     "that failure was recognised.",
     "lengths": "The classes differ in length; compare the score with that of duration alone.",
-    "approach": "A deviated approach tells the type before the parts touch: the score does not show that a failure was "
-    "recognised by its contact.",
+    "approach": "The approach differs between types, so the type can be predicted before contact: the score does not "
+    "show that a failure was recognised from its contact.",
     "batches": "Failures of one batch share their starting pose and length; scores on batches not trained on are far "
     "lower.",
     "published": "The paper scored complete sequences of one selected split; ours are trials never trained on, "

@@ -1,4 +1,4 @@
-"""Failure types of a batch that did not train: what transfers from contact on, and what the approach gives away.
+"""Failure types of a batch left out of training: accuracy from contact onward, and from the approach alone.
 
 The records of one batch of the authors' simulated failures end a tenth of a second after contact in most trials, those
 of the other go on for nearly three seconds. A method that uses whole records learns something else in each. Here a
@@ -13,9 +13,10 @@ beside it at the same total weight, mirrored in y as well, and our simulated typ
 batch" needs all trials of the tested batch, though not their labels (transductive). Rows with some labelled trials of
 the tested batch, and five folds within a batch, are ceilings and no answer to the question.
 
-The authors deviate the approach, and the deviated approach differs in free space already. The rows "approach alone" see
-a stretch that ends before contact, less its mean, so that no failure can be recognised in them. Its place, too, is
-chosen on our simulated types; the scores of all three places on the authors' trials were known before.
+The authors simulate failures by perturbing the approach, which changes the wrench in free motion already. The rows
+"approach alone" use an interval that ends before contact, less its mean, so they cannot show that a failure is
+recognised. The interval, too, is chosen on our simulated types; the scores of all three intervals on the authors'
+trials were known before.
 
 Run: python -m experiments.classification.types_across --folder types --seed 0
 Simulated trials and finished rows are kept; run it again to go on where it was interrupted. Reads the recorded trials

@@ -1,12 +1,12 @@
 """Calibration of beliefs in a type of failure: calibration error by quarter of the record and by class.
 
-Little is known of a type early in the approach, which the authors deviate; sigmoids fitted on all snapshots of a record
-are overconfident early and underconfident late, and in a pooled error the two cancel. Here a belief is calibrated by
-progress as ``rcbht train-online`` does (:mod:`rcbht_jax.learning.progress`): in every quarter of the median record of
-the training trials a temperature and a share of the classes' frequencies, fitted by likelihood. Five folds grouped by
-trial; the calibration of a fold is fitted on the beliefs about the trials of the other folds, none of which trained the
-classifier that they come from. Those classifiers were trained on the trials of the fold; two numbers per quarter hardly
-transfer that.
+Early in the approach, which the authors perturb, the wrench carries little information on the type; sigmoids fitted on
+all snapshots of a record are overconfident early and underconfident late, and in a pooled error the two cancel. Here a
+belief is calibrated by progress as ``rcbht train-online`` does (:mod:`rcbht_jax.learning.progress`): in every quarter
+of the median record of the training trials a temperature and a share of the classes' frequencies, fitted by likelihood.
+Five folds grouped by trial; the calibration of a fold is fitted on the beliefs about the trials of the other folds,
+none of which trained the classifier that they come from. Those classifiers were trained on the trials of the fold; two
+numbers per quarter hardly transfer that.
 
 Errors are expected calibration errors of the likeliest type, and of every type by itself (its belief against how often
 it is true), over ten bins and all snapshots of a quarter of the trial's own record.

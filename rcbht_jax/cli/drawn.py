@@ -62,7 +62,7 @@ def thresholds_now(store: Path, window: int | None, rule: Literal["fit", "paper"
     return Encode(store, window=window, rule=rule).read_limits(read_sample(store)[0], store)[0]
 
 
-def made_now(store: Path, name: str) -> str:
+def made_now_note(store: Path, name: str) -> str:
     """What to say after the name of words that were made for a picture, while the store holds others; "" = nothing."""
     from rcbht_jax.io.label_store import list_tracks
 

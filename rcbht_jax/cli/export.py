@@ -22,7 +22,7 @@ from rcbht_jax.cli.command import (
     progress_bar,
     unset,
 )
-from rcbht_jax.cli.drawn import DrawnRule, made_now, stored_by, thresholds_now
+from rcbht_jax.cli.drawn import DrawnRule, made_now_note, stored_by, thresholds_now
 from rcbht_jax.errors import InputError
 
 
@@ -148,7 +148,7 @@ class Report(Command):
     def text(self, result: dict[str, Any]) -> str:
         return (
             f"{result['out']}: {result['shown']} of {plural(result['recordings'], 'recording')}, labels "
-            f"{result['tracks']}{made_now(self.store, result['tracks'])}, {plural(result['results'], 'result')}, "
+            f"{result['tracks']}{made_now_note(self.store, result['tracks'])}, {plural(result['results'], 'result')}, "
             f"{result['bytes'] / 1e6:.1f} MB"
         )
 

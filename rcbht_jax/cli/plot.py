@@ -27,7 +27,7 @@ from rcbht_jax.cli.command import (
     option,
     unset,
 )
-from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, made_now, rule_of
+from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, made_now_note, rule_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class PlotTrial(Command):
     def text(self, result: dict[str, Any]) -> str:
         missing = f'no labels; make them with "rcbht encode {self.store}"'
         name = result["tracks"]
-        labels = missing if name is None else f"labels {name}{made_now(self.store, name)}"
+        labels = missing if name is None else f"labels {name}{made_now_note(self.store, name)}"
         what = ", ".join(filter(None, (f"{result['source']} {result['trial']}", title_of(result["arm"]))))
         return f"{result['figure']}: {what}, {labels}"
 
@@ -125,7 +125,7 @@ class PlotMap(Command):
     def text(self, result: dict[str, Any]) -> str:
         count = plural(result["recordings"], "recording")
         name = result["tracks"]
-        return f"{result['figure']}: {result['layer']} labels {name} of {count}{made_now(self.store, name)}"
+        return f"{result['figure']}: {result['layer']} labels {name} of {count}{made_now_note(self.store, name)}"
 
 
 @dataclass(frozen=True)

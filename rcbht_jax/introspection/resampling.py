@@ -77,7 +77,7 @@ class Resampler:
                 f"A stream needs a reading every {WIDEST / 2:g} s at least; this one has one every {dt:g} s. Are its "
                 "time stamps in seconds?"
             )
-        bridge = min(max(SHORT, 4 * dt), WIDEST) if bridge is None else bridge
+        bridge = usual_bridge(dt) if bridge is None else bridge
         if not 2 * dt <= bridge <= WIDEST:
             raise InputError(f"Gaps of {bridge:g} s cannot be bridged; expected {2 * dt:g} to {WIDEST:g} s.")
         self._dt, self._bridge = dt, bridge
@@ -212,6 +212,15 @@ class Resampler:
         return reports
 
 
+def usual_bridge(dt: float, source: float = 0.0) -> float:
+    """Longest gap that is filled by default, s: two periods of the source at least, whose steps are no gaps.
+
+    >>> usual_bridge(0.005), usual_bridge(0.01, 0.1)
+    (0.05, 0.2)
+    """
+    return min(max(SHORT, 4 * dt, 2 * source), WIDEST)
+
+
 def on_grid(
     wrench: Float[np.ndarray, "reading axis"],
     time: Float[np.ndarray, " reading"],
@@ -253,7 +262,7 @@ def resampled(recordings: Recordings, rate: float) -> Recordings:
     if math.isclose(rate * recordings.dt, 1, rel_tol=1e-6):
         return recordings
     pairs = zip(recordings.wrench, recordings.length.tolist(), strict=True)
-    bridge = min(max(SHORT, 4 / rate, 2 * recordings.dt), WIDEST)  # a recording that is slower has no gaps
+    bridge = usual_bridge(1 / rate, recordings.dt)
     parts = [on_grid(wrench[:length], np.arange(length) * recordings.dt, rate, bridge) for wrench, length in pairs]
     return Recordings.from_arrays(parts, rate, axes=recordings.axes, units=recordings.units)
 

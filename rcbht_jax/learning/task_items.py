@@ -48,7 +48,7 @@ def leave_out_sources(
 ) -> None:
     """Name the sources of which all wanted recordings are left out, though the rows are of others."""
     for source in sorted(set(recordings.source[wanted].tolist()) - set(recordings.source[rows].tolist())):
-        leave_out(dropped, f"all of the source {source}", trials_in(recordings, recordings.source == source))
+        leave_out(dropped, f"all of the source {source}", trials_in(recordings, wanted & (recordings.source == source)))
 
 
 def track_items(

@@ -30,7 +30,8 @@ LABELS = (
 
 TOPICS = ("topic", "topic_name")  # of the messages of a log, which are no labels
 
-WHOLE = ("wrench", "force", "forces", "torque", "torques", "moment", "moments", "ft")  # of several axes in one column
+OF_FORCES = ("wrench", "force", "forces", "ft")
+WHOLE = (*OF_FORCES, "torque", "torques", "moment", "moments")  # of several axes in one column
 _DEMANDED = {
     "desired", "des", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "setpoint", "next", "err",
     "error", "dot", "std", "var", "bias",

@@ -15,7 +15,7 @@ from rcbht_jax._util.columns import unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import families
-from rcbht_jax.io.importing.names import snake, wrenches
+from rcbht_jax.io.importing.names import OF_FORCES, snake, wrenches
 from rcbht_jax.io.importing.segments import segments
 
 RATE_NAMES = (
@@ -31,7 +31,6 @@ RATE_NAMES = (
 )
 LONGEST_TEXT = 100_000  # characters of a fact in which a rate is looked for
 _CONTROL = re.compile(r'"control_freq(?:uency)?"\s*:\s*(\d+(?:\.\d+)?)\s*[,}]')
-FORCES = {"wrench", "force", "forces", "ft"}
 PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")
 LENGTH_NAMES = ("length", "lengths", "n_samples", "num_samples", "n_steps", "num_steps", "seq_len", "seq_lengths")
 
@@ -172,7 +171,7 @@ def _has_forces(name: str) -> bool:
     >>> _has_forces("ft_wrench"), _has_forces("object_pose")
     (True, False)
     """
-    return not FORCES.isdisjoint(re.split(r"[\W_\d]+", snake(name)))
+    return not set(OF_FORCES).isdisjoint(re.split(r"[\W_\d]+", snake(name)))
 
 
 def _left_out(arrays: tuple[str, ...]) -> tuple[str, ...]:
