@@ -18,7 +18,6 @@ from rcbht_jax.io.export.dataset import Block, DataSet, codes_at_samples
 from rcbht_jax.io.export.lerobot import EPISODE, write_lerobot
 from rcbht_jax.io.export.parquet import ParquetFiles
 from rcbht_jax.io.export.tables import Table
-from rcbht_jax.io.rosbags import McapWriter
 
 Progress = Callable[[int], None]  # called with the number of recordings done since the last call
 
@@ -155,6 +154,8 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
 
 
 def _mcap_recording(block: Block, row: int, path: Path) -> None:
+    from rcbht_jax.io.rosbags import McapWriter  # of the extra stream, which no other format needs
+
     recordings, samples = block.recordings, int(block.recordings.length[row])
     codes = None if block.tracks is None else codes_at_samples(block.tracks, row, samples)
     begins = recordings.annotations.begins(row, samples, recordings.dt)

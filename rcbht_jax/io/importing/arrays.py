@@ -374,13 +374,15 @@ def _flatten(key: str, value: NDArray[Any], into: dict[str, NDArray[Any]], depth
         raise InputError(f"it holds more than {MAX_MEMBERS} arrays; split it.")
     if depth > 8:
         return
-    if value.dtype.names and value.dtype.names[:3] == ("s0", "s1", "s2"):  # an object, as scipy shows it
-        title, _, kind = (np.asarray(value.reshape(-1)[0][field]).item() for field in value.dtype.names[:3])
+    names = value.dtype.names or ()
+    kind_at = "_Class" if "_ObjectMetadata" in names else "s2"  # an object, as scipy shows it from 1.18 on and before
+    if kind_at == "_Class" or names[:3] == ("s0", "s1", "s2"):
+        title, kind = (np.asarray(value.reshape(-1)[0][field]).item() for field in (names[0], kind_at))
         title, kind = (text.decode() if isinstance(text, bytes) else str(text) for text in (title, kind))
         into[f"{key if key != 'None' else title} ({kind})"] = np.empty((), object)
-    elif value.dtype.names:
+    elif names:
         records = value.reshape(-1)
-        for field in value.dtype.names:
+        for field in names:
             for number, record in enumerate(records):
                 name = f"{key}.{field}" if len(records) == 1 else f"{key}.{number}.{field}"
                 _flatten(name, np.asarray(record[field]), into, depth + 1)

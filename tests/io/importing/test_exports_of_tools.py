@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from scipy.io import savemat
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing import arrays
 from rcbht_jax.io.importing.importer import read_source
 
 N = 40
@@ -183,6 +185,14 @@ def test_objects_of_matlab_beside_arrays_are_named(version: str, tmp_path: Path)
     imported = read_source(tmp_path)
     np.testing.assert_allclose(imported.recordings.wrench[0], WRENCH, rtol=1e-6)
     assert "Arrays of another shape or kind were left out: 'ft (timetable)'." in imported.report.remarks
+
+
+def test_objects_of_matlab_as_newer_versions_of_scipy_show_them() -> None:
+    fields = [("_TypeSystem", object), ("_Class", object), ("_ObjectMetadata", object)]  # from scipy 1.18 on
+    found: dict[str, Any] = {}
+    arrays._flatten("ft", np.array([("MCOS", "timetable", np.zeros((6, 1), np.uint32))], fields), found)
+    assert list(found) == ["ft (timetable)"]
+    assert found["ft (timetable)"].dtype == object
 
 
 def test_attributes_of_the_group_around_recordings_describe_them(tmp_path: Path) -> None:
