@@ -152,7 +152,7 @@ def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
             break
         matrix = np.concatenate([linear, angular])[:, dofs]
         step = matrix.T @ np.linalg.solve(matrix @ matrix.T + 1e-4 * np.eye(6), left)
-        data.qpos[rows] += step * min(1.0, STEP / np.abs(step).max())
+        data.qpos[rows] += step * (STEP / max(np.abs(step).max(), STEP))
     away, turned = np.linalg.norm(left[:3]), np.linalg.norm(left[3:])
     angles = tuple(float(angle) for angle in data.qpos[rows])
     where = f"it stays {away * 1e3:.3g} mm and {turned:.3g} rad away" if np.abs(left).max() >= CLOSE else ""

@@ -113,9 +113,11 @@ def separation_force(hook: Hook) -> float:
 def _passing_force(hook: Hook, angle: float) -> float:
     """k y (mu + tan a) / (1 - mu tan a), with the deflection y at which a rounded tip leaves the inclined face."""
     slope = np.tan(angle)
+    deflection = max(hook.overlap - hook.tip_radius * (1 - np.cos(angle)), 0.0)
+    if deflection == 0:
+        return 0.0  # before friction is asked: nothing touches the face
     if hook.friction * slope >= 1:
         return np.inf
-    deflection = max(hook.overlap - hook.tip_radius * (1 - np.cos(angle)), 0.0)
     return float(hook.stiffness * deflection * (hook.friction + slope) / (1 - hook.friction * slope))
 
 

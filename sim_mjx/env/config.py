@@ -19,8 +19,9 @@ class EnvConfig:
 
     Attributes:
         action: "set-points" = added to the force law's set-points F* and M* during the step, in their frame; "joint" =
-            increments of the joint references; "cartesian" = increments of the hand's pose in world axes, which the
-            Jacobian turns into joint increments. Each number is between -1 and 1; the attributes below set the scale.
+            increments of the joint references; "cartesian" = increments of the hand's pose in world axes, which a
+            damped inverse of the Jacobian turns into joint increments. Each number is between -1 and 1; the attributes
+            below set the scale.
         controller: "recorded" = the action is added to the output of the scenario's controller, so that a zero action
             changes nothing; "none" = only the action moves the references away from home.
         periods: control periods of 5 ms per step, all with the same action; a multiple of the encoder's window.

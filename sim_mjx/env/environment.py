@@ -225,6 +225,7 @@ class Environment:
         action = jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
         data, joints, wrench, phase = self._periods(state.data, action)
         sane = (jnp.abs(wrench) < LARGEST).all() & jnp.isfinite(joints).all()  # false for NaN
+        sane = sane & ~jnp.isnan(action).any()  # set-points are not read before contact
         success = sane & (data.held >= max(1, round(self.config.hold / CONTROL_PERIOD)))
         late = data.tick >= periods(self.program.timeout(data.params))
         if self.config.controller == "recorded":

@@ -135,7 +135,8 @@ def _joints(robot: Robot) -> tuple[str, ...]:
     while body is not None and body.name != "world":
         for joint in body.joints:
             if joint.type != mujoco.mjtJoint.mjJNT_HINGE:
-                raise InputError(f"The joint {joint.name!r} is no hinge; an arm has hinges only.")
+                named = repr(joint.name) if joint.name else f"without a name of the body {body.name!r}"
+                raise InputError(f"The joint {named} is no hinge; an arm has hinges only.")
         names = [joint.name for joint in body.joints] + names
         body = body.parent
     if not all(names):

@@ -299,6 +299,14 @@ def half_turned() -> mujoco.MjSpec:
     return spec
 
 
+def lever() -> mujoco.MjSpec:
+    """One upright hinge, and a wrist that points up on its axis."""
+    return mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/><geom size="0.1"/><site name="WRIST"/></body>'
+        "</worldbody></mujoco>"
+    )
+
+
 def test_what_cannot_be_drawn_is_refused() -> None:
     scenario = scenario_of("clip")
     for values, sentence in (
@@ -318,6 +326,8 @@ def test_what_cannot_be_drawn_is_refused() -> None:
     far = Robot("far", ROBOTS["panda"].build, "WRIST", ROBOTS["panda"].home, (2.0, 0.0, 0.1))
     with pytest.raises(InputError, match=r"far does not reach the start of clip, .*: it stays [\d.e+]+ mm and"):
         home(ASSEMBLIES["clip"], far)
+    with pytest.raises(InputError, match=r"lever does not reach the start of clip"):  # from where no joint helps
+        home(ASSEMBLIES["clip"], Robot("lever", lever, "WRIST", (0.0,), (0.1, 0.0, 0.1)))
     backward = Robot("backward", half_turned, "WRIST", ROBOTS["panda"].home, ROBOTS["panda"].place)
     with pytest.raises(InputError, match=r"JOINT\d would be at [-\d.]+ rad, beyond its limits of"):
         home(ASSEMBLIES["clip"], backward)

@@ -115,6 +115,10 @@ def test_anybodys_arm(tmp_path: Path) -> None:
         path.write_text(ARM.replace('name="a"', f'name="a" type="{kind}"'))
         with pytest.raises(InputError, match="The joint 'arm/a' is no hinge"):
             from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
+    cart = '<body name="cart"><freejoint/><geom size="0.1"/><body pos'
+    path.write_text(ARM.replace("<body pos", cart, 1).replace("</worldbody>", "</body></worldbody>"))
+    with pytest.raises(InputError, match="The joint without a name of the body 'arm/cart' is no hinge"):
+        from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
     path.write_text(ARM.replace('<body pos="0.1 0.2 0.3"', '<site name="base"/><body pos="0.1 0.2 0.3"'))
     with pytest.raises(InputError, match="No joint of the robot mine moves its site 'arm/base'"):
         from_mjcf(path, site="base", home=(), place=(0.5, 0.0, 0.1))

@@ -167,8 +167,9 @@ def test_an_action_may_be_a_list() -> None:
     np.testing.assert_array_equal(unchecked(state, [0.5] * 6).obs, step(state, np.full(6, 0.5, np.float32)).obs)
 
 
-def test_nan_as_an_action_ends_the_episode_with_finite_numbers() -> None:
-    last = run(JOINT, np.float32([[0] * 6, [np.nan] * 6, [0] * 6]))[-1]
+@pytest.mark.parametrize("config", [JOINT, STEERED], ids=["joint", "set-points, which are not read before contact"])
+def test_nan_as_an_action_ends_the_episode_with_finite_numbers(config: EnvConfig) -> None:
+    last = run(config, np.float32([[0] * 6, [np.nan] * 6]))[-1]
     assert (float(last.done), float(last.info["diverged"]), float(last.reward)) == (1.0, 1.0, 0.0)
     assert np.isfinite(last.obs).all()
 

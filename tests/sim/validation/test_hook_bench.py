@@ -75,6 +75,10 @@ def test_wear_and_breakage_are_geometry() -> None:
     bent = 0.5e-3 - 0.7e-3 * (1 - np.cos(np.radians(35)))  # m, by a tip of 0.7 mm that reaches 0.5 mm under the lip
     assert mating_force(worn(TAB, 0.3e-3)) == pytest.approx(8540 * bent * (0.3 + slope) / (1 - 0.3 * slope))
     assert mating_force(broken(TAB)) == separation_force(broken(TAB)) == 0.0
+    steep = replace(TAB, retention_angle=np.radians(80), edge=0.2e-3)  # friction alone holds it
+    rounded = worn(steep, steep.overlap - 0.05e-3)
+    assert separation_force(steep) == np.inf
+    assert separation_force(broken(steep)) == separation_force(rounded) == 0.0
 
 
 def test_a_tab_that_is_let_go_comes_back_fast_and_does_not_ring() -> None:
