@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.learning.segment_metrics import (
@@ -127,7 +128,7 @@ def segment(
     """
     track, truth = _annotated(recordings, protocol)
     known = np.array([(part != UNKNOWN).any() for part in truth], bool)
-    groups = recordings.column(protocol.group)
+    groups = group_numbers(recordings.column(protocol.group))  # missing values are one group: NaN is not equal to NaN
     if len(np.unique(groups[known])) < 2:
         raise InputError(f"Only one {protocol.group} is annotated with {track}; another one is needed to test on.")
 
