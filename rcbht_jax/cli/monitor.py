@@ -160,7 +160,7 @@ class MonitorEvaluate(Command):
     """Store of recordings."""
     where: Where = ()
     nominal: str = "success"
-    """Outcome of nominal recordings; all other known ones count as anomalous, and unknown ones are left out."""
+    """Outcome of nominal recordings; others count as anomalous, but unknown and unfinished ones are left out."""
     group: Group = "session"
     folds: Annotated[int, option("Parts into which the groups are distributed; 0 = one part per group.")] = 10
     onset: Annotated[str, option("Column with the seconds after which the anomaly began, for the delay.", "")] = ""
@@ -205,7 +205,7 @@ class MonitorEvaluate(Command):
         head = f"{'':{width}}  nominal  anomalous  AUROC  false alarms  detected  delay"
         lines = [head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())]
         if unknown := result["unknown"]:
-            lines.append(f"left out: {plural(unknown, 'recording')}, outcome unknown")
+            lines.append(f"left out: {plural(unknown, 'recording')}, outcome unknown or unfinished")
         false, calm = result["false_alarms_of"]
         if calm:
             low, high = wilson(false, calm)
@@ -270,10 +270,10 @@ def _nominal(recordings: Recordings, outcome: str) -> NDArray[np.bool_]:
 
 
 def _judged(recordings: Recordings) -> NDArray[np.bool_]:
-    """Recordings ``[recording]`` whose outcome is known."""
-    from rcbht_jax.types import STANDARD_COLUMNS
+    """Recordings ``[recording]`` that were judged: whose outcome is known, and not "unfinished"."""
+    from rcbht_jax.learning.tasks import UNFINISHED, UNKNOWN
 
-    return np.asarray(recordings.outcome != STANDARD_COLUMNS["outcome"])
+    return ~np.isin(recordings.outcome, (UNKNOWN, UNFINISHED))
 
 
 def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...]) -> NominalMonitor:
