@@ -64,20 +64,22 @@ class MonitorFit(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.nominal_file import MonitorFile, save
+        from rcbht_jax.learning.class_groups import column_groups
 
         chosen = _read(self.store, self.where)
         recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal)))
         series = _series(recordings)
         monitor = _monitor(recordings, self.score_rate, self.levels)
         monitor.set_params(calibration="split" if self.exact else "cross", random_state=self.seed)
-        monitor.fit(series, groups=recordings.column(self.group))
+        groups = column_groups(self.group, recordings)
+        monitor.fit(series, groups=groups)
         save(self.out, MonitorFile(monitor, recordings.axes, self.where, recordings.units))
         held = len(monitor.peaks_)
         return {
             "monitor": str(self.out),
             "recordings": len(series),
             "held_out": held,
-            "groups": len(np.unique(recordings.column(self.group))),
+            "groups": len(np.unique(groups)),
             "levels": [recordings.axes[level] for level in monitor.levels_],
             "fewest_false_alarms": 1 / (held + 1),
         }
@@ -171,11 +173,12 @@ class MonitorEvaluate(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.alarms import trials_needed
         from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, parts, thresholds
+        from rcbht_jax.learning.class_groups import column_groups
 
         chosen = _read(self.store, self.where)
         recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | _judged(chosen)))
         series = _series(recordings)
-        groups, nominal = recordings.column(self.group), _nominal(recordings, self.nominal)
+        groups, nominal = column_groups(self.group, recordings), _nominal(recordings, self.nominal)
         monitor, onset = _monitor(recordings, self.score_rate, self.levels), self._onset(recordings)
         with progress_bar("evaluate", "parts", len(np.unique(parts(groups, self.folds)))) as bar:
             watched = hold_out(monitor, series, nominal, groups, bar.update, self.folds)

@@ -118,6 +118,17 @@ def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> N
     )
 
 
+def test_trials_of_two_sources_are_different_groups(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recordings = read_recordings(store).take(np.arange(16))
+    path = store.parent / "sources.zarr"
+    trial, source = [f"t{row % 8}" for row in range(16)], ["a"] * 8 + ["b"] * 8
+    write_recordings(path, replace(recordings, trial=np.array(trial), source=np.array(source)), {})
+    (found,) = lines(capsys, "monitor", "evaluate", path, "--group", "trial", "--false-alarms", 0.2, "--json")
+    assert set(found["groups"]) == {f"{part}/{name}" for part, name in zip(source, trial, strict=True)}
+    (fitted,) = lines(capsys, "monitor", "fit", path, "--group", "trial", "-o", store.parent / "sources", "--json")
+    assert (fitted["recordings"], fitted["groups"]) == (12, 12)
+
+
 def test_recordings_that_were_not_judged_are_no_anomalies(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings = read_recordings(store)
     outcome = np.concatenate([["unknown", "unfinished"], recordings.outcome[2:]])
