@@ -171,8 +171,9 @@ def judge(
             "delay_90": float(np.quantile(delay, 0.9)) if len(delay) else None,
         }
 
-    names = np.unique(watched.groups).tolist()
-    return {**row(np.ones(len(limit), bool)), "groups": {str(name): row(watched.groups == name) for name in names}}
+    names, number = np.unique(watched.groups, return_inverse=True)  # missing values, which are not equal, become one
+    by_group = {str(name): row(number == index) for index, name in enumerate(names)}
+    return {**row(np.ones(len(limit), bool)), "groups": by_group}
 
 
 def _first(score: Float[np.ndarray, " time"], level: float, rate: float) -> float:

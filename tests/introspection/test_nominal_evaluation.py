@@ -82,6 +82,14 @@ def test_alarms_are_counted_recording_by_recording() -> None:
     assert judge(watched, LIMITS)["early"] == 0
 
 
+def test_recordings_without_a_group_are_one_group() -> None:
+    days, nominal = np.array([1.0, np.nan, 1.0, np.nan]), np.array([True, True, False, False])
+    scores = tuple(np.array([peak]) for peak in (0.0, 1.0, 2.0, 3.0))
+    found = judge(Watched(scores, nominal, days, np.ones(4), {}, RATE), {"1.0": 0.5, "nan": 0.5})["groups"]
+    assert {name: (row["nominal"], row["anomalous"]) for name, row in found.items()} == {"1.0": (1, 1), "nan": (1, 1)}
+    assert found["nan"]["false_alarms_of"] == [1, 1]
+
+
 def test_a_group_without_which_too_few_nominal_recordings_remain_is_not_scored() -> None:
     rng = np.random.default_rng(0)
     groups = np.array([0, 0, 0, 0, 1, 1])
