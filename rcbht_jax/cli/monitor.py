@@ -187,7 +187,8 @@ class MonitorEvaluate(Command):
         without = sorted(result["groups"].keys() - limits)
         left_out = len(chosen) - len(recordings)
         return {
-            **result, "without_threshold": without, "needed": trials_needed(self.false_alarms), "unknown": left_out
+            **result, "without_threshold": without, "needed": trials_needed(self.false_alarms), "unknown": left_out,
+            "not_scored": sorted(result["groups"].keys() - watched.calibration),
         }  # fmt: skip
 
     def _onset(self, recordings: Recordings) -> NDArray[np.float64] | None:
@@ -218,9 +219,14 @@ class MonitorEvaluate(Command):
             )
         if early := result["early"]:
             lines.append(f"{plural(early, 'alarm')} of anomalous recordings came long before the onset: no detection.")
-        if result["without_threshold"]:
+        if not_scored := result["not_scored"]:
             lines.append(
-                f"No alarms of {', '.join(result['without_threshold'])}: --false-alarms {self.false_alarms:g} takes "
+                f"Not scored: {', '.join(not_scored)}; the nominal recordings of the other groups are too few to learn "
+                "from, or would be without one of these groups."
+            )
+        if without := [name for name in result["without_threshold"] if name not in not_scored]:
+            lines.append(
+                f"No alarms of {', '.join(without)}: --false-alarms {self.false_alarms:g} takes "
                 f"{result['needed']} nominal recordings of the other groups."
             )
         return "\n".join(lines)

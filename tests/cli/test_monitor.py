@@ -118,6 +118,24 @@ def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> N
     )
 
 
+def test_groups_that_cannot_be_scored_are_named(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recordings = read_recordings(store)
+    day = np.array(["Mon", "Tue"])[np.arange(len(recordings)) % 2]
+    day[:4] = "Wed"
+    outcome = np.where(np.arange(len(recordings)) == 0, "success", recordings.outcome)
+    outcome[1:4] = "failure"
+    path = store.parent / "few.zarr"
+    write_recordings(path, replace(recordings, columns={"day": day}, outcome=outcome), {})
+    words = ["monitor", "evaluate", str(path), "--group", "day", "--false-alarms", "0.1"]
+    (found,) = lines(capsys, *words, "--json")
+    assert found["not_scored"] == ["Mon", "Tue"]
+    assert (found["nominal"], found["anomalous"]) == (1, 3)
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "Not scored: Mon, Tue; the nominal recordings of the other groups are too few to learn from" in printed
+    assert "No alarms of" not in printed
+
+
 def test_trials_of_two_sources_are_different_groups(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings = read_recordings(store).take(np.arange(16))
     path = store.parent / "sources.zarr"
