@@ -64,20 +64,22 @@ class MonitorFit(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.nominal_file import MonitorFile, save
+        from rcbht_jax.learning.class_groups import column_groups
 
         chosen = _read(self.store, self.where)
         recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal)))
         series = _series(recordings)
         monitor = _monitor(recordings, self.score_rate, self.levels)
         monitor.set_params(calibration="split" if self.exact else "cross", random_state=self.seed)
-        monitor.fit(series, groups=recordings.column(self.group))
+        groups = column_groups(self.group, recordings)
+        monitor.fit(series, groups=groups)
         save(self.out, MonitorFile(monitor, recordings.axes, self.where, recordings.units))
         held = len(monitor.peaks_)
         return {
             "monitor": str(self.out),
             "recordings": len(series),
             "held_out": held,
-            "groups": len(np.unique(recordings.column(self.group))),
+            "groups": len(np.unique(groups)),
             "levels": [recordings.axes[level] for level in monitor.levels_],
             "fewest_false_alarms": 1 / (held + 1),
         }
@@ -160,7 +162,7 @@ class MonitorEvaluate(Command):
     """Store of recordings."""
     where: Where = ()
     nominal: str = "success"
-    """Outcome of nominal recordings; all other known ones count as anomalous, and unknown ones are left out."""
+    """Outcome of nominal recordings; others count as anomalous, but unknown and unfinished ones are left out."""
     group: Group = "session"
     folds: Annotated[int, option("Parts into which the groups are distributed; 0 = one part per group.")] = 10
     onset: Annotated[str, option("Column with the seconds after which the anomaly began, for the delay.", "")] = ""
@@ -171,11 +173,12 @@ class MonitorEvaluate(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.alarms import trials_needed
         from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, parts, thresholds
+        from rcbht_jax.learning.class_groups import column_groups
 
         chosen = _read(self.store, self.where)
         recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | _judged(chosen)))
         series = _series(recordings)
-        groups, nominal = recordings.column(self.group), _nominal(recordings, self.nominal)
+        groups, nominal = column_groups(self.group, recordings), _nominal(recordings, self.nominal)
         monitor, onset = _monitor(recordings, self.score_rate, self.levels), self._onset(recordings)
         with progress_bar("evaluate", "parts", len(np.unique(parts(groups, self.folds)))) as bar:
             watched = hold_out(monitor, series, nominal, groups, bar.update, self.folds)
@@ -184,7 +187,8 @@ class MonitorEvaluate(Command):
         without = sorted(result["groups"].keys() - limits)
         left_out = len(chosen) - len(recordings)
         return {
-            **result, "without_threshold": without, "needed": trials_needed(self.false_alarms), "unknown": left_out
+            **result, "without_threshold": without, "needed": trials_needed(self.false_alarms), "unknown": left_out,
+            "not_scored": sorted(result["groups"].keys() - watched.calibration),
         }  # fmt: skip
 
     def _onset(self, recordings: Recordings) -> NDArray[np.float64] | None:
@@ -205,7 +209,7 @@ class MonitorEvaluate(Command):
         head = f"{'':{width}}  nominal  anomalous  AUROC  false alarms  detected  delay"
         lines = [head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())]
         if unknown := result["unknown"]:
-            lines.append(f"left out: {plural(unknown, 'recording')}, outcome unknown")
+            lines.append(f"left out: {plural(unknown, 'recording')}, outcome unknown or unfinished")
         false, calm = result["false_alarms_of"]
         if calm:
             low, high = wilson(false, calm)
@@ -215,9 +219,14 @@ class MonitorEvaluate(Command):
             )
         if early := result["early"]:
             lines.append(f"{plural(early, 'alarm')} of anomalous recordings came long before the onset: no detection.")
-        if result["without_threshold"]:
+        if not_scored := result["not_scored"]:
             lines.append(
-                f"No alarms of {', '.join(result['without_threshold'])}: --false-alarms {self.false_alarms:g} takes "
+                f"Not scored: {', '.join(not_scored)}; the nominal recordings of the other groups are too few to learn "
+                "from, or would be without one of these groups."
+            )
+        if without := [name for name in result["without_threshold"] if name not in not_scored]:
+            lines.append(
+                f"No alarms of {', '.join(without)}: --false-alarms {self.false_alarms:g} takes "
                 f"{result['needed']} nominal recordings of the other groups."
             )
         return "\n".join(lines)
@@ -270,10 +279,10 @@ def _nominal(recordings: Recordings, outcome: str) -> NDArray[np.bool_]:
 
 
 def _judged(recordings: Recordings) -> NDArray[np.bool_]:
-    """Recordings ``[recording]`` whose outcome is known."""
-    from rcbht_jax.types import STANDARD_COLUMNS
+    """Recordings ``[recording]`` that were judged: whose outcome is known, and not "unfinished"."""
+    from rcbht_jax.learning.tasks import UNFINISHED, UNKNOWN
 
-    return np.asarray(recordings.outcome != STANDARD_COLUMNS["outcome"])
+    return ~np.isin(recordings.outcome, (UNKNOWN, UNFINISHED))
 
 
 def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...]) -> NominalMonitor:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 
 from rcbht_jax._util.cells import cell
 from rcbht_jax._util.printable import plural
@@ -35,8 +36,8 @@ class Segment(Command):
     """Label every sample of recordings whose intervals are unknown, and measure how well that works.
 
     Annotated recordings are labelled by a model trained on others, and scored; recordings without annotation are
-    labelled by a model trained on all annotated ones. The table has a row per interval: recording, trial, arm, label,
-    start and end in seconds, and whether the recording was annotated.
+    labelled by a model trained on all annotated ones. The table has a row per interval: recording (its number in
+    the store), source, trial, arm, label, start and end in seconds, and whether the recording was annotated.
 
     Example: rcbht segment caps.zarr --task phase -o segments.csv
     """
@@ -80,16 +81,16 @@ class Segment(Command):
         if self.out.suffix != ".csv":
             raise InputError(f"{self.out} must end in .csv.")
         recordings = read_recordings(self.store)
-        chosen = chosen_recordings(recordings, TaskSpec(sources=self.source, outcomes=()))
+        chosen = np.flatnonzero(chosen_recordings(recordings, TaskSpec(sources=self.source, outcomes=())))
         protocol = Protocol(self.task, self.group, self.folds, self.one_shot)
         tolerance = checked_tolerance(self.rule, self.tolerance, len(recordings.axes))
         words = {"rule": self.rule, "tolerance": AUTO if tolerance is None else tolerance}
         segmenter = WrenchSegmenter(offline=self.offline, random_state=self.seed, **words)
         with progress_bar("segment", "models") as bar:
             keep = self.write_model is not None
-            result = segment(recordings.take(np.flatnonzero(chosen)), segmenter, protocol, bar.update, keep)
+            result = segment(recordings.take(chosen), segmenter, protocol, bar.update, keep)
         with atomic_write(self.out) as draft:
-            draft.write_text(_table(result), encoding="utf-8")
+            draft.write_text(_table(result, chosen), encoding="utf-8")
         if self.write_model is not None:
             save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes))
         model = {} if self.write_model is None else {"model": str(self.write_model)}
@@ -119,9 +120,10 @@ def _with_interval(value: float | None, low: float | None, high: float | None) -
     return f"{value:.3f}{limits}"
 
 
-def _table(result: Segmentation) -> str:
+def _table(result: Segmentation, numbers: NDArray[np.int64]) -> str:
+    """The table, with the number in the store of each of the recordings."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("recording", "trial", "arm", "label", "start", "end", "annotated"))
-    writer.writerows(map(cell, row) for row in result.rows())
+    writer.writerow(("recording", "source", "trial", "arm", "label", "start", "end", "annotated"))
+    writer.writerows(map(cell, (int(numbers[row]), *rest)) for row, *rest in result.rows())
     return text.getvalue()

@@ -83,6 +83,29 @@ def trials_needed(share: float) -> int:
     return int(np.ceil(1 / share - 1 - 1e-9))
 
 
+class TooFewRecordingsError(InputError):
+    """Without one of their groups, too few nominal recordings remain to learn from."""
+
+
+def check_groups(groups: Shaped[np.ndarray, " recording"], part: Int[np.ndarray, " recording"]) -> None:
+    """Refuse groups without which fewer than two recordings remain.
+
+    Args:
+        groups: of the recordings.
+        part: in which the group of each recording is held out.
+
+    Raises:
+        TooFewRecordingsError: names such a group.
+    """
+    for held in np.unique(part):
+        if (part != held).sum() < 2:
+            without = ", ".join(map(str, np.unique(groups[part == held]).tolist()))
+            raise TooFewRecordingsError(
+                f"Without group {without} a single recording remains; it takes two to learn from. Add recordings of "
+                "other groups, or group them otherwise."
+            )
+
+
 def peaks(
     probability: Float[np.ndarray, " snapshot"], groups: Shaped[np.ndarray, " snapshot"], steps: int
 ) -> Float[np.ndarray, " trial"]:

@@ -34,7 +34,7 @@ from rcbht_jax._util.signals import (
 )
 from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.alarms import conformal_threshold
+from rcbht_jax.introspection.alarms import check_groups, conformal_threshold
 from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest, unbiased
 from rcbht_jax.learning.estimators import keep_names
 
@@ -86,8 +86,8 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
                 threshold covers them. None = each recording is a group of its own.
 
         Raises:
-            InputError: fewer than three recordings, wrong shapes, recordings with different axes, values that are not
-                finite, a time that disagrees with the rate, or bad parameters; what was fitted before stays.
+            InputError: fewer than three recordings, a single one outside a group, wrong shapes, different axes, values
+                that are not finite, a time that disagrees with the rate, or bad parameters; what was fitted stays.
         """
         fitted = clone(self)._fitted(X, groups)  # a fit that fails leaves what was fitted before
         keep_names(self, None)
@@ -105,11 +105,12 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
                 f"{plural(len(series), 'recording')}; it takes three or more nominal ones with the same axes."
             )
         warn_if_turned(X, max(map(len, series)), series[0].shape[1], axes)
-        given = np.arange(len(series)) if groups is None else np.asarray(groups)
+        everyone = np.arange(len(series))
+        given = everyone if groups is None else np.asarray(groups)
         if given.shape != (len(series),):
             raise InputError(f"Groups have the shape {given.shape}; expected one for each of {len(series)} recordings.")
         names = group_numbers(given)
-        names = names if len(np.unique(names)) > 1 else np.arange(len(series))
+        given, names = (given, names) if names.any() else (everyone, everyone)
         parts = [block_means(part, self.score_step) for part in series]
         if self.calibration == "split":
             train = np.sort(np.random.default_rng(self.random_state).permutation(len(parts))[: (len(parts) + 1) // 2])
@@ -119,6 +120,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
             held = np.setdiff1d(np.arange(len(parts)), train)
             peaks = np.array([self._peak(model, parts[row]) for row in held])
         else:
+            check_groups(given, names % int(self.folds))
             self._prepare(parts, names)
             peaks = self._cross_peaks(model := self._learn(parts, names), parts, names)
         self._model, self.peaks_, self.n_features_in_ = model, peaks, series[0].shape[1]
@@ -182,8 +184,6 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         peaks = np.zeros(len(parts))
         for held in np.unique(fold):
             rest = np.flatnonzero(fold != held)
-            if len(rest) < 2:
-                raise InputError("Without one of the groups a single recording remains; it takes two to learn from.")
             # A bank of fewer groups has larger usual distances between groups: in units of these, peaks are too small.
             known = model.take(rest) if isinstance(model, Bank) else None
             other = known or self._learn([parts[row] for row in rest], groups[rest])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.alarms import conformal_threshold, trials_needed
+from rcbht_jax.introspection.alarms import TooFewRecordingsError, conformal_threshold, trials_needed
 from rcbht_jax.introspection.nominal import Monitor
 
 with needs_extra("learn"):
@@ -60,6 +60,8 @@ def hold_out(
 ) -> Watched:
     """Score every group by a monitor that learns from the nominal recordings of all others.
 
+    A part is not scored where the others have fewer than three, or a single one without one of their groups.
+
     Args:
         monitor: with its parameters; it is cloned.
         series: recordings ``[time, axis]`` of one skill.
@@ -79,8 +81,8 @@ def hold_out(
     for held in range(part.max() + 1):
         train = np.flatnonzero(nominal & (part != held)).tolist()
         test = np.flatnonzero(part == held).tolist()
-        if len(train) >= FEWEST:
-            fitted = clone(monitor).fit([series[row] for row in train], groups=groups[train])
+        fitted = _fitted(monitor, [series[row] for row in train], groups[train])
+        if fitted is not None:
             for row in test:
                 scores[row] = fitted.scores(series[row])
             usual[test] = np.median([len(series[row]) for row in train])
@@ -91,9 +93,20 @@ def hold_out(
         found = plural(len(np.unique(groups[nominal])), "group")
         raise InputError(
             f"Each part of the recordings is scored by a monitor of the others, for which {FEWEST} nominal ones must "
-            f"remain; the {int(nominal.sum())} nominal recordings are of {found}. Choose other groups (--group)."
+            f"remain, and two without any one of their groups; the {int(nominal.sum())} nominal recordings are of "
+            f"{found}. Choose other groups (--group)."
         )
     return Watched(tuple(scores), nominal, groups, usual, calibration, float(monitor.rate))
+
+
+def _fitted(
+    monitor: Monitor, series: list[Float[np.ndarray, "_ axis"]], groups: Shaped[np.ndarray, " recording"]
+) -> Monitor | None:
+    """A monitor of nominal recordings; None = they are too few, or would be without one of their groups."""
+    try:
+        return clone(monitor).fit(series, groups=groups) if len(series) >= FEWEST else None
+    except TooFewRecordingsError:
+        return None
 
 
 def parts(groups: Shaped[np.ndarray, " recording"], folds: int) -> Int[np.ndarray, " recording"]:
@@ -171,8 +184,9 @@ def judge(
             "delay_90": float(np.quantile(delay, 0.9)) if len(delay) else None,
         }
 
-    names = np.unique(watched.groups).tolist()
-    return {**row(np.ones(len(limit), bool)), "groups": {str(name): row(watched.groups == name) for name in names}}
+    names, number = np.unique(watched.groups, return_inverse=True)  # missing values, which are not equal, become one
+    by_group = {str(name): row(number == index) for index, name in enumerate(names)}
+    return {**row(np.ones(len(limit), bool)), "groups": by_group}
 
 
 def _first(score: Float[np.ndarray, " time"], level: float, rate: float) -> float:

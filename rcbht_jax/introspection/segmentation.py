@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
+from rcbht_jax.learning.class_groups import column_groups
 from rcbht_jax.learning.segment_metrics import (
     UNKNOWN,
     SegmentationScore,
@@ -31,7 +33,7 @@ class Protocol:
 
     Attributes:
         track: of the annotations; "" = the usual one, see :meth:`rcbht_jax.annotations.Annotations.choose`.
-        group: column whose groups stay together.
+        group: column whose groups stay together; trials of two sources are different ones.
         folds: of the groups; 0 = each group is held out by itself.
         one_shot: train on one recording and test on all of other groups, for every annotated recording in turn.
     """
@@ -76,11 +78,11 @@ class Segmentation:
         """Recordings with at least one annotated sample."""
         return np.array([(part != UNKNOWN).any() for part in self.truth], bool)
 
-    def rows(self) -> list[tuple[int, str, str, str, float, float, bool]]:
-        """A row per predicted interval: recording, trial, arm, label, start and end in s, annotated."""
+    def rows(self) -> list[tuple[int, str, str, str, str, float, float, bool]]:
+        """A row per predicted interval: recording, source, trial, arm, label, start and end in s, annotated."""
         data, known = self.recordings, self.annotated.tolist()
         return [
-            (row, str(data.trial[row]), str(data.arm[row]), self.classes[code],
+            (row, str(data.source[row]), str(data.trial[row]), str(data.arm[row]), self.classes[code],
              round(start * data.dt, 6), round(end * data.dt, 6), known[row])
             for row, part in enumerate(map(Segments.of, self.predicted))
             for code, start, end in zip(part.label.tolist(), part.start.tolist(), part.end.tolist(), strict=True)
@@ -89,7 +91,7 @@ class Segmentation:
     def to_json(self) -> dict[str, Any]:
         """Scores and a description of what was scored; None for a delay, or an interval, that there is not."""
         y = np.concatenate(self.truth)
-        count, groups = self.protocol.folds_of(self.recordings.column(self.protocol.group)[self.annotated])
+        count, groups = self.protocol.folds_of(column_groups(self.protocol.group, self.recordings)[self.annotated])
         folds = f"{count} folds" if count < groups else "one group held out at a time"
         dull = int((self.annotated & ~_teaching(self.truth)).sum())
         besides = f", but not on {dull} of a single class," if dull else ","
@@ -127,7 +129,7 @@ def segment(
     """
     track, truth = _annotated(recordings, protocol)
     known = np.array([(part != UNKNOWN).any() for part in truth], bool)
-    groups = recordings.column(protocol.group)
+    groups = group_numbers(column_groups(protocol.group, recordings))  # missing values, which are not equal, become one
     if len(np.unique(groups[known])) < 2:
         raise InputError(f"Only one {protocol.group} is annotated with {track}; another one is needed to test on.")
 

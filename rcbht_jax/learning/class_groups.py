@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax.learning.task_items import trial_names
 from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Recordings
 
@@ -28,6 +29,19 @@ def groups_by(column: str, recordings: Recordings, items: LabelledIntervals) -> 
         InputError: there is no such column.
     """
     return items.trial if column == "trial" else recordings.column(column)[items.intervals[0].recording]
+
+
+def column_groups(column: str, recordings: Recordings) -> NDArray[Any]:
+    """Group ``[recording]`` by a column; trials have their source before them where two sources use one name.
+
+    >>> two = Recordings.from_arrays(np.zeros((2, 9, 6)), trial=["one", "one"], source=["a", "b"])
+    >>> column_groups("trial", two).tolist(), column_groups("session", two).tolist()
+    (['a/one', 'b/one'], ['1', '1'])
+
+    Raises:
+        InputError: there is no such column.
+    """
+    return trial_names(recordings, np.arange(len(recordings))) if column == "trial" else recordings.column(column)
 
 
 def inner_groups(y: NDArray[Any], groups: NDArray[Any], trials: NDArray[Any]) -> NDArray[Any]:

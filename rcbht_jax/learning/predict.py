@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax._util.values import expect
-from rcbht_jax.encoding.rules import AnyLimits, checked_limits, encoder_of
+from rcbht_jax.encoding.rules import AnyLimits, checked_limits, config_fields, encoder_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import pairs, vote
@@ -32,6 +32,7 @@ from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import LabelTracks, Recordings
 
 MADE_BY = ("semantics", "config", "thresholds")  # what must be the same of two label tracks
+_CHOICES = ("gate", "adj_exempt", "contact_first", "pipe", "latency_cap")  # of an encoder, and options of rcbht encode
 
 
 @dataclass(frozen=True)
@@ -131,14 +132,22 @@ def limits_in(model: TrainedModel, window: int, axes: Sequence[str]) -> tuple[An
 
 
 def _options(made: Mapping[str, Any]) -> str:
-    """Options of ``rcbht encode`` that no store has by itself: those of the fit rule, and limits of recordings."""
-    config = made.get("config", {})
-    limits = " --thresholds MODEL" if _own(made) else ""
+    """Options of ``rcbht encode`` that no store has by itself: choices of the encoder, and limits of recordings."""
+    limits = ["--thresholds MODEL"] if _own(made) else []
     try:
-        given = f" --rule fit --window {config['window']} --tolerance {' '.join(map(repr, config['tolerance']))}"
-    except (KeyError, TypeError):  # the paper's rule, or a damaged file
-        return limits
-    return given + limits if config.get("rule") == "fit" else limits
+        config = encoder_of(made)[0]
+    except (InputError, KeyError, TypeError, ValueError):  # of the offline program, or a damaged file
+        return "".join(f" {word}" for word in limits)
+    values, usual = config_fields(config), config_fields(type(config)())
+    words = [] if values["rule"] == "paper" else [f"--rule {values['rule']}"]
+    words.append(f"--window {config.window}")
+    if tolerance := made["config"].get("tolerance"):
+        words.append(f"--tolerance {' '.join(map(repr, tolerance))}")
+    for name in _CHOICES:
+        value, option = values.get(name), name.replace("_", "-")
+        if value is not None and value != usual[name]:
+            words.append(f"--{'' if value else 'no-'}{option}" if isinstance(value, bool) else f"--{option} {value}")
+    return "".join(f" {word}" for word in words + limits)
 
 
 def _choice(made: Mapping[str, Any]) -> str:
@@ -146,9 +155,9 @@ def _choice(made: Mapping[str, Any]) -> str:
 
 
 def _own(made: Mapping[str, Any]) -> bool:
-    """Whether the limits came from recordings, so that other recordings have others."""
+    """Whether the limits are not those of a preset, so that other recordings have others."""
     source = made.get("thresholds_from")
-    return isinstance(source, dict) and source.get("method") == "auto"
+    return isinstance(source, dict) and bool(source) and (source.get("method") != "preset" or "scale" in source)
 
 
 def _difference(wanted: Any, items: Any) -> str:

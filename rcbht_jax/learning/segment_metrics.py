@@ -111,7 +111,8 @@ def segmentation_interval(
         dt: seconds between samples.
         groups: of each recording ``[recording]``; or ``[recording, way]``, where several models labelled each recording
             (the group of the training recording and that of the labelled one): a row counts as often as the product of
-            its groups' draws (Owen 2007, "The pigeonhole bootstrap").
+            its groups' draws, as in Owen 2007, "The pigeonhole bootstrap"; but there the two ways are drawn separately,
+            here once for both, which have the same groups.
         seed: of the draws.
 
     Raises:

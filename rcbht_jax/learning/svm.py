@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
@@ -286,7 +287,8 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         if isinstance(folds, str) or not hasattr(folds, "split"):
             raise InputError(f"The folds are {type(folds).__name__}; expected a number, or a scikit-learn splitter.")
         splits = [(np.asarray(a, np.int64), np.asarray(b, np.int64)) for a, b in folds.split(y, y, groups)]
-        if any(np.intersect1d(groups[train], groups[test]).size for train, test in splits):
+        number = group_numbers(groups)  # missing values are one group: NaN is not equal to NaN
+        if any(np.intersect1d(number[train], number[test]).size for train, test in splits):
             raise InputError(f"{folds} puts items of one trial on both sides; use one for groups, such as GroupKFold.")
         return splits
     fewest = fewest_groups(y, groups)

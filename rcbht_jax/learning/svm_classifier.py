@@ -84,7 +84,8 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             groups: trial of each sample; samples of one trial stay together when probabilities are fitted. None = each
                 sample is a trial of its own.
             sample_weight: how often each sample counts, not negative; 0 leaves it out, None = once. It affects the
-                cost, the scaling (except ranks) and the sigmoids.
+                cost, the scaling (except ranks) and the sigmoids, but not the default folds of these: with
+                ranks or probabilities, whole numbers do not have the effect of repeated samples.
 
         Raises:
             InputError: fewer than two classes, bad parameters, feature weights that are not positive, sample weights

@@ -43,6 +43,13 @@ def trials_in(recordings: Recordings, chosen: NDArray[np.bool_]) -> int:
     return len({(recordings.source[row], recordings.trial[row]) for row in rows})
 
 
+def trial_names(recordings: Recordings, rows: NDArray[np.int64]) -> NDArray[np.str_]:
+    """Names of trials ``[row]``; where two sources use one name, with the source before it."""
+    source, trial = recordings.source[rows], recordings.trial[rows]
+    full = np.char.add(np.char.add(source, "/"), trial)
+    return trial if len(np.unique(full)) == len(np.unique(trial)) else full
+
+
 def leave_out_sources(
     recordings: Recordings, wanted: NDArray[np.bool_], rows: NDArray[np.int64], dropped: Counter[str]
 ) -> None:

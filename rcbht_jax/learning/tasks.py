@@ -27,7 +27,14 @@ from rcbht_jax.features import (
     interval_features,
 )
 from rcbht_jax.learning.task_choice import column_names
-from rcbht_jax.learning.task_items import leave_out, leave_out_sources, track_items, trials_in, whole_items
+from rcbht_jax.learning.task_items import (
+    leave_out,
+    leave_out_sources,
+    track_items,
+    trial_names,
+    trials_in,
+    whole_items,
+)
 from rcbht_jax.types import LabelTracks, Recordings
 
 SUCCESS, FAILURE, UNKNOWN, UNFINISHED = "success", "failure", "unknown", "unfinished"  # the last two: not judged
@@ -183,7 +190,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
     y = np.array([classes.index(name) for name in found.label.tolist()], np.int64)
     first = found.rows[:, 0]
     leave_out_sources(recordings, chosen_recordings(recordings, spec, True), first, dropped)
-    trial, session = _trials(recordings, first), recordings.session[first]
+    trial, session = trial_names(recordings, first), recordings.session[first]
     return LabelledIntervals(classes, y, trial, session, found.intervals(recordings), dict(dropped))
 
 
@@ -292,13 +299,6 @@ def extract_batched_features(
     return concatenate_features(
         {name: concatenate_arms(dict(zip(names, arms, strict=True))) for name, arms in by_name.items()}
     )
-
-
-def _trials(recordings: Recordings, rows: NDArray[np.int64]) -> NDArray[np.str_]:
-    """Names of trials ``[row]``; where two sources use one name, with the source before it."""
-    source, trial = recordings.source[rows], recordings.trial[rows]
-    full = np.char.add(np.char.add(source, "/"), trial)
-    return trial if len(np.unique(full)) == len(np.unique(trial)) else full
 
 
 def _listed(noun: str, names: Sequence[str]) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +131,30 @@ def test_other_recordings_get_the_thresholds_of_a_model(tmp_path: Path, capsys: 
     capsys.readouterr()
     assert main(["encode", str(two), "--window", "8", "--thresholds", str(model)]) == 2
     assert "no online labels of window 8" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--robot", "auto", "--window", "20"),
+        ("--robot", "hiro", "--scale", "2", "--rule", "similar", "--no-gate", "--contact-first", "--latency-cap", "1"),
+    ],
+)
+def test_the_advice_for_other_labels_can_be_followed(
+    options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, two, model = tmp_path / "one.zarr", tmp_path / "two.zarr", str(tmp_path / "m")
+    for path, factor in ((one, 1), (two, 2)):
+        write_recordings(path, replace(synthetic(), wrench=synthetic().wrench * factor), {})
+    run(capsys, "encode", one, "--name", "mine", *options)
+    run(capsys, "encode", two, "--name", "mine")
+    run(capsys, "train", one, "--tracks", "mine", "--kernels", "linear", "--costs", 1, "-o", model)
+    classify = ["classify", str(two), "-m", model, "-o", str(tmp_path / "c.csv"), "--tracks"]
+    assert main([*classify, "mine"]) == 2
+    advice = re.search(r'such labels with "rcbht encode ([^"]*)" first', capsys.readouterr().err)
+    assert advice is not None
+    run(capsys, "encode", two, "--name", "its", *advice[1].replace("MODEL", model).split())
+    assert main([*classify, "its"]) == 0
 
 
 def test_grammars_stand_side_by_side_or_are_chosen_from(

@@ -118,16 +118,45 @@ def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> N
     )
 
 
-def test_recordings_of_unknown_outcome_are_no_anomalies(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_groups_that_cannot_be_scored_are_named(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings = read_recordings(store)
-    outcome = np.where(np.arange(len(recordings)) < 2, "unknown", recordings.outcome)
+    day = np.array(["Mon", "Tue"])[np.arange(len(recordings)) % 2]
+    day[:4] = "Wed"
+    outcome = np.where(np.arange(len(recordings)) == 0, "success", recordings.outcome)
+    outcome[1:4] = "failure"
+    path = store.parent / "few.zarr"
+    write_recordings(path, replace(recordings, columns={"day": day}, outcome=outcome), {})
+    words = ["monitor", "evaluate", str(path), "--group", "day", "--false-alarms", "0.1"]
+    (found,) = lines(capsys, *words, "--json")
+    assert found["not_scored"] == ["Mon", "Tue"]
+    assert (found["nominal"], found["anomalous"]) == (1, 3)
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "Not scored: Mon, Tue; the nominal recordings of the other groups are too few to learn from" in printed
+    assert "No alarms of" not in printed
+
+
+def test_trials_of_two_sources_are_different_groups(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recordings = read_recordings(store).take(np.arange(16))
+    path = store.parent / "sources.zarr"
+    trial, source = [f"t{row % 8}" for row in range(16)], ["a"] * 8 + ["b"] * 8
+    write_recordings(path, replace(recordings, trial=np.array(trial), source=np.array(source)), {})
+    (found,) = lines(capsys, "monitor", "evaluate", path, "--group", "trial", "--false-alarms", 0.2, "--json")
+    assert set(found["groups"]) == {f"{part}/{name}" for part, name in zip(source, trial, strict=True)}
+    (fitted,) = lines(capsys, "monitor", "fit", path, "--group", "trial", "-o", store.parent / "sources", "--json")
+    assert (fitted["recordings"], fitted["groups"]) == (12, 12)
+
+
+def test_recordings_that_were_not_judged_are_no_anomalies(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recordings = read_recordings(store)
+    outcome = np.concatenate([["unknown", "unfinished"], recordings.outcome[2:]])
     path = store.parent / "unknown.zarr"
     write_recordings(path, replace(recordings, outcome=outcome), {})
     words = ["monitor", "evaluate", str(path), "--where", "skill=5", "--group", "day", "--false-alarms", "0.1"]
     (found,) = lines(capsys, *words, "--json")
     assert (found["nominal"], found["anomalous"], found["unknown"]) == (16, 6, 2)
     assert main(words) == 0
-    assert "left out: 2 recordings, outcome unknown" in capsys.readouterr().out
+    assert "left out: 2 recordings, outcome unknown or unfinished" in capsys.readouterr().out
 
 
 def test_another_unit_is_refused(store: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:

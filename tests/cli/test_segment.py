@@ -12,7 +12,7 @@ import pytest
 
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli.main import main
-from rcbht_jax.io.store import write_recordings
+from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.types import Recordings
 
 
@@ -25,6 +25,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     starts = np.stack([np.zeros(4), begin[:4] / 40], 1)
     marks = Annotations.from_starts("contact", ("free", "touch"), starts, np.full(4, 3.0))
     recordings = replace(Recordings.from_arrays(wrenches, 40.0, axes=("grip",), units=("N",)), annotations=marks)
+    recordings = replace(recordings, source=np.array(["new", *["old"] * 4]))
     path = tmp_path_factory.mktemp("segment") / "runs.zarr"
     write_recordings(path, recordings, {})
     return path
@@ -43,6 +44,16 @@ def test_a_table_of_intervals(store, tmp_path, capsys):
     assert {row["annotated"] for row in new} == {"False"}
     assert float(new[0]["start"]) == 0
     assert float(new[-1]["end"]) == 3
+
+
+def test_recordings_of_one_source_have_their_numbers_in_the_store(store, tmp_path):
+    out = tmp_path / "segments.csv"
+    assert main(["segment", str(store), "--source", "old", "-o", str(out)]) == 0
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {(row["recording"], row["source"]) for row in rows} == {(str(number), "old") for number in range(1, 5)}
+    trials = read_recordings(store).trial
+    assert all(row["trial"] == trials[int(row["recording"])] for row in rows)
 
 
 @pytest.mark.parametrize(
@@ -74,4 +85,4 @@ def test_the_table_stays_where_the_model_cannot_be_written(store, tmp_path, monk
     monkeypatch.setattr("rcbht_jax.introspection.segmenter_file.save", full)
     out = tmp_path / "segments.csv"
     assert main(["segment", str(store), "-o", str(out), "--write-model", str(tmp_path / "x.segmenter")]) != 0
-    assert out.read_text().startswith("recording,trial")
+    assert out.read_text().startswith("recording,source,trial")

@@ -278,7 +278,7 @@ def test_many_groups_are_held_out_several_at_a_time() -> None:
 def test_a_fit_that_fails_changes_no_score() -> None:
     monitor, new = NominalMonitor(rate=20).fit(pushes(6, 0)), pushes(1, 1)[0]
     before = monitor.scores(new)
-    with pytest.raises(InputError, match="a single recording remains"):
+    with pytest.raises(InputError, match="Without group 0 a single recording remains"):
         monitor.fit([one[:, :1] for one in pushes(3, 2)], groups=[0, 0, 1])
     np.testing.assert_array_equal(monitor.scores(new), before)
     with pytest.raises(InputError, match="numbers of axes, 0 to"):

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.nominal import NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import Watched, hold_out, judge
 
@@ -80,6 +81,26 @@ def test_alarms_are_counted_recording_by_recording() -> None:
     for name, row in by_group.items():
         assert flat(row) == pytest.approx(flat(counted(watched, onset, np.flatnonzero(groups == name).tolist())))
     assert judge(watched, LIMITS)["early"] == 0
+
+
+def test_a_group_of_one_nominal_recording_does_not_end_the_evaluation() -> None:
+    """Monday's and Tuesday's monitors would score the other day by the one nominal recording of Wednesday."""
+    days = np.array(["Mon"] * 5 + ["Tue"] * 5 + ["Wed"] * 2)
+    rng = np.random.default_rng(0)
+    series, nominal = [rng.normal(size=(30, 2)) for _ in days], np.array([True] * 11 + [False])
+    watched = hold_out(NominalMonitor(), series, nominal, days)
+    assert watched.seen.tolist() == [False] * 10 + [True] * 2
+    assert {day: len(peaks) for day, peaks in watched.calibration.items()} == {"Wed": 10}
+    with pytest.raises(InputError, match="levels are"):  # other errors are not taken for too few recordings
+        hold_out(NominalMonitor(levels=(9,)), series, nominal, days)
+
+
+def test_recordings_without_a_group_are_one_group() -> None:
+    days, nominal = np.array([1.0, np.nan, 1.0, np.nan]), np.array([True, True, False, False])
+    scores = tuple(np.array([peak]) for peak in (0.0, 1.0, 2.0, 3.0))
+    found = judge(Watched(scores, nominal, days, np.ones(4), {}, RATE), {"1.0": 0.5, "nan": 0.5})["groups"]
+    assert {name: (row["nominal"], row["anomalous"]) for name, row in found.items()} == {"1.0": (1, 1), "nan": (1, 1)}
+    assert found["nan"]["false_alarms_of"] == [1, 1]
 
 
 def test_a_group_without_which_too_few_nominal_recordings_remain_is_not_scored() -> None:

@@ -44,8 +44,8 @@ def test_phases_are_found_causally():
     assert result.score.delay < 0.2
     assert result.classes == ("rest", "push", "hold")
     rows = result.rows()
-    assert [row[3] for row in rows if row[0] == 0] == ["rest", "push", "hold"]
-    assert rows[0][4] == 0
+    assert [row[4] for row in rows if row[0] == 0] == ["rest", "push", "hold"]
+    assert rows[0][5] == 0
 
 
 @pytest.mark.parametrize("folds", [1, -1])
@@ -72,7 +72,8 @@ def test_scores_have_intervals_by_group():
 
 
 def test_no_group_is_on_both_sides(monkeypatch: pytest.MonkeyPatch):
-    data = with_columns(made(6), operator=np.array(["Ann", "Bob", "Ann", "Bob", "Cy", "Cy"]))
+    operator, badge = np.array(["Ann", "Bob", "Ann", "Bob", "Cy", "Cy"]), np.array([1, 2, 1, 2, np.nan, np.nan])
+    data = with_columns(made(6), operator=operator, badge=badge)
     taught: list[set[str]] = []
     fit, predict = WrenchSegmenter.fit, WrenchSegmenter.predict
 
@@ -87,8 +88,15 @@ def test_no_group_is_on_both_sides(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(WrenchSegmenter, "fit", noting)
     monkeypatch.setattr(WrenchSegmenter, "predict", checking)
     segment(data, WrenchSegmenter(trees=2), Protocol(group="operator", folds=2))
-    segment(data, WrenchSegmenter(trees=2), Protocol(group="operator", one_shot=True))
-    assert len(taught) == 2 + 6
+    for group in ("operator", "badge"):
+        segment(data, WrenchSegmenter(trees=2), Protocol(group=group, one_shot=True))
+    assert len(taught) == 2 + 6 + 6
+
+
+def test_trials_of_two_sources_are_different_groups():
+    data = replace(made(4), trial=np.array(["t0", "t1"] * 2), source=np.array(["one", "one", "two", "two"]))
+    result = segment(data, WrenchSegmenter(trees=2, words=False), Protocol(folds=3))
+    assert result.to_json()["protocol"] == "3 folds, grouped by trial"  # two groups cannot make three folds
 
 
 def test_the_tolerance_of_the_fit_rule_comes_from_the_training_recordings():

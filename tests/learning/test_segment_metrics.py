@@ -104,7 +104,9 @@ def test_samples_without_annotation_count_nowhere():
         segmentation_score([truth], [first[:3]], 1)
 
 
-def test_intervals_are_percentiles_of_scores_of_drawn_groups(monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("ways", [1, 2])
+def test_intervals_are_percentiles_of_scores_of_drawn_groups(ways: int, monkeypatch: pytest.MonkeyPatch):
+    """One draw serves all ways, so that a recording whose group is drawn twice counts four times with two ways."""
     monkeypatch.setattr(segment_metrics, "RESAMPLES", 50)
     rng = np.random.default_rng(3)
     truth = [rng.integers(-1, 3, 40) for _ in range(10)]
@@ -112,11 +114,11 @@ def test_intervals_are_percentiles_of_scores_of_drawn_groups(monkeypatch: pytest
         np.where(rng.random(40) < share, part, 1) for share, part in zip(np.linspace(0.3, 0.9, 10), truth, strict=True)
     ]
     groups = np.array(list("abbcddefgh"))
-    interval = segmentation_interval(truth, guess, 0.5, groups, seed=7)
+    interval = segmentation_interval(truth, guess, 0.5, np.stack([groups] * ways, 1), seed=7)
     draws = np.random.default_rng(7).multinomial(8, np.full(8, 1 / 8), 50)
     scores = []
     for draw in draws:
-        rows = [i for i, group in enumerate(groups) for _ in range(draw["abcdefgh".index(group)])]
+        rows = [i for i, group in enumerate(groups) for _ in range(draw["abcdefgh".index(group)] ** ways)]
         scores.append(segmentation_score([truth[i] for i in rows], [guess[i] for i in rows], 0.5).to_json())
     assert np.isnan(interval.pop("delay")).all()  # 0 in all draws
     for name, ends in interval.items():

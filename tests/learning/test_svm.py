@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.model_selection import PredefinedSplit
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
@@ -128,6 +129,15 @@ def test_a_class_with_fewer_trials_than_folds_is_refused():
     y, groups = np.array([0, 0, 0, 0, 1, 1, 1, 1]), np.array([0, 1, 2, 3, 4, 4, 5, 5])
     with pytest.raises(InputError, match="the rarest class has 2 trials, so choose 2 folds"):
         grouped_folds(y, groups, 3, 0)
+
+
+@pytest.mark.filterwarnings("ignore:The groups parameter is ignored")
+@pytest.mark.parametrize("missing", [np.nan, 5.0])
+def test_a_splitter_that_divides_a_group_is_refused(missing: float):
+    groups = np.array([1, 2, 3, 4, *[missing] * 4])
+    assert len(grouped_folds(np.arange(8) % 2, groups, PredefinedSplit([0, 1, 0, 1, 1, 1, 1, 1]), 0)) == 2
+    with pytest.raises(InputError, match="puts items of one trial on both sides"):
+        grouped_folds(np.arange(8) % 2, groups, PredefinedSplit([0, 1, 0, 1, 0, 0, 1, 1]), 0)
 
 
 def test_selection_finds_the_matrix_that_knows_the_class():
