@@ -23,7 +23,7 @@ class ImportReport:
     duplicates: list[tuple[str, str]] = field(default_factory=list)  # name of the copy, what it copies
     warnings: list[tuple[str, str]] = field(default_factory=list)  # name, irregularity
     remarks: list[str] = field(default_factory=list)  # about all recordings
-    understood: list[dict[str, str]] = field(default_factory=list)  # column, role, unit: of the first file
+    understood: list[dict[str, str]] = field(default_factory=list)  # column, role, unit: of all files
     content_sha256: str = ""  # of every file read
 
     @property
