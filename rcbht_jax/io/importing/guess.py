@@ -19,7 +19,7 @@ from rcbht_jax.io.importing.numerals import two_meanings
 from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
 from rcbht_jax.io.importing.record import text as as_text
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, with_time
+from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, unit_of_times, with_time
 from rcbht_jax.io.importing.topics import filled
 from rcbht_jax.types import STANDARD_COLUMNS
 
@@ -89,6 +89,8 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     if not base.time and base.source_rate is None:
         mapping = with_time(table, mapping, free)
         free = [name for name in free if name not in (mapping.time, mapping.nanoseconds)]
+    if mapping.time:
+        mapping = replace(mapping, time_unit=unit_of_times(table, mapping))
     if base.channels:
         return mapping, _table(table, mapping)
     if not base.group:

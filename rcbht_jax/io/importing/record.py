@@ -23,6 +23,7 @@ from rcbht_jax.io.importing.given import Given
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.table import Interval, Table
+from rcbht_jax.io.importing.timing import unit_of_times
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS
 
@@ -307,7 +308,7 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
             raise InputError(
                 f"column {mapping.time!r} holds {no_time(column.tolist())!r}, which is not a time."
             ) from None
-    scaled: NDArray[np.float64] = column * SECONDS[mapping.time_unit]
+    scaled: NDArray[np.float64] = column * SECONDS[unit_of_times(table, mapping)]
     return scaled + table.columns[mapping.nanoseconds][rows] * 1e-9 if mapping.nanoseconds else scaled
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.io.importing.importer import Imported, read_source
-from rcbht_jax.io.importing.mapping import read_mapping, write_mapping
+from rcbht_jax.io.importing.mapping import Mapping, read_mapping, write_mapping
 
 
 def again(source: Path, imported: Imported) -> Imported:
@@ -79,3 +79,18 @@ def test_a_column_that_one_file_alone_has_describes_its_recording_again(tmp_path
     second = again(source, first)
     assert second.recordings.columns["part"].tolist() == ["", "peg"]
     assert [name for name, _ in second.report.warnings] == ["a.csv"]
+
+
+@pytest.mark.parametrize(
+    ("name", "stated", "dt"),
+    [("t_ms", "", 0.01), ("t [ms]", "", 0.01), ("t", "", 10.0), ("t_ms", "us", 1e-5), ("t_ms", "s", 10.0)],
+)
+def test_a_named_time_has_the_unit_that_its_column_states(name: str, stated: str, dt: float, tmp_path: Path) -> None:
+    rows = [f"{10 * k},{k % 3},{k % 5},{k % 7}" for k in range(40)]
+    source = tmp_path / "run.csv"
+    source.write_text("\n".join([f"{name},Fx,Fy,Fz", *rows]))
+    imported = read_source(source, mapping=Mapping(time=name, time_unit=stated))
+    assert imported.recordings.dt == pytest.approx(dt)
+    second = again(source, imported)
+    assert second.mapping.time_unit == imported.mapping.time_unit != ""
+    assert contents(second) == contents(imported)
