@@ -38,6 +38,7 @@ from rcbht_jax.io.importing.label_studio import unfolded
 from rcbht_jax.io.importing.lacks import Lacks
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
+from rcbht_jax.io.importing.matlab import read_matlab
 from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Record, Row, records, text
@@ -171,7 +172,7 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
         return read_bag_tables(item.path, item.name or spelled(item.path.name), mapping.topic)
     readers = {
         "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
-        "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
+        "matlab": read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
         "jsonl": read_json_lines, "json": read_json_document, "zarr": read_zarr,
     }  # fmt: skip
     return readers[item.kind](item.path, item.name or (spelled(item.path.name) if item.kind == "zarr" else ""))

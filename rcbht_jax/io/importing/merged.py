@@ -17,7 +17,7 @@ def merged(meanings: Iterable[Meaning]) -> Meaning:
     A column that is a track of annotations in any table is one in all; one that counts with its last value in any
     does so in all.
 
-    >>> from rcbht_jax.io.importing.mapping import Track
+    >>> from rcbht_jax.io.importing.mapping import Track, Value
     >>> first = Mapping(columns={"phase": Value("phase")}), [Understood("phase", "column phase")]
     >>> second = Mapping(annotations=(Track("phase", "phase"),)), [Understood("phase", "annotations phase")]
     >>> mapping, rows = merged([first, second])
