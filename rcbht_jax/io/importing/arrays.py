@@ -186,18 +186,24 @@ def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
 def _like(group: Any, h5py: Any) -> Any:
     """The outermost group whose sub-groups (two or more) hold the same names, or the same wrench, or are trial_0, ...
 
-    None: there is no such group.
+    None: there is no such group; those of single values alone describe segments.
     """
     groups = dict(_groups(group, h5py))
     children = list(groups.values())
     alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0])
-    if len(children) > 1 and (alike or _named(groups) or _one_wrench(children, h5py)):
+    signals = any(child.visititems(_is_long) for child in children)
+    if len(children) > 1 and signals and (alike or _named(groups) or _one_wrench(children, h5py)):
         return group
     if len(children) == 1:
         return _like(children[0], h5py)
     # Beside a group of recordings there may be one of splits.
     found = (_like(child, h5py) for child in children)
     return next((one for one in found if one is not None and _named(one)), None)
+
+
+def _is_long(_: str, item: Any) -> bool | None:
+    """Whether a member is an array of several values; None = it is not, and h5py visits the next."""
+    return True if getattr(item, "size", 0) and item.size > 1 else None
 
 
 def _one_wrench(groups: Iterable[Any], h5py: Any) -> bool:

@@ -180,3 +180,16 @@ def test_hdf5_groups_of_many_recordings_are_read_in_linear_time(tmp_path: Path) 
         spent.append(time.process_time() - start)
         assert [table.columns["obs/pose_2"].shape for table in tables] == [(9,)] * count
     assert spent[1] < 16 * spent[0]  # of 8
+
+
+@pytest.mark.parametrize("segments", [1, 2, 3])
+def test_hdf5_groups_of_segments_are_no_recordings(segments: int, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["time"], file["wrench"] = TIME, WRENCH
+        for number in range(segments):
+            for key, value in {"start": number / 10, "end": number / 10 + 0.05, "label": "abc"[number]}.items():
+                file[f"segments/{number}/{key}"] = value
+    recordings = read_source(tmp_path).recordings
+    assert len(recordings) == 1
+    assert recordings.annotations.names().tolist() == list("abc")[:segments]
