@@ -124,7 +124,7 @@ def _overlaps(records: list[Record]) -> list[str]:
     found = Counter[str]()
     for record in records:
         spans = sorted((track, start, end) for track, _, start, end in record.intervals if end > start)
-        half = record.end / max(len(record.time) - 1, 1) / 2  # a sample
+        half = record.period / 2
         found.update({a for (a, _, end), (b, start, _) in pairwise(spans) if a == b and start < end - half})
     rule = "where one label per sample is needed, the one that begins last counts."
     return [f"Annotations {track} overlap in {plural(count, 'recording')}: {rule}" for track, count in found.items()]

@@ -74,8 +74,8 @@ class Record:
 
     @property
     def period(self) -> float:
-        """Mean time between two samples, s."""
-        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+        """Time between two samples, s; gaps do not count."""
+        return conform.clock(self.time).period
 
     @property
     def end(self) -> float:
@@ -155,7 +155,7 @@ def _given(table: Table, mapping: Mapping, parts: dict[str, NDArray[Any]]) -> Gi
         whole = len(known) > 1 and all((np.diff(part) == 1).all() for part in parts.values())
     if not whole:
         return Given(table.intervals, shared=True)
-    period = float(np.ptp(known)) / (len(known) - 1)
+    period = float(np.median(np.abs(np.diff(known))))  # gaps do not count
     origin = _on_clock(table, mapping, rows, float(known.min()))
     return Given(table.intervals, (origin, float(np.ptp(known)) + period, period))
 
@@ -347,14 +347,15 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
 def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> list[Interval]:
     """An interval for every stretch of one value, to the beginning of the next; empty values mark nothing.
 
+    The end of the last is infinite: that of the recording.
+
     >>> stretches(Track("phase", "p"), np.arange(4) * 0.5, np.array(["a", "a", "", "b"]))
-    [('phase', 'a', 0.0, 1.0), ('phase', 'b', 1.5, 2.0)]
+    [('phase', 'a', 0.0, 1.0), ('phase', 'b', 1.5, inf)]
     """
     if column.dtype.kind != "U":
         column = np.array([text(value) for value in column], np.str_)
     begin = np.concatenate([[0], np.flatnonzero(column[1:] != column[:-1]) + 1])
-    last = time[-1] + (time[-1] - time[0]) / max(len(time) - 1, 1)
-    end = np.append(time[begin[1:]], last)
+    end = np.append(time[begin[1:]], np.inf)
     found = []
     for start, stop, value in zip(time[begin].tolist(), end.tolist(), column[begin].tolist(), strict=True):
         label = track.words.get(value, value)
@@ -364,10 +365,9 @@ def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> 
 
 
 def _of_messages(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> list[Interval]:
-    """As :func:`stretches`, for values that hold until the next message, and the last one to the end."""
+    """As :func:`stretches`, for values that hold until the next message."""
     begin = max(int(np.searchsorted(time, 0.0, "right")) - 1, 0)
-    found = stretches(track, np.maximum(time[begin:], 0.0), column[begin:]) if len(time) else []
-    return [*found[:-1], (*found[-1][:3], np.inf)] if found else []
+    return stretches(track, np.maximum(time[begin:], 0.0), column[begin:]) if len(time) else []
 
 
 def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
