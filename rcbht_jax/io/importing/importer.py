@@ -211,7 +211,7 @@ def _read(
     listed: Table | None = None
     if not base.table and source.is_dir():
         base, listed = listing.with_table(source, base, items, report.remarks)
-    tables = {plain_name(one) for one in (base.table, *(track.file for track in base.annotations)) if one}
+    tables = set(map(plain_name, marks.described_by(base, items)))
     files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
     rows = listing.rows_of(source, base, files, report.warnings, listed)
     lacks = Lacks(base)
