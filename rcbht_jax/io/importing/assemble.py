@@ -19,9 +19,10 @@ from rcbht_jax.io.importing.constants import still_axes
 from rcbht_jax.io.importing.encodings import WORDS
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.names import GROUPS, column_name
-from rcbht_jax.io.importing.record import OUTCOMES, Record
-from rcbht_jax.io.importing.record import text as as_text
+from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.report import ImportReport
+from rcbht_jax.io.importing.words import OUTCOMES
+from rcbht_jax.io.importing.words import text as as_text
 from rcbht_jax.io.store import VARIABLES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from rcbht_jax._util.columns import base_and_unit
 from rcbht_jax.io.importing.names import COUNTERS, column_name, is_axis
-from rcbht_jax.io.importing.record import Record, text
+from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.words import text
 
 
 def constants_of(table: Table, unused: Iterable[str]) -> dict[str, float]:

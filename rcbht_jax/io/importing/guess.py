@@ -16,11 +16,12 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.numerals import two_meanings
-from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
-from rcbht_jax.io.importing.record import text as as_text
+from rcbht_jax.io.importing.record import check_columns
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, unit_of_times, with_time
 from rcbht_jax.io.importing.topics import filled
+from rcbht_jax.io.importing.words import OUTCOMES, is_outcome
+from rcbht_jax.io.importing.words import text as as_text
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels

@@ -41,13 +41,14 @@ from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.matlab import read_matlab
 from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Record, Row, records, text
+from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.ts import read_ts
 from rcbht_jax.io.importing.unpacked import plain_name
+from rcbht_jax.io.importing.words import text
 from rcbht_jax.io.importing.zarr_groups import read_zarr
 from rcbht_jax.types import Recordings
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from collections.abc import Mapping as AnyMapping
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
@@ -24,13 +24,11 @@ from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.timing import unit_of_times
+from rcbht_jax.io.importing.words import OUTCOMES, is_outcome, of_numbers, text, words_of_numbers
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_GROUPS = 100_000
-OUTCOMES = dict.fromkeys(("success", "1", "true", "ok", "pass", "passed", "io", "i.o."), "success") | dict.fromkeys(
-    ("failure", "0", "false", "nok", "ng", "fail", "failed", "nio", "n.i.o."), "failure"
-)
 Row = AnyMapping[str, str]  # of the table of recordings
 
 
@@ -186,25 +184,6 @@ def without_arm(part: str, arm: str) -> str:
     return "#".join(word for word in part.split("#") if word != arm)
 
 
-def text(value: Any) -> str:
-    """A value as text: whole numbers without a point, NaN as ""."""
-    if isinstance(value, str):
-        return str(value)
-    number = float(value)
-    if np.isnan(number):
-        return ""
-    return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
-
-
-def is_outcome(name: str, values: Iterable[Any]) -> bool:
-    """Whether a column of that name and with these values states the outcome.
-
-    >>> is_outcome("success", [1.0, 0.0]), is_outcome("success", ["partly"])
-    (True, False)
-    """
-    return name in ("success", "outcome") and {text(value).lower() for value in values} <= set(OUTCOMES)
-
-
 def check_columns(table: Table, mapping: Mapping) -> None:
     """Check that a table has the columns of a mapping without which it is no recording: channels, time and group.
 
@@ -325,6 +304,7 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
     """A column's value for a recording, empty cells aside; None = it changes within it."""
     if source.value:
         return source.value
+    words = source.words
     if source.folder:
         folders = PurePosixPath(table.file).parent.parts
         place = source.folder - (source.folder > 0)
@@ -333,6 +313,7 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
         found = row.get(source.table, "")
     elif source.column in table.columns:
         column = table.columns[source.column][rows]
+        words = words if column.dtype.kind == "U" else words_of_numbers(words)
         if source.last:
             column = column[topics.filled(column)][-1:]
         values = {text(value) for value in np.unique(column)} - {""}
@@ -340,8 +321,9 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
             return None
         found = values.pop() if values else ""
     else:
-        found = text(table.facts.get(source.column, ""))
-    return source.words.get(found, source.words.get(found.lower(), found))
+        fact = table.facts.get(source.column, "")
+        found, words = text(fact), words if isinstance(fact, str) else words_of_numbers(words)
+    return words.get(found, words.get(found.lower(), found))
 
 
 def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> list[Interval]:
@@ -353,7 +335,7 @@ def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> 
     [('phase', 'a', 0.0, 1.0), ('phase', 'b', 1.5, inf)]
     """
     if column.dtype.kind != "U":
-        column = np.array([text(value) for value in column], np.str_)
+        column, track = np.array([text(value) for value in column], np.str_), of_numbers(track)
     begin = np.concatenate([[0], np.flatnonzero(column[1:] != column[:-1]) + 1])
     end = np.append(time[begin[1:]], np.inf)
     found = []

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax._util.printable import plural
-from rcbht_jax.io.importing.record import Record, text
+from rcbht_jax.io.importing.record import Record
+from rcbht_jax.io.importing.words import text
 from rcbht_jax.labels import AXES
 
 
