@@ -120,10 +120,9 @@ def read_source(
     _warn_of_sources(found, used, report)
     described = describe(found, constants)
     recordings = assemble(found, source, base.rate, report)
-    names_of = {name: column_name(name) for name in described}
-    constant = Mapping(columns={own: Value(name) for name, own in names_of.items()})
-    rows_of = [Understood(name, f"column {own}") for name, own in names_of.items()]
-    first, rows = merged([*(used[record.name] for record in found), (constant, rows_of)])
+    constant = Mapping(columns={own: Value(name) for name, own in described.items()})
+    of_constants = [Understood(name, f"column {own}") for name, own in described.items()]
+    first, rows = merged([*(used[record.name] for record in found), (constant, of_constants)])
     if any(PLACE in channel.column for channel in first.channels):
         first = replace(first, arms=base.arms or tuple(dict.fromkeys(str(one.columns["arm"]) for one in found)))
     if words and "outcome" in first.columns:
