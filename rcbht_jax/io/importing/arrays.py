@@ -1,9 +1,7 @@
-"""Files of named arrays: NPZ (without pickles), HDF5, MATLAB."""
+"""Files of named arrays: NPZ (without pickles), and HDF5, also as MATLAB writes it."""
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import require
-from rcbht_jax._util.untrusted import MAX_BYTES, MAX_MEMBERS, check_declared, check_file, declared_bytes, read_arrays
+from rcbht_jax._util.untrusted import MAX_MEMBERS, check_declared, check_file, declared_bytes, read_arrays
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
@@ -146,7 +144,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             arrays |= {f"{key}/{name}": texts for key, one in found.items() for name, texts in _titles(one).items()}
             usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
             stated = {key: texts for key, one in found.items() if (texts := stated_units(getattr(one, "attrs", {})))}
-            for table in _without_objects(path, f"{name}#{part}" if part else name, usable, objects, part):
+            for table in without_objects(path, f"{name}#{part}" if part else name, usable, objects, part):
                 arm = {"arm": part} if sides and part else {}
                 yield replace(table, units=units_of(table.columns, stated), facts={**arm, **table.facts})
 
@@ -188,18 +186,24 @@ def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
 def _like(group: Any, h5py: Any) -> Any:
     """The outermost group whose sub-groups (two or more) hold the same names, or the same wrench, or are trial_0, ...
 
-    None: there is no such group.
+    None: there is no such group; those of single values alone describe segments.
     """
     groups = dict(_groups(group, h5py))
     children = list(groups.values())
     alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0])
-    if len(children) > 1 and (alike or _named(groups) or _one_wrench(children, h5py)):
+    signals = any(child.visititems(_is_long) for child in children)
+    if len(children) > 1 and signals and (alike or _named(groups) or _one_wrench(children, h5py)):
         return group
     if len(children) == 1:
         return _like(children[0], h5py)
     # Beside a group of recordings there may be one of splits.
     found = (_like(child, h5py) for child in children)
     return next((one for one in found if one is not None and _named(one)), None)
+
+
+def _is_long(_: str, item: Any) -> bool | None:
+    """Whether a member is an array of several values; None = it is not, and h5py visits the next."""
+    return True if getattr(item, "size", 0) and item.size > 1 else None
 
 
 def _one_wrench(groups: Iterable[Any], h5py: Any) -> bool:
@@ -248,8 +252,9 @@ def _arrays(file: Any, key: str, item: Any, turned: bool, alone: bool) -> dict[s
     head, _, field = key.rpartition("/")
     targets = [file[reference] for reference in item[()].ravel() if reference]
     values = [_array(target, turned) for target in targets if hasattr(target, "dtype")]
-    if all(value is not None and value.dtype.kind == "U" and value.ndim == 0 for value in values) and head == "":
-        return {key: np.array([str(value) for value in values])}
+    cell = head == "" or _kind(item) == "cell"
+    if cell and (texts := texts_of(values)) is not None:
+        return {key: texts}
     struct = head and _kind(item.parent) == "struct"
     names = (f"{head}.{k}.{field}" if struct else f"{key}.{k}" for k in range(len(values)))
     return dict(zip(names, values, strict=True))
@@ -267,7 +272,7 @@ def _objects(found: Mapping[str, Any]) -> list[str]:
     return [f"{key} ({_kind(one)})" for key, one in those.items()]
 
 
-def _without_objects(
+def without_objects(
     path: Path, name: str, arrays: Mapping[str, NDArray[Any]], objects: Sequence[str], part: str = ""
 ) -> Iterator[Table]:
     """Tables of the arrays of a MATLAB file beside objects, which are named as left out.
@@ -284,115 +289,34 @@ def _without_objects(
         yield replace(table, others=(*table.others, *objects))
 
 
+def texts_of(cells: Iterable[Any]) -> NDArray[np.str_] | None:
+    """The texts of a cell array, of which some may be empty arrays; None = others are no texts, or all are empty.
+
+    >>> texts_of(["free", np.empty(0)]), texts_of(["free", np.zeros(2)])
+    (array(['free', ''], dtype='<U4'), None)
+    """
+    arrays = [np.asarray(cell) for cell in cells]
+    texts = [array.dtype.kind == "U" and array.ndim == 0 for array in arrays]
+    if not any(texts) or not all(text or array.size == 0 for text, array in zip(texts, arrays, strict=True)):
+        return None
+    return np.array([str(array) if array.size else "" for array in arrays])
+
+
+def unpadded(rows: NDArray[Any]) -> NDArray[Any]:
+    """Texts without the blanks that make the rows of a MATLAB matrix of characters equally long."""
+    return np.char.rstrip(rows, " ")
+
+
 def _array(item: Any, turned: bool) -> NDArray[Any] | None:
     """A data set of numbers or text; None for anything else."""
+    if turned and item.attrs.get("MATLAB_empty", 0):  # it holds the dimensions
+        return np.array("") if _kind(item) == "char" else np.empty(0)
     if turned and _kind(item) == "char":
-        return np.array("".join(map(chr, np.asarray(item[()]).ravel().tolist())))
+        rows = ["".join(map(chr, row)) for row in np.atleast_2d(np.asarray(item[()]).T).tolist()]
+        return np.array(rows[0]) if len(rows) == 1 else unpadded(np.array(rows))
     if item.dtype.kind in "fiub":
         content = scaled(np.asarray(item[()]), item.attrs)
         return content.T if turned else content
     if item.dtype.kind in "OS" and item.size and isinstance(np.asarray(item[()]).flat[0], bytes | str):
         return np.asarray(item.asstr()[()]).astype(np.str_)
     return None
-
-
-def read_matlab(path: Path, name: str) -> Iterator[Table]:
-    """Tables of a MATLAB file: of version 7.3 as HDF5, of earlier ones by their arrays and structures.
-
-    >>> from scipy.io import savemat
-    >>> savemat("a.mat", {"t": np.arange(9) * 0.01, "F": np.zeros((9, 3))})
-    >>> [list(table.columns) for table in read_matlab(Path("a.mat"), "a.mat")]
-    [['t', 'F_0', 'F_1', 'F_2']]
-
-    Raises:
-        InputError: not a regular file, damaged, declares arrays too large for it, or scipy or h5py is missing.
-    """
-    yield from isolated(matlab_tables, path, name, "scipy.io", "h5py")
-
-
-def matlab_tables(path: Path, name: str) -> Iterator[Table]:
-    """As :func:`read_matlab`, in this process, which a damaged file can crash.
-
-    >>> from scipy.io import savemat
-    >>> savemat("a.mat", {"t": np.arange(9) * 0.01, "F": np.zeros((9, 3))})
-    >>> [table.name for table in matlab_tables(Path("a.mat"), "a.mat")]
-    ['a.mat']
-
-    Raises:
-        InputError: as :func:`read_matlab`.
-    """
-    size = check_file(path)
-    with path.open("rb") as file:
-        head = file.read(128)
-    if head.startswith(b"\x89HDF") or b"MATLAB 7.3" in head:
-        yield from hdf5_tables(path, name, turned=True)
-        return
-    io = require("scipy.io", "import")
-    with reading(path, "MATLAB"):
-        if head[124:128] not in (b"\x00\x01IM", b"\x01\x00MI"):
-            raise InputError(f"{path} is not a MATLAB file of version 5 or later; save it with -v7.")
-        check_declared(path, _unpacked(path, head), size)
-        content = io.loadmat(path, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
-        arrays: dict[str, NDArray[Any]] = {}
-        for key, value in content.items():
-            if not key.startswith("__"):
-                _flatten(key, np.asarray(value), arrays)
-    objects = [key for key, array in arrays.items() if array.dtype.kind == "O"]
-    yield from _without_objects(path, name, {key: one for key, one in arrays.items() if key not in objects}, objects)
-
-
-def _unpacked(path: Path, head: bytes) -> int:
-    """Bytes of the elements of a MATLAB file once they are unpacked, in constant memory."""
-    order, total = ("<" if head[126:128] == b"IM" else ">"), 0
-    with path.open("rb") as file:
-        file.seek(128)
-        while len(tag := file.read(8)) == 8:
-            kind, length = struct.unpack(f"{order}II", tag)
-            if kind != 15:
-                file.seek(length, 1)
-                total += length
-                continue
-            unpacker, left = zlib.decompressobj(), length
-            while left and (block := file.read(min(left, 2**16))):
-                left -= len(block)
-                while block and total <= MAX_BYTES:
-                    total += len(unpacker.decompress(block, 2**20))
-                    block = unpacker.unconsumed_tail
-                if total > MAX_BYTES:
-                    return total
-                check_declared(path, total, max(path.stat().st_size, 1))
-    return total
-
-
-def _flatten(key: str, value: NDArray[Any], into: dict[str, NDArray[Any]], depth: int = 0) -> None:
-    """Fields of structures and elements of cells as arrays alone: STRUCT.FIELD, STRUCT.NUMBER.FIELD, CELL.NUMBER.
-
-    Raises:
-        InputError: there are too many.
-    """
-    if len(into) > MAX_MEMBERS:
-        raise InputError(f"it holds more than {MAX_MEMBERS} arrays; split it.")
-    if depth > 8:
-        return
-    names = value.dtype.names or ()
-    kind_at = "_Class" if "_ObjectMetadata" in names else "s2"  # an object, as scipy shows it from 1.18 on and before
-    if kind_at == "_Class" or names[:3] == ("s0", "s1", "s2"):
-        title, kind = (np.asarray(value.reshape(-1)[0][field]).item() for field in (names[0], kind_at))
-        title, kind = (text.decode() if isinstance(text, bytes) else str(text) for text in (title, kind))
-        into[f"{key if key != 'None' else title} ({kind})"] = np.empty((), object)
-    elif names:
-        records = value.reshape(-1)
-        for field in names:
-            for number, record in enumerate(records):
-                name = f"{key}.{field}" if len(records) == 1 else f"{key}.{number}.{field}"
-                _flatten(name, np.asarray(record[field]), into, depth + 1)
-    elif value.dtype.kind == "O":
-        if all(isinstance(item, str) for item in value.flat):
-            into[key] = value.astype(np.str_)
-        elif value.ndim == 0:
-            _flatten(key, np.asarray(value.item()), into, depth + 1)
-        else:
-            for number, item in enumerate(value.flat):
-                _flatten(f"{key}.{number}", np.asarray(item), into, depth + 1)
-    else:
-        into[key] = value

@@ -19,9 +19,10 @@ from rcbht_jax.io.importing.constants import still_axes
 from rcbht_jax.io.importing.encodings import WORDS
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.names import GROUPS, column_name
-from rcbht_jax.io.importing.record import OUTCOMES, Record
-from rcbht_jax.io.importing.record import text as as_text
+from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.report import ImportReport
+from rcbht_jax.io.importing.words import OUTCOMES
+from rcbht_jax.io.importing.words import text as as_text
 from rcbht_jax.io.store import VARIABLES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
@@ -124,7 +125,7 @@ def _overlaps(records: list[Record]) -> list[str]:
     found = Counter[str]()
     for record in records:
         spans = sorted((track, start, end) for track, _, start, end in record.intervals if end > start)
-        half = record.end / max(len(record.time) - 1, 1) / 2  # a sample
+        half = record.period / 2
         found.update({a for (a, _, end), (b, start, _) in pairwise(spans) if a == b and start < end - half})
     rule = "where one label per sample is needed, the one that begins last counts."
     return [f"Annotations {track} overlap in {plural(count, 'recording')}: {rule}" for track, count in found.items()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Iterator
 from dataclasses import replace
@@ -109,9 +110,9 @@ class _Topic:
 
 
 def _spoken(spoken: dict[str, list[tuple[int, str]]], first: int, last: int) -> Iterator[Interval]:
-    """Texts as intervals: from each one, or the first sample, until the next, or the last sample."""
+    """Texts as intervals: from each one, or the first sample, until the next, or the end of the recording."""
     for topic, texts in spoken.items():
-        ends = [time for time, _ in texts[1:]] + [last]
+        ends = [*(time for time, _ in texts[1:]), math.inf]
         for (start, label), end in zip(texts, ends, strict=True):
             if label and end > first and start <= last:
                 yield topic.strip("/") or "text", label, max(start - first, 0) * 1e-9, (end - first) * 1e-9

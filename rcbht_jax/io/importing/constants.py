@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from rcbht_jax._util.columns import base_and_unit
-from rcbht_jax.io.importing.names import COUNTERS, column_name, is_axis
-from rcbht_jax.io.importing.record import Record, text
+from rcbht_jax.io.importing.names import COUNTERS, column_name, is_axis, of_any_arm
+from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.words import text
 
 
 def constants_of(table: Table, unused: Iterable[str]) -> dict[str, float]:
@@ -32,12 +33,12 @@ def constants_of(table: Table, unused: Iterable[str]) -> dict[str, float]:
     return found
 
 
-def describe(records: Sequence[Record], constants: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Make constants that all recordings have, and that differ, their columns, as text; returns the names.
+def describe(records: Sequence[Record], constants: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
+    """Make constants that all recordings have, and that differ, their columns, as text; returns the name of each.
 
     >>> records = [Record(name, np.arange(2.0), np.zeros((2, 1)), ("Fz",), ("N",)) for name in "ab"]
     >>> describe(records, {"a": {"peg": 8.0, "mode": 7.0}, "b": {"peg": 10.0, "mode": 7.0}})
-    ['peg']
+    {'peg': 'peg'}
     >>> records[1].columns
     {'peg': '10'}
 
@@ -46,10 +47,11 @@ def describe(records: Sequence[Record], constants: Mapping[str, Mapping[str, flo
         constants: of each recording, by its name.
     """
     given = [constants.get(record.name, {}) for record in records]
-    names = [name for name in given[0] if all(name in one for one in given) and len({one[name] for one in given}) > 1]
+    those = [name for name in given[0] if all(name in one for one in given) and len({one[name] for one in given}) > 1]
+    names = {name: column_name(of_any_arm(name)) for name in those}
     for record, own in zip(records, given, strict=True):
-        for name in names:
-            record.columns.setdefault(column_name(name), text(own[name]))
+        for name, column in names.items():
+            record.columns.setdefault(column, text(own[name]))
     return names
 
 

@@ -16,11 +16,12 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.numerals import two_meanings
-from rcbht_jax.io.importing.record import OUTCOMES, check_columns, is_outcome
-from rcbht_jax.io.importing.record import text as as_text
+from rcbht_jax.io.importing.record import check_columns
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, with_time
+from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, unit_of_times, with_time
 from rcbht_jax.io.importing.topics import filled
+from rcbht_jax.io.importing.words import OUTCOMES, is_outcome
+from rcbht_jax.io.importing.words import text as as_text
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
@@ -89,6 +90,8 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     if not base.time and base.source_rate is None:
         mapping = with_time(table, mapping, free)
         free = [name for name in free if name not in (mapping.time, mapping.nanoseconds)]
+    if mapping.time:
+        mapping = replace(mapping, time_unit=unit_of_times(table, mapping))
     if base.channels:
         return mapping, _table(table, mapping)
     if not base.group:
@@ -145,7 +148,8 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     facts = _facts(table, mapping.group, free)
     numbers: list[str] = []
     for name in free:
-        values, base = table.columns[name], base_and_unit(name)[0]
+        values, plain = table.columns[name], _of_any_arm(table, name)
+        base = base_and_unit(plain)[0]
         short = re.split(r"[./]", base)[-1]
         text = values.dtype.kind == "U"
         stamps = text and ((base in TIMES and are_dates(values)) or is_clock(values))  # that --source-rate replaces
@@ -153,10 +157,10 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
             (base in names.COUNTERS and not text)
             or (short in names.ENDS and _is_flag(values))
             or stamps
-            or not (text or name in facts or (_is_label(name) and _integers(values)))
+            or not (text or name in facts or (_is_label(plain) and _integers(values)))
         ):
             continue
-        target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
+        target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(plain)
         result = short == "success" and _is_flag(values) and _rises(values, groups)
         # An outcome that changes is a mistake, not a track, which would replace it in every recording.
         if short == "outcome" or result or all(_constant(values[rows], short in names.LABELS) for rows in groups):
@@ -171,11 +175,17 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
             tracks.append(Track(target, name))
     if not tracks:  # numbers stand for labels only where no column of text does
         tracks = [
-            Track(names.column_name(name), name)
+            Track(names.column_name(_of_any_arm(table, name)), name)
             for name in numbers
             if len(_distinct(table.columns[name])) <= MAX_LABELS
         ]
     return replace(mapping, columns=columns, annotations=tuple(tracks))
+
+
+def _of_any_arm(table: Table, name: str) -> str:
+    """The name of a column without the place of its arm, unless another column is called so."""
+    plain = names.of_any_arm(name)
+    return name if not plain or plain in table.columns else plain
 
 
 def _facts(table: Table, group: str, free: list[str]) -> set[str]:

@@ -38,14 +38,17 @@ from rcbht_jax.io.importing.label_studio import unfolded
 from rcbht_jax.io.importing.lacks import Lacks
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
+from rcbht_jax.io.importing.matlab import read_matlab
+from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Record, Row, records, text
+from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.ts import read_ts
 from rcbht_jax.io.importing.unpacked import plain_name
+from rcbht_jax.io.importing.words import text
 from rcbht_jax.io.importing.zarr_groups import read_zarr
 from rcbht_jax.types import Recordings
 
@@ -59,7 +62,7 @@ class Imported:
     """Recordings, the mapping that was used, and the report on every file."""
 
     recordings: Recordings
-    mapping: Mapping  # of the first file
+    mapping: Mapping  # of the first file, with the annotations and columns of all
     report: ImportReport
 
 
@@ -117,16 +120,14 @@ def read_source(
     _warn_of_sources(found, used, report)
     described = describe(found, constants)
     recordings = assemble(found, source, base.rate, report)
-    first, rows = used[found[0].name]
+    constant = Mapping(columns={own: Value(name) for name, own in described.items()})
+    of_constants = [Understood(name, f"column {own}") for name, own in described.items()]
+    first, rows = merged([*(used[record.name] for record in found), (constant, of_constants)])
     if any(PLACE in channel.column for channel in first.channels):
         first = replace(first, arms=base.arms or tuple(dict.fromkeys(str(one.columns["arm"]) for one in found)))
     if words and "outcome" in first.columns:
         first = replace(first, columns={**first.columns, "outcome": replace(first.columns["outcome"], words=words)})
-    first = replace(first, columns={**first.columns, **{column_name(name): Value(name) for name in described}})
-    taken = {row.column: row for _, others in used.values() for row in others if row.role != "left out"}
-    taken |= {name: Understood(name, f"column {column_name(name)}") for name in described}
-    # a column may be empty in the first file, and state something in others
-    report.understood = [asdict(taken.get(row.column, row) if row.role == "left out" else row) for row in rows]
+    report.understood = [asdict(row) for row in rows]
     report.content_sha256 = _digest(source, [*items, *(Item(name, source / name, "json") for name in beside.files)])
     return Imported(recordings, first, report)
 
@@ -171,7 +172,7 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
         return read_bag_tables(item.path, item.name or spelled(item.path.name), mapping.topic)
     readers = {
         "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
-        "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
+        "matlab": read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
         "jsonl": read_json_lines, "json": read_json_document, "zarr": read_zarr,
     }  # fmt: skip
     return readers[item.kind](item.path, item.name or (spelled(item.path.name) if item.kind == "zarr" else ""))
@@ -201,16 +202,16 @@ def _exported(source: Path, item: Item, others: list[str]) -> Imported:
 
 def _read(
     source: Path, items: list[Item], base: Mapping, beside: Sidecars, report: ImportReport, progress: Progress
-) -> tuple[list[tuple[Record, Item]], dict[str, tuple[Mapping, list[Understood]]], list[Table], Constants]:
+) -> tuple[list[tuple[Record, Item]], dict[str, Meaning], list[Table], Constants]:
     """The recordings of all files and where each is from, the mapping of each, tables of intervals, and constants."""
     found: list[tuple[Record, Item]] = []
-    used: dict[str, tuple[Mapping, list[Understood]]] = {}
+    used: dict[str, Meaning] = {}
     marked = list(beside.tables)
     constants: Constants = {}
     listed: Table | None = None
     if not base.table and source.is_dir():
         base, listed = listing.with_table(source, base, items, report.remarks)
-    tables = {plain_name(one) for one in (base.table, *(track.file for track in base.annotations)) if one}
+    tables = set(map(plain_name, marks.described_by(base, items)))
     files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
     rows = listing.rows_of(source, base, files, report.warnings, listed)
     lacks = Lacks(base)
@@ -246,9 +247,7 @@ def _read(
     return found, used, marked, constants
 
 
-def _properties(
-    read: list[tuple[Record, Item]], used: dict[str, tuple[Mapping, list[Understood]]]
-) -> list[tuple[Record, Item]]:
+def _properties(read: list[tuple[Record, Item]], used: dict[str, Meaning]) -> list[tuple[Record, Item]]:
     """The recordings without guessed axes that are one number in each: these describe them, also in ``used``."""
     alike: dict[tuple[str, ...], list[int]] = {}
     for place, (record, _) in enumerate(read):
@@ -263,7 +262,7 @@ def _properties(
     return read
 
 
-def _described_by(mapping: Mapping, rows: list[Understood], names: list[str]) -> tuple[Mapping, list[Understood]]:
+def _described_by(mapping: Mapping, rows: list[Understood], names: list[str]) -> Meaning:
     """The meaning of columns where some channels became columns of the store."""
     owns = {one.column: one.name or one.column for one in mapping.channels if (one.name or one.column) in names}
     columns = {column_name(name): Value(column) for column, name in owns.items()}
@@ -275,9 +274,9 @@ def _described_by(mapping: Mapping, rows: list[Understood], names: list[str]) ->
 
 def _understood(
     table: Table, base: Mapping, rows: dict[str, Row], report: ImportReport
-) -> Iterator[tuple[Record, tuple[Mapping, list[Understood]]]]:
+) -> Iterator[tuple[Record, Meaning]]:
     """The recordings of a table, and the meaning of its columns."""
-    mapping, understood = guess(table, base)
+    mapping, _ = meaning = guess(table, base)
     more = "" if base.channels else more_wrenches(table, mapping)
     left = f"Arrays of another shape or kind were left out: {some(table.others)}." if table.others else ""
     lines = f"Lines that are no samples were left out: {some(table.lines)}." if table.lines else ""
@@ -295,7 +294,7 @@ def _understood(
         if "changes:outcome" in record.notes:
             report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
         report.warnings += [(record.name, doubt) for doubt in record.doubts]
-        yield record, (mapping, understood)
+        yield record, meaning
 
 
 def _judge(found: list[Record], base: Mapping) -> dict[str, str]:
@@ -309,9 +308,7 @@ def _judge(found: list[Record], base: Mapping) -> dict[str, str]:
     return words
 
 
-def _warn_of_sources(
-    found: list[Record], used: dict[str, tuple[Mapping, list[Understood]]], report: ImportReport
-) -> None:
+def _warn_of_sources(found: list[Record], used: dict[str, Meaning], report: ImportReport) -> None:
     """Warn of recordings whose axes have other columns than those of most: they may be of another sensor."""
     sources = {record.name: tuple(channel.column for channel in used[record.name][0].channels) for record in found}
     [(common, _)] = Counter(sources.values()).most_common(1)

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import split_unit, unit_of_time
+from rcbht_jax._util.columns import unit_of_time
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, parse_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.arrays import reading
+from rcbht_jax.io.importing.attributes import stated_units, units_of
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.json_lines import Rows
 from rcbht_jax.io.importing.mapping import Track
@@ -119,14 +120,12 @@ def _with_shared(one: Any, around: Object) -> Any:
 
 def _with_units(table: Table) -> Table:
     """The table with the units that an object ``units`` states for the names of columns, which are no facts."""
-    stated = {key: key.split(".") for key in table.facts if "." in key}
-    of_units = {key: words[-1] for key, words in stated.items() if words[-2].lower() in ("unit", "units")}
-    units = {
-        column: unit
-        for key, name in of_units.items()
-        for column in table.columns
-        if column.rpartition(".")[2] == name and (unit := split_unit(f"x [{table.facts[key]}]")[1])
-    }
+    words = {key: key.split(".") for key in table.facts if "." in key}
+    of_units = {key: own[-1] for key, own in words.items() if own[-2].lower() in ("unit", "units")}
+    stated = {name: texts for key, name in of_units.items() if (texts := stated_units({"units": table.facts[key]}))}
+    short = {column: column.rpartition(".")[2] for column in table.columns}
+    known = units_of(short.values(), stated)
+    units = {column: known[name] for column, name in short.items() if name in known}
     facts = {key: fact for key, fact in table.facts.items() if key not in of_units}
     return replace(table, facts=facts, units={**units, **table.units})
 

@@ -17,10 +17,11 @@ from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Value
 from rcbht_jax.io.importing.marks import Names, ambiguous, beside, is_intervals, plain_number
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import OUTCOMES, Record, Row, is_outcome, text
+from rcbht_jax.io.importing.record import Record, Row
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.unpacked import opened
+from rcbht_jax.io.importing.words import OUTCOMES, is_outcome, text
 from rcbht_jax.types import STANDARD_COLUMNS
 
 HEAD = 4096  # bytes of a table in which a recording is named, if it lists them

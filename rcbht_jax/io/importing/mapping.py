@@ -76,7 +76,7 @@ class Mapping:
 
     channels: tuple[Channel, ...] = ()  # none = those that are guessed
     time: str = ""  # column; "" = none
-    time_unit: str = "s"  # s, ms, us, ns, min, h, d
+    time_unit: str = ""  # s, ms, us, ns, min, h, d; "" = that of the column, else s
     nanoseconds: str = ""  # column to add to the seconds of time
     source_rate: float | None = None  # samples per second where there is no time
     topic: str = ""  # of a bag; "" = every topic of wrenches
@@ -267,7 +267,7 @@ def check(mapping: Mapping) -> Mapping:
     if len(set(mapping.axes)) < len(mapping.axes) or "" in mapping.axes:
         names = ", ".join(map(repr, mapping.axes))
         raise InputError(f"two channels have one name, or one has none: {names}; give each its own.")
-    if mapping.time_unit not in SECONDS:
+    if mapping.time_unit not in ("", *SECONDS):
         raise InputError(f"the unit of time is {mapping.time_unit!r}; expected one of {', '.join(SECONDS)}.")
     for rate in (mapping.rate, mapping.source_rate):
         if rate is not None:

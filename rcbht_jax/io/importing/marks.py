@@ -18,11 +18,12 @@ from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Track
 from rcbht_jax.io.importing.names import LABELS, wrenches
-from rcbht_jax.io.importing.record import text, without_arm
+from rcbht_jax.io.importing.record import without_arm
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.timing import unit_by_size
 from rcbht_jax.io.importing.unpacked import plain_name
+from rcbht_jax.io.importing.words import of_numbers, text
 
 Marks = dict[int | None, list[Interval]]  # of one file, by recording; None = of any
 _NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
@@ -119,6 +120,7 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     fields = _fields(table.columns)
     columns = {kind: table.columns[name] for kind, (name, _) in fields.items()}
     count = len(columns["label"])
+    track = track if columns["label"].dtype.kind == "U" else of_numbers(track)
     texts = columns["start"].dtype.kind == "U"
     unit = 1.0  # s, of the start
     for key in (key for key in ("start", "end", "duration") if key in columns):
@@ -283,6 +285,7 @@ def track_intervals(
     try:
         times = [0.0, *map(float, ends)]
         labels = [text(float(one)) if not one.isalpha() else one for one in ids]
+        track = of_numbers(track)
     except ValueError:
         raise InputError(f"{beside(source, file, track.ends)} holds a line that is not a number.") from None
     words = [track.words.get(label, label) for label in labels]

@@ -43,6 +43,7 @@ _QUALIFIERS = (
     "history|calibrated|tared|est|estimated|left|right|l|r"
 )
 _WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*(?!\{arm\})[\[({]\s*([^\W\d][^\])}]*)[\])}]$")
+_ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
 _LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
@@ -207,6 +208,16 @@ def group_base(name: str) -> str:
     ('trial', 'sample')
     """
     return re.sub(r"[ _.]?(id|nr|no|num|number|index|idx)$", "", base_and_unit(name)[0])
+
+
+def of_any_arm(name: str) -> str:
+    """The name of a column without the place of its arm.
+
+    >>> [of_any_arm(name) for name in ("{arm}_phase", "robot/{arm}/phase", "phase ({arm})", "phase")]
+    ['phase', 'robot/phase', 'phase', 'phase']
+    """
+    bare = _ARM.sub("", name)
+    return name if bare == name else bare.strip(" ._-/([{")
 
 
 def column_name(text: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from collections.abc import Mapping as AnyMapping
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
@@ -23,13 +23,12 @@ from rcbht_jax.io.importing.given import Given
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.table import Interval, Table
+from rcbht_jax.io.importing.timing import unit_of_times
+from rcbht_jax.io.importing.words import OUTCOMES, is_outcome, of_numbers, text, words_of_numbers
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_GROUPS = 100_000
-OUTCOMES = dict.fromkeys(("success", "1", "true", "ok", "pass", "passed", "io", "i.o."), "success") | dict.fromkeys(
-    ("failure", "0", "false", "nok", "ng", "fail", "failed", "nio", "n.i.o."), "failure"
-)
 Row = AnyMapping[str, str]  # of the table of recordings
 
 
@@ -73,8 +72,8 @@ class Record:
 
     @property
     def period(self) -> float:
-        """Mean time between two samples, s."""
-        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+        """Time between two samples, s; gaps do not count."""
+        return conform.clock(self.time).period
 
     @property
     def end(self) -> float:
@@ -154,7 +153,7 @@ def _given(table: Table, mapping: Mapping, parts: dict[str, NDArray[Any]]) -> Gi
         whole = len(known) > 1 and all((np.diff(part) == 1).all() for part in parts.values())
     if not whole:
         return Given(table.intervals, shared=True)
-    period = float(np.ptp(known)) / (len(known) - 1)
+    period = float(np.median(np.abs(np.diff(known))))  # gaps do not count
     origin = _on_clock(table, mapping, rows, float(known.min()))
     return Given(table.intervals, (origin, float(np.ptp(known)) + period, period))
 
@@ -183,25 +182,6 @@ def without_arm(part: str, arm: str) -> str:
     ('demo_0', '')
     """
     return "#".join(word for word in part.split("#") if word != arm)
-
-
-def text(value: Any) -> str:
-    """A value as text: whole numbers without a point, NaN as ""."""
-    if isinstance(value, str):
-        return str(value)
-    number = float(value)
-    if np.isnan(number):
-        return ""
-    return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
-
-
-def is_outcome(name: str, values: Iterable[Any]) -> bool:
-    """Whether a column of that name and with these values states the outcome.
-
-    >>> is_outcome("success", [1.0, 0.0]), is_outcome("success", ["partly"])
-    (True, False)
-    """
-    return name in ("success", "outcome") and {text(value).lower() for value in values} <= set(OUTCOMES)
 
 
 def check_columns(table: Table, mapping: Mapping) -> None:
@@ -307,7 +287,7 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
             raise InputError(
                 f"column {mapping.time!r} holds {no_time(column.tolist())!r}, which is not a time."
             ) from None
-    scaled: NDArray[np.float64] = column * SECONDS[mapping.time_unit]
+    scaled: NDArray[np.float64] = column * SECONDS[unit_of_times(table, mapping)]
     return scaled + table.columns[mapping.nanoseconds][rows] * 1e-9 if mapping.nanoseconds else scaled
 
 
@@ -324,6 +304,7 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
     """A column's value for a recording, empty cells aside; None = it changes within it."""
     if source.value:
         return source.value
+    words = source.words
     if source.folder:
         folders = PurePosixPath(table.file).parent.parts
         place = source.folder - (source.folder > 0)
@@ -332,6 +313,7 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
         found = row.get(source.table, "")
     elif source.column in table.columns:
         column = table.columns[source.column][rows]
+        words = words if column.dtype.kind == "U" else words_of_numbers(words)
         if source.last:
             column = column[topics.filled(column)][-1:]
         values = {text(value) for value in np.unique(column)} - {""}
@@ -339,21 +321,23 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
             return None
         found = values.pop() if values else ""
     else:
-        found = text(table.facts.get(source.column, ""))
-    return source.words.get(found, source.words.get(found.lower(), found))
+        fact = table.facts.get(source.column, "")
+        found, words = text(fact), words if isinstance(fact, str) else words_of_numbers(words)
+    return words.get(found, words.get(found.lower(), found))
 
 
 def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> list[Interval]:
     """An interval for every stretch of one value, to the beginning of the next; empty values mark nothing.
 
+    The end of the last is infinite: that of the recording.
+
     >>> stretches(Track("phase", "p"), np.arange(4) * 0.5, np.array(["a", "a", "", "b"]))
-    [('phase', 'a', 0.0, 1.0), ('phase', 'b', 1.5, 2.0)]
+    [('phase', 'a', 0.0, 1.0), ('phase', 'b', 1.5, inf)]
     """
     if column.dtype.kind != "U":
-        column = np.array([text(value) for value in column], np.str_)
+        column, track = np.array([text(value) for value in column], np.str_), of_numbers(track)
     begin = np.concatenate([[0], np.flatnonzero(column[1:] != column[:-1]) + 1])
-    last = time[-1] + (time[-1] - time[0]) / max(len(time) - 1, 1)
-    end = np.append(time[begin[1:]], last)
+    end = np.append(time[begin[1:]], np.inf)
     found = []
     for start, stop, value in zip(time[begin].tolist(), end.tolist(), column[begin].tolist(), strict=True):
         label = track.words.get(value, value)
@@ -363,10 +347,9 @@ def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> 
 
 
 def _of_messages(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> list[Interval]:
-    """As :func:`stretches`, for values that hold until the next message, and the last one to the end."""
+    """As :func:`stretches`, for values that hold until the next message."""
     begin = max(int(np.searchsorted(time, 0.0, "right")) - 1, 0)
-    found = stretches(track, np.maximum(time[begin:], 0.0), column[begin:]) if len(time) else []
-    return [*found[:-1], (*found[-1][:3], np.inf)] if found else []
+    return stretches(track, np.maximum(time[begin:], 0.0), column[begin:]) if len(time) else []
 
 
 def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax._util.printable import plural
-from rcbht_jax.io.importing.record import Record, text
+from rcbht_jax.io.importing.record import Record
+from rcbht_jax.io.importing.words import text
 from rcbht_jax.labels import AXES
 
 
@@ -23,7 +24,7 @@ class ImportReport:
     duplicates: list[tuple[str, str]] = field(default_factory=list)  # name of the copy, what it copies
     warnings: list[tuple[str, str]] = field(default_factory=list)  # name, irregularity
     remarks: list[str] = field(default_factory=list)  # about all recordings
-    understood: list[dict[str, str]] = field(default_factory=list)  # column, role, unit: of the first file
+    understood: list[dict[str, str]] = field(default_factory=list)  # column, role, unit: of all files
     content_sha256: str = ""  # of every file read
 
     @property

@@ -127,7 +127,8 @@ def _cubes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
     if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
         cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
-    return {key: np.moveaxis(cube, 2, 0) if _ends_in_recordings(cube, arrays) else cube for key, cube in cubes.items()}
+    turned = {cube.shape[::2] for key, cube in cubes.items() if _ends_in_recordings(key, cube, arrays)}
+    return {key: np.moveaxis(cube, 2, 0) if cube.shape[::2] in turned else cube for key, cube in cubes.items()}
 
 
 def _recordings(
@@ -243,10 +244,19 @@ def _is_signal(arrays: Mapping[str, NDArray[Any]], rows: int) -> bool:
     return bool(wrenches(titles)) or any(map(unit_of_time, titles))
 
 
-def _ends_in_recordings(cube: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
-    """Whether an array is ``[row, element, recording]``, as facts that are as many as its last dimension show."""
-    counts = {len(array) for key, array in arrays.items() if array.ndim == 1 and not unit_of_time(key)}
-    return cube.shape[2] in counts and cube.shape[0] not in counts
+def _ends_in_recordings(key: str, cube: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether an array is ``[row, element, recording]``: facts are as many as its last dimension, or nothing else has
+    its rows, and a time or the elements of a wrench show them."""
+    rows, elements, last = cube.shape
+    flat = {name: array for name, array in arrays.items() if array.ndim in (1, 2)}
+    counts = {len(array) for name, array in flat.items() if array.ndim == 1 and not unit_of_time(name)}
+    if last in counts and rows not in counts:
+        return True
+    if any(rows in array.shape for name, array in flat.items() if not unit_of_time(name)):
+        return False
+    timed = {len(array) for name, array in flat.items() if unit_of_time(name)}
+    forces, others = (bool(wrenches(f"{key}_{number}" for number in range(count))) for count in (elements, last))
+    return elements not in timed and (forces > others or (rows in timed and (forces or elements != last)))
 
 
 def _usable(array: NDArray[Any]) -> bool:

@@ -22,11 +22,11 @@ from rcbht_jax.io.importing.between import Between, Line
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
 from rcbht_jax.io.importing.numerals import Numerals, shows_commas, shows_points, two_meanings
 from rcbht_jax.io.importing.preamble import stated
-from rcbht_jax.io.importing.record import text
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, check_one_time
 from rcbht_jax.io.importing.titles import Titles, read_titles
 from rcbht_jax.io.importing.unpacked import opened
+from rcbht_jax.io.importing.words import text
 
 CHUNK = 20_000  # rows that are Python objects at a time
 PROBES = 100  # rows that show how numbers are written

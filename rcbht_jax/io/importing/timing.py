@@ -97,6 +97,17 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     return mapping
 
 
+def unit_of_times(table: Table, mapping: Mapping) -> str:
+    """The unit of the times of a mapping: its own, else that of the file or of the name of the column, else s.
+
+    >>> table = Table("a.csv", {"t_ms": np.arange(2.0)})
+    >>> unit_of_times(table, Mapping(time="t_ms")), unit_of_times(table, Mapping(time="t_ms", time_unit="us"))
+    ('ms', 'us')
+    """
+    stated = mapping.time_unit or table.units.get(mapping.time) or base_and_unit(mapping.time)[1]
+    return stated if stated in SECONDS else "s"
+
+
 def _is_joint(table: Table, name: str) -> bool:
     """Whether several columns were joined to this time, perhaps to one that does not exist."""
     values = table.columns[name]

@@ -181,3 +181,33 @@ def test_a_hostile_object_is_no_description(tmp_path: Path) -> None:
     imported = read_source(tmp_path)
     assert not imported.recordings.columns
     assert imported.report.remarks[0].startswith("3 other files were not read")
+
+
+@pytest.mark.parametrize(
+    ("names", "tracks"),
+    [(["L_phase", "R_phase"], {"phase"}), (["phase_left", "phase_right"], {"phase"}),
+     (["left/gripper/state", "right/gripper/state"], {"gripper_state"}),
+     (["left_phase", "right_phase", "phase"], {"arm__phase", "phase"})],
+)  # fmt: skip
+def test_a_track_of_each_arm_has_a_name_without_the_arm(names: list[str], tracks: set[str], tmp_path: Path) -> None:
+    sides = ("L", "R") if names[0].startswith("L_") else ("left", "right")
+    heads = ["t", *(f"{side}_F{axis}" for side in sides for axis in "xyz"), *names]
+    values = np.random.default_rng(0).normal(size=(60, 6)).round(3).tolist()
+    words = [["free" if k < 20 + 10 * place else "push" for place in range(len(names))] for k in range(60)]
+    rows = [[k / 100, *row, *own] for k, (row, own) in enumerate(zip(values, words, strict=True))]
+    (tmp_path / "run.csv").write_text("\n".join(",".join(map(str, row)) for row in [heads, *rows]))
+    recordings = read_source(tmp_path).recordings
+    assert set(recordings.annotations.tracks) == tracks
+    marks = recordings.annotations.of(min(tracks))
+    assert marks.start.round(3).tolist() == [0.0, 0.2, 0.0, 0.3]
+
+
+def test_what_describes_each_arm_has_a_name_without_the_arm(tmp_path: Path) -> None:
+    heads = ["t", *(f"{side}_F{axis}" for side in ("left", "right") for axis in "xyz"), "left_tool", "right_tool"]
+    for number in range(2):
+        values = np.random.default_rng(number).normal(size=(60, 6)).round(3).tolist()
+        rows = [[k / 100, *row, number + 1, number + 3] for k, row in enumerate(values)]
+        (tmp_path / f"{number}.csv").write_text("\n".join(",".join(map(str, row)) for row in [heads, *rows]))
+    imported = read_source(tmp_path)
+    assert imported.recordings.columns["tool"].tolist() == ["1", "3", "2", "4"]
+    assert imported.mapping.columns["tool"].column == "{arm}_tool"

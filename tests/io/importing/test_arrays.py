@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.io
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import hdf5_tables
 from rcbht_jax.io.importing.importer import read_source
 from tests.io.importing.test_readers import AXES, DT, TIME, WRENCH, N, same
@@ -37,6 +39,30 @@ def test_npy_of_time_and_axes_and_of_recordings_whose_rows_are_axes(tmp_path: Pa
     np.savez(tmp_path / "cube.npz", X=cube, y=[0, 1, 0, 1], dt=DT)
     recordings = read_source(tmp_path / "cube.npz").recordings
     np.testing.assert_allclose(recordings.wrench, cube.swapaxes(1, 2), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("beside", "shape", "count"),
+    [({"time": np.arange(200) * DT}, (200, 6, 10), 10), ({"time": np.arange(200) * DT}, (200, 6, 6), 6),
+     ({"rate": 200.0}, (200, 6, 10), 10), ({"rate": 200.0}, (10, 200, 6), 10), ({"rate": 200.0}, (7, 6, 6), 7),
+     ({"time": np.arange(6) * DT}, (20, 6, 10), 20), ({"rate": 200.0, "outcome": np.arange(20)}, (20, 6, 10), 20)],
+)  # fmt: skip
+@pytest.mark.parametrize("kind", ["npz", "mat"])
+def test_recordings_may_be_the_last_dimension_of_a_wrench(
+    beside: dict[str, Any], shape: tuple[int, ...], count: int, kind: str, tmp_path: Path
+) -> None:
+    wrench = np.random.default_rng(0).normal(size=shape)
+    arrays = {"wrench": wrench, "torque": wrench, **beside}
+    np.savez(tmp_path / "run.npz", **arrays) if kind == "npz" else scipy.io.savemat(tmp_path / "run.mat", arrays)
+    recordings = read_source(tmp_path).recordings
+    whole = wrench if count == shape[0] else np.moveaxis(wrench, 2, 0)
+    np.testing.assert_allclose(recordings.wrench[..., :6], whole[..., :6], rtol=1e-6)
+
+
+def test_matrices_beside_a_time_make_no_recordings(tmp_path: Path) -> None:
+    np.savez(tmp_path / "run.npz", time=np.arange(200) * DT, pose=np.random.default_rng(0).normal(size=(200, 4, 4)))
+    with pytest.raises(InputError, match="no column of numbers"):
+        read_source(tmp_path)
 
 
 def test_hdf5_tables_of_pandas_and_of_records_keep_the_names_of_columns(tmp_path: Path) -> None:
@@ -154,3 +180,16 @@ def test_hdf5_groups_of_many_recordings_are_read_in_linear_time(tmp_path: Path) 
         spent.append(time.process_time() - start)
         assert [table.columns["obs/pose_2"].shape for table in tables] == [(9,)] * count
     assert spent[1] < 16 * spent[0]  # of 8
+
+
+@pytest.mark.parametrize("segments", [1, 2, 3])
+def test_hdf5_groups_of_segments_are_no_recordings(segments: int, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["time"], file["wrench"] = TIME, WRENCH
+        for number in range(segments):
+            for key, value in {"start": number / 10, "end": number / 10 + 0.05, "label": "abc"[number]}.items():
+                file[f"segments/{number}/{key}"] = value
+    recordings = read_source(tmp_path).recordings
+    assert len(recordings) == 1
+    assert recordings.annotations.names().tolist() == list("abc")[:segments]

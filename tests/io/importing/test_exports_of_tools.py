@@ -13,7 +13,7 @@ import pytest
 from scipy.io import savemat
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import arrays
+from rcbht_jax.io.importing import matlab
 from rcbht_jax.io.importing.importer import read_source
 
 N = 40
@@ -190,7 +190,7 @@ def test_objects_of_matlab_beside_arrays_are_named(version: str, tmp_path: Path)
 def test_objects_of_matlab_as_newer_versions_of_scipy_show_them() -> None:
     fields = [("_TypeSystem", object), ("_Class", object), ("_ObjectMetadata", object)]  # from scipy 1.18 on
     found: dict[str, Any] = {}
-    arrays._flatten("ft", np.array([("MCOS", "timetable", np.zeros((6, 1), np.uint32))], fields), found)
+    matlab._flatten("ft", np.array([("MCOS", "timetable", np.zeros((6, 1), np.uint32))], fields), found)
     assert list(found) == ["ft (timetable)"]
     assert found["ft (timetable)"].dtype == object
 

@@ -139,3 +139,18 @@ def test_a_file_of_annotations_of_all_recordings_is_read_once(tmp_path: Path, mo
     assert paths == [tmp_path / "marks.csv"] * 2
     assert found.starts("phase")[:, 0].tolist() == [number / 100 for number in range(5)]
     assert found.annotations.labels == {"phase": ("push",), "other": ("pull",)}
+
+
+@pytest.mark.parametrize("pattern", ["{stem}_contacts.csv", "{folder}/contacts.csv"])
+def test_a_file_of_annotations_that_a_pattern_names_is_read_once_and_without_warning(
+    pattern: str, tmp_path: Path
+) -> None:
+    for number, trial in enumerate(("t1", "t2")):
+        folder = tmp_path / trial
+        folder.mkdir()
+        rows = [f"{k / 100},{(k + number) % 7}" for k in range(100)]
+        (folder / "run.csv").write_text("\n".join(["t,Fz", *rows]))
+        (folder / pattern.rpartition("/")[2].replace("{stem}", "run")).write_text("label,start,end\nhit,0.1,0.2\n")
+    imported = read_source(tmp_path, mapping=Mapping(annotations=(Track("contact", file=pattern),)))
+    assert imported.recordings.annotations.names().tolist() == ["hit", "hit"]
+    assert imported.report.warnings == imported.report.skipped == []

@@ -129,3 +129,25 @@ def test_times_of_day_after_midnight_are_of_the_next_day(
     imported = read_source(tmp_path, mapping=Mapping(annotations=tracks, files=("a.csv",) if clock else ()))
     assert [row[2:] for row in found(imported)] == expected
     assert ["fit its clock" in text for _, text in imported.report.warnings] == [True] * (not clock and len(spans) == 1)
+
+
+@pytest.mark.parametrize("gap", [0.0, 300.0])
+def test_a_gap_does_not_lengthen_the_last_sample(gap: float, tmp_path: Path) -> None:
+    time = np.arange(400) * 0.005
+    time[200:] += gap
+    write(tmp_path / "a.csv", time, phase=["free"] * 200 + ["push"] * 200)
+    labels(tmp_path, [("late", time[-1] + 0.2, time[-1] + 0.3)])
+    imported = read_source(tmp_path)
+    end = round(2 + gap, 3)
+    assert [row[1:] for row in found(imported)] == [("free", 0.0, 1 + gap), ("push", 1 + gap, end)]
+    assert end == round(imported.recordings.length[0] * imported.recordings.dt, 3)
+    [(_, text)] = imported.report.warnings
+    assert f"is after the end ({end:.6g} s); left out" in text
+
+
+def test_annotations_that_overlap_by_less_than_a_gap_are_remarked(tmp_path: Path) -> None:
+    time = np.arange(400) * 0.005
+    time[200:] += 300
+    write(tmp_path / "a.csv", time)
+    labels(tmp_path, [("free", 0.1, 0.5), ("push", 0.4, 0.6)])
+    assert any("Annotations label overlap in 1 recording" in remark for remark in read_source(tmp_path).report.remarks)

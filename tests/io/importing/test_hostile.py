@@ -276,14 +276,15 @@ import os, resource, signal, sys, time
 from pathlib import Path
 import jax, pyarrow.parquet, scipy.io, scipy.signal
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import arrays, columnar
+from rcbht_jax.io.importing import arrays, columnar, matlab
 from rcbht_jax.io.export import DataSet, export
 from rcbht_jax.io.importing.importer import read_source
 import rcbht_jax.io.importing.bags
 try: import h5py
 except ImportError: pass
 
-arrays.isolated = columnar.isolated = lambda decode, path, name, *libraries: decode(path, name)  # in this process
+for module in (arrays, columnar, matlab):  # in this process
+    module.isolated = lambda decode, path, name, *libraries: decode(path, name)
 
 def peak():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

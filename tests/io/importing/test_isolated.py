@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util import untrusted
 from rcbht_jax._util.optional import MissingPackage
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import arrays, columnar
+from rcbht_jax.io.importing import arrays, columnar, matlab
 from rcbht_jax.io.importing.isolated import Decode, _decoder, isolated
 from rcbht_jax.io.importing.table import Table
 
@@ -133,7 +133,7 @@ def hdf5(path: Path, columns: dict[str, NDArray[np.float64]]) -> None:
             file[key] = values
 
 
-READERS = {"parquet": (columnar, parquet), "hdf5": (arrays, hdf5), "matlab": (arrays, scipy.io.savemat)}
+READERS = {"parquet": (columnar, parquet), "hdf5": (arrays, hdf5), "matlab": (matlab, scipy.io.savemat)}
 
 
 @pytest.mark.parametrize("kind", READERS)

@@ -163,3 +163,21 @@ def test_a_folder_of_documents_alone(tmp_path: Path) -> None:
         (tmp_path / f"run{number}.json").write_text(json.dumps(lists(number)))
     for kind in ("auto", "json"):
         assert read_source(tmp_path, kind).recordings.trial.tolist() == ["run0", "run1", "run2"]
+
+
+@pytest.mark.parametrize(
+    ("units", "expected"),
+    [({"force": "N", "torque": "Nm"}, ("N", "N", "N", "Nm", "Nm", "Nm")),
+     ({"force": "N,N,kN", "torque": ""}, ("N", "N", "kN", "", "", ""))],
+)  # fmt: skip
+@pytest.mark.parametrize("within", [False, True])
+def test_units_of_lists_of_rows_are_those_of_their_columns(
+    units: dict[str, str], expected: tuple[str, ...], within: bool, tmp_path: Path
+) -> None:
+    values = np.random.default_rng(0).normal(size=(60, 6)).round(3)
+    signals = {"force": values[:, :3].tolist(), "torque": values[:, 3:].tolist()}
+    content = {"t": (np.arange(60) / 100).tolist(), **({"ft": signals} if within else signals), "units": units}
+    (tmp_path / "run.json").write_text(json.dumps(content))
+    recordings = read_source(tmp_path, "json").recordings
+    assert recordings.units == expected
+    assert not recordings.columns

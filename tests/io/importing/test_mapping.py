@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import hypothesis.strategies as st
@@ -12,9 +13,11 @@ from hypothesis import given
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.guess import guess
+from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value, check, read_mapping, write_mapping
 from rcbht_jax.io.importing.record import records
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.words import of_numbers
 
 TEXT = st.text(max_size=12)
 NAME = st.text(min_size=1, max_size=12)
@@ -135,3 +138,28 @@ def test_rows_without_a_group_are_reported() -> None:
     columns = {"t": np.arange(9.0), "Fz": np.ones(9), "run": np.array([""] * 3 + ["a"] * 6)}
     reason, record = records(Table("a", columns), Mapping((Channel("Fz"),), time="t", group="run"))
     assert (reason[1], record.name) == ("rows without a value in run belong to no recording.", "a#a")
+
+
+@pytest.mark.parametrize(("one", "two"), [("1.0", "2.0"), ("01", "02"), ("1", "2")])
+@pytest.mark.parametrize("source", ["column", "ids"])
+def test_words_of_numbers_may_be_as_the_file_has_them(one: str, two: str, source: str, tmp_path: Path) -> None:
+    rows = [f"{k / 100},{k % 7},{one if k < 20 else two},{two}" for k in range(60)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,Fz,step,class", *rows]))
+    (tmp_path / "a.ends").write_text("0.2\n0.6\n")
+    (tmp_path / "a.ids").write_text(f"{one}\n{two}\n")
+    places = {"column": "step"} if source == "column" else {"ends": "{stem}.ends", "ids": "{stem}.ids"}
+    words = {one: "reach", two: "push"}
+    track = Track("phase", **places, words=words)
+    mapping = Mapping(
+        (Channel("Fz"),), time="t", annotations=(track,), columns={"outcome": Value("class", words={two: "failure"})}
+    )
+    recordings = read_source(tmp_path, mapping=mapping).recordings
+    assert recordings.annotations.names().tolist() == ["reach", "push"]
+    assert recordings.outcome.tolist() == ["failure"]
+    ignoring = replace(mapping, annotations=(replace(track, words={}, ignore=(one,)),))
+    assert read_source(tmp_path, mapping=ignoring).recordings.annotations.names().tolist() == ["2"]
+
+
+def test_a_word_that_is_no_finite_number_stays() -> None:
+    track = of_numbers(Track("phase", "p", words={"nan": "free", "1e2": "reach"}))
+    assert track.words == {"nan": "free", "1e2": "reach", "100": "reach"}

@@ -287,6 +287,7 @@ def test_bags_are_recorded_with_units_and_words(tmp_path: Path, storage: str) ->
         assert imported.recordings.units == ("N",) * 3 + ("Nm",) * 3
         assert imported.recordings.annotations.names().tolist() == ["free", "push"]
         np.testing.assert_allclose(imported.recordings.annotations.start, [0, 0.2], atol=1e-6)
+        np.testing.assert_allclose(imported.recordings.annotations.end, [0.2, N * DT], atol=1e-6)
     inside = tmp_path / "folder"
     inside.mkdir()
     path.rename(inside / path.name)
