@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import columns_for
+from rcbht_jax._util.signals import check_names, columns_for
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_before
 from rcbht_jax.introspection.alarms import conformal_p
 from rcbht_jax.introspection.nominal_file import MonitorFile
@@ -81,8 +81,9 @@ class NominalWatch:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: other axes, or values that are not finite.
+            InputError: other axes or another order, or values that are not finite.
         """
+        check_names(samples, self.axes)
         scores = self._stream.push(samples)
         count = len(scores)
         last = (self._received + count) * self.dt if time is None else time

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,16 +13,38 @@ from hypothesis import strategies as st
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, SubtaskStarted, TrialStarted
 from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.nominal import NominalMonitor
+from rcbht_jax.introspection.nominal_file import MonitorFile
+from rcbht_jax.introspection.nominal_watch import NominalWatch
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
+from rcbht_jax.introspection.segmenter_file import SegmenterFile
+from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample
+from rcbht_jax.labels import AXES, UNITS
+from rcbht_jax.types import Recordings
 from tests.io.test_stream_sources import samples_of
 from tests.support.introspection_models import FIT, FIT_LIMITS, model, trial
 
 WRENCH = np.concatenate([trial(2, 4, 200), trial(1, 5, 150)])
 WRENCH[80:200, 2] += 8
+NOMINAL = np.stack([trial(2, seed, 350) for seed in range(30)])
+
+
+def segmenter_at(rate: float) -> SegmenterStream:
+    data = Recordings.from_arrays(NOMINAL[:4], rate)
+    fitted = WrenchSegmenter(trees=5, words=False).fit(data, [np.arange(350) // 200] * 4)
+    return SegmenterStream(SegmenterFile.of(fitted, "phase", ("before", "after")))
+
+
+def watch_at(rate: float) -> NominalWatch:
+    monitor = NominalMonitor(rate=rate, memory=0.1).fit(NOMINAL)
+    return NominalWatch(MonitorFile(monitor, AXES, UNITS), 0.1)
+
+
 STREAM = Together(
     Together(Introspector(model()), WordIntrospector(FIT, FIT_LIMITS)),
     readers=[SnapDetector(200.0, ["Fz", "My"], least=3.0)],
@@ -85,6 +108,14 @@ def test_an_alarm_that_a_gap_or_a_trial_ends_is_cleared():
         assert alarms[1].probability > 0.5
 
 
+def streams() -> list[Introspector | WordIntrospector | SnapDetector | SegmenterStream | NominalWatch]:
+    """Of all six axes."""
+    words = WordIntrospector(FIT, FIT_LIMITS)
+    return [
+        Introspector(model()), words, SnapDetector(200.0, AXES, least=3.0), segmenter_at(200.0), watch_at(200.0)
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("time", [np.nan, np.inf])
 def test_a_stamp_that_is_no_time_is_refused(time: float) -> None:
     detector, introspector = SnapDetector(200.0, ["Fz"], least=3.0), Introspector(model())
@@ -92,3 +123,12 @@ def test_a_stamp_that_is_no_time_is_refused(time: float) -> None:
         with pytest.raises(InputError, match="expected a finite number"):
             push()
     assert introspector.received == 0
+
+
+def test_axes_in_another_order_are_refused_by_every_stream() -> None:
+    """They were read as those of the stream."""
+    frame = pd.DataFrame(WRENCH, columns=AXES)
+    for stream in streams():
+        with pytest.raises(InputError, match=r"The samples have the axes Mz, .*; the stream has Fx"):
+            stream.push(frame[[*AXES[::-1]]])
+        assert stream.push(frame)
