@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from rcbht_jax._util.signals import check_names, columns_for
-from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_before
+from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_of
 from rcbht_jax.introspection.alarms import conformal_p
 from rcbht_jax.introspection.nominal_file import MonitorFile
 
@@ -86,15 +86,14 @@ class NominalWatch:
         check_names(samples, self.axes)
         scores = self._stream.push(samples)
         count = len(scores)
-        last = (self._received + count) * self.dt if time is None else time
+        end = self._received + count
         step = self._monitor.score_step
         first = -(self._received + 1) % step  # the first sample with a new score
         events: list[Event] = []
         for place in range(first, count, step):
             sample = self._received + place + 1
-            events += self._judged(sample, stamp_before(last, count - place - 1, self.dt), float(scores[place]))
-        self._received += count
-        self._time = last
+            events += self._judged(sample, stamp_of(sample, end, time, self.dt), float(scores[place]))
+        self._received, self._time = end, stamp_of(end, end, time, self.dt)
         return events
 
     def _judged(self, sample: int, time: float, score: float) -> list[Event]:

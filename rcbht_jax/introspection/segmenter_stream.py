@@ -13,7 +13,7 @@ from rcbht_jax._util.signals import check_names, columns_for, in_precision, numb
 from rcbht_jax._util.values import usable
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Belief, stamp_before
+from rcbht_jax.events import Belief, stamp_of
 from rcbht_jax.features.trailing import LatestWords, RunningTotals, TrailingStatistics, with_norms
 from rcbht_jax.introspection.alarms import Confidence
 from rcbht_jax.introspection.segmenter_columns import WINDOWS, Course, decision_period
@@ -104,7 +104,7 @@ class SegmenterStream:
         chunk = in_precision(numbers_of(samples), np.float32)
         if chunk.ndim != 2 or chunk.shape[1] != len(self._file.axes) or not usable(chunk):
             raise InputError(f"Samples have shape {chunk.shape}; expected finite [time, {len(self._file.axes)}].")
-        last = (self._received + len(chunk)) * self.dt if time is None else time
+        end = self._received + len(chunk)
         events = []
         while len(chunk):
             count = -self._received % self._every + 1  # until the next decision
@@ -112,7 +112,7 @@ class SegmenterStream:
             row = self._row(piece)
             self._received += len(piece)
             if len(piece) == count:
-                events.append(self._belief(row, stamp_before(last, len(chunk), self.dt)))
+                events.append(self._belief(row, stamp_of(self._received, end, time, self.dt)))
         return events
 
     def _row(self, piece: Float[np.ndarray, "time axis"]) -> Float[np.ndarray, "1 column"]:

@@ -13,7 +13,7 @@ from rcbht_jax._util.signals import check_names
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Event, ProvisionalWord, SubtaskStarted, Word, stamp_before
+from rcbht_jax.events import Event, ProvisionalWord, SubtaskStarted, Word, stamp_before, stamp_of
 from rcbht_jax.introspection.model import Head
 from rcbht_jax.labels import AXES, LAYERS, UNIT_OF, name
 from rcbht_jax.types import LabelTracks
@@ -182,7 +182,7 @@ class WordIntrospector:
         events: list[Event] = []
         for number, tracks in enumerate(published, complete + 1):
             sample = number * self.config.window
-            when = stamp_before(self._now(), self.received - sample, self.config.dt)
+            when = stamp_of(sample, self.received, time, self.config.dt)
             new = np.array([[np.asarray(leaf)[:, 0] for leaf in _spans(tracks, layer)] for layer in LAYERS], np.int32)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
             events += words_of_window(new, self.axes, sample, when, self.config.dt)
@@ -197,7 +197,7 @@ class WordIntrospector:
         return [*words_of_tracks(self._encoder.ending(), self.axes, self.received, self._now(), self.config.dt)]
 
     def _now(self) -> float:
-        return round(self.received * self.config.dt, 9) if self._time is None else self._time
+        return stamp_of(self.received, self.received, self._time, self.config.dt)
 
 
 def _spans(tracks: LabelTracks, layer: str) -> tuple[Any, Any, Any]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -31,6 +33,7 @@ from tests.support.introspection_models import FIT, FIT_LIMITS, model, trial
 
 WRENCH = np.concatenate([trial(2, 4, 200), trial(1, 5, 150)])
 WRENCH[80:200, 2] += 8
+KINDS = {"Word", "Belief", "Snap", "AnomalyScore", "AnomalyRaised", "AnomalyCleared"}
 NOMINAL = np.stack([trial(2, seed, 350) for seed in range(30)])
 
 
@@ -45,19 +48,22 @@ def watch_at(rate: float) -> NominalWatch:
     return NominalWatch(MonitorFile(monitor, AXES, UNITS), 0.1)
 
 
-STREAM = Together(
-    Together(Introspector(model()), WordIntrospector(FIT, FIT_LIMITS)),
-    readers=[SnapDetector(200.0, ["Fz", "My"], least=3.0)],
-)
+@cache
+def stream_at(rate: float) -> Together:
+    """Every kind of stream; a model has its own rate, 200 Hz."""
+    words = WordIntrospector(replace(FIT, dt=1 / rate), FIT_LIMITS)
+    readers = [SnapDetector(rate, ["Fz", "My"], least=3.0), segmenter_at(rate), watch_at(rate)]
+    return Together(Together(Introspector(model()), words) if rate == 200 else words, readers=readers)
 
 
-def said(cuts: list[int], start: float | None) -> list[dict[str, object]]:
-    STREAM.reset()
+def said(cuts: list[int], start: float | None, rate: float = 200.0) -> list[dict[str, Any]]:
+    stream = stream_at(rate)
+    stream.reset()
     events, end = [], 0
     for piece in np.split(WRENCH, sorted(cuts)):
         end += len(piece)
-        events += STREAM.push(piece, None if start is None else round(start + (end - 1) * 0.005, 6))
-    return [event.to_json() for event in events + STREAM.finish()]
+        events += stream.push(piece, None if start is None else round(start + (end - 1) / rate, 6))
+    return [event.to_json() for event in [*events, *stream.finish(), *stream.reset()]]
 
 
 @settings(max_examples=8, deadline=None)
@@ -65,9 +71,18 @@ def said(cuts: list[int], start: float | None) -> list[dict[str, object]]:
 def test_events_are_the_same_however_the_samples_are_cut(cuts, start):
     """Every word, belief and snap, with its stamps, in order; the last digits of stamps were others."""
     events = said(cuts, start)
-    assert {event["event"] for event in events} == {"Word", "Belief", "Snap"}
+    assert {event["event"] for event in events} == KINDS
     assert events == said([], start)
     assert not any(repr(value) == "-0.0" for event in events for value in event.values())
+
+
+@pytest.mark.parametrize("pieces", [7, 50, 350])
+def test_stamps_without_those_of_a_source_are_the_same_however_the_samples_are_cut(pieces: int) -> None:
+    """At 240 Hz, where a sample does not last a whole number of nanoseconds."""
+    events = said([*range(350 // pieces, 350, 350 // pieces)], None, 240.0)
+    assert {event["event"] for event in events} == KINDS
+    assert events == said([], None, 240.0)
+    assert all(event["time"] == round(event["sample"] / 240, 9) for event in events)
 
 
 def test_events_say_which_trial_they_are_of():
