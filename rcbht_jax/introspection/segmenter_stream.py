@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from rcbht_jax._util.signals import check_names, columns_for, in_precision, numbers_of
-from rcbht_jax._util.values import usable
+from rcbht_jax._util.values import finite, usable
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, stamp_of
@@ -98,8 +98,10 @@ class SegmenterStream:
             time: stamp of the last one, s; None = samples received x period.
 
         Raises:
-            InputError: other axes or another order, values that are not finite, or too large; then nothing is consumed.
+            InputError: other axes or another order, values that are not finite, or too large, or a time that is no
+                number; then nothing is consumed.
         """
+        time = None if time is None else finite("The time", time)
         check_names(samples, self._file.axes)
         chunk = in_precision(numbers_of(samples), np.float32)
         if chunk.ndim != 2 or chunk.shape[1] != len(self._file.axes) or not usable(chunk):
