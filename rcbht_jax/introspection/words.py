@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.signals import check_names
+from rcbht_jax._util.signals import check_names, distinct
 from rcbht_jax._util.values import finite
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits
 from rcbht_jax.encoding.stream import Encoder
@@ -105,7 +105,7 @@ class WordIntrospector:
         units: of each axis; default N and Nm for the axes of a wrench, else none.
 
     Raises:
-        InputError: thresholds that are not in order, or for other axes.
+        InputError: thresholds that are not in order, or for other axes, or axes that are not different names.
 
     Example:
         >>> import rcbht_jax as rj
@@ -125,8 +125,8 @@ class WordIntrospector:
         axes: Sequence[str] = AXES,
         units: Sequence[str] | None = None,
     ) -> None:
-        self.config, self.axes = config, tuple(axes)
-        self.units = tuple(UNIT_OF.get(axis, "") for axis in axes) if units is None else tuple(units)
+        self.config, self.axes = config, distinct(axes)
+        self.units = tuple(UNIT_OF.get(axis, "") for axis in self.axes) if units is None else tuple(units)
         shape = (*checked_limits(config, thresholds).shape[:-1], 4)
         if shape != (len(self.axes), 4) or len(self.units) != len(self.axes):
             raise InputError(

@@ -123,6 +123,7 @@ def test_an_alarm_that_a_gap_or_a_trial_ends_is_cleared():
         assert alarms[1].probability > 0.5
 
 
+@cache
 def streams() -> list[Introspector | WordIntrospector | SnapDetector | SegmenterStream | NominalWatch]:
     """Of all six axes."""
     words = WordIntrospector(FIT, FIT_LIMITS)
@@ -134,6 +135,7 @@ def streams() -> list[Introspector | WordIntrospector | SnapDetector | Segmenter
 @pytest.mark.parametrize("time", [np.nan, np.inf])
 def test_a_stamp_that_is_no_time_is_refused(time: float) -> None:
     for stream in streams():
+        stream.reset()
         with pytest.raises(InputError, match="expected a finite number"):
             stream.push(WRENCH[:40], time)
         events = stream.push(WRENCH)
@@ -145,6 +147,7 @@ def test_axes_in_another_order_are_refused_by_every_stream() -> None:
     """They were read as those of the stream."""
     frame = pd.DataFrame(WRENCH, columns=AXES)
     for stream in streams():
+        stream.reset()
         with pytest.raises(InputError, match=r"The samples have the axes Mz, .*; the stream has Fx"):
             stream.push(frame[[*AXES[::-1]]])
         assert stream.push(frame)
