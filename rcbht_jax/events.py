@@ -25,6 +25,17 @@ def stamp_before(stamp: float, samples: int, dt: float) -> float:
     return round(stamp - samples * dt, 9 if abs(stamp) < 1e6 else 6) + 0.0 if samples else stamp
 
 
+def stamp_of(sample: int, received: int, stamp: float | None, dt: float) -> float:
+    """Time stamp of the latest of ``sample`` samples, s, where that of the latest of ``received`` is ``stamp``.
+
+    None = there are no stamps: samples x period, which does not depend on ``received``.
+
+    >>> stamp_of(1, 50, None, 1 / 240), stamp_of(480, 500, 7.0, 0.005)
+    (0.004166667, 6.9)
+    """
+    return round(sample * dt, 9) if stamp is None else stamp_before(stamp, received - sample, dt)
+
+
 @dataclass(frozen=True)
 class Event:
     """An event that is known after ``sample`` samples."""

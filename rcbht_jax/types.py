@@ -176,9 +176,8 @@ class LabelTracks(ByValue):
             dims = ("recording", "axis", f"{layer}_slot")
             for name, values in vars(getattr(self, layer)).items():
                 variables[f"{layer}_{name}"] = (dims, _batched(values))
-        coords = {"recording": self._recordings(), "axis": self._axes()}
         attrs = {} if self.info is None else {"rate": self.info.rate}
-        return xarray.Dataset(variables, coords, attrs)
+        return xarray.Dataset(variables, {"recording": self._recordings(), "axis": self._axes()}, attrs)
 
     def __repr__(self) -> str:
         label = self.llb.label
@@ -211,7 +210,8 @@ class LabelTracks(ByValue):
 
     def _axes(self) -> list[str]:
         count = np.shape(self.llb.label)[-2]
-        return list(self.info.axes if self.info and len(self.info.axes) == count else axis_names(count))
+        names = self.info.axes if self.info else axis_names(count)
+        return list(names) if len(names) == count else [f"axis{number}" for number in range(count)]  # some were cut
 
     def _recordings(self) -> NDArray[Any]:
         count = int(np.prod(np.shape(self.llb.label)[:-2]))  # arrays that were cut do not fit their names

@@ -26,6 +26,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.fit_line import residuals_after
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, limit_values
 from rcbht_jax.encoding.segments import gradient_label
+from rcbht_jax.encoding.thresholds import of_lanes
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES
 from rcbht_jax.types import Array, Segment
@@ -60,8 +61,12 @@ def label_durations(
 
     Returns:
         int32; primitives, compositions, behaviours in the order of their codes.
+
+    Raises:
+        InputError: limits of other axes.
     """
     limits = limit_values(thresholds)
+    of_lanes(limits[0], 5 if isinstance(config, FitConfig) else 4, (AXES,))
     recordings = signal.length.shape[0]
     order = jnp.argsort(signal.length)  # a group is encoded for as long as its longest recording
     padded = jnp.concatenate([order, jnp.full(-recordings % group, order[-1])]).reshape(-1, group)

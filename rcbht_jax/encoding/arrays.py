@@ -59,7 +59,8 @@ def encode(
             robot; None = the preset of HIRO, where axes such as Mx, Tx or mx are moments. For the fit rule
             also FitLimits, whose tolerance is used unless ``tolerance`` is given.
         lengths: number of valid samples of each recording, if ``[recording, time, axis]`` is padded.
-        config: all options of the encoder at once, instead of ``rate``, ``window`` and ``rule``.
+        config: all options of the encoder at once, instead of ``rate``, ``window`` and ``rule``, whose defaults count
+            as not given: with a config of 100 Hz, a rate of 200 is ignored.
         rule: "paper"; or "fit", where a word is a run of windows that one straight line explains (docs/fit_rule.md).
         tolerance: for the fit rule, the largest root-mean-square difference of line and samples, N and Nm: a number,
             or one for each axis; None = found from these recordings.
@@ -70,7 +71,7 @@ def encode(
     Raises:
         InputError: wrong shape or type, values that are not finite, recordings with different axes, a time that
             disagrees with the rate or has a gap, thresholds that do not fit, a tolerance for the paper's rule, or a
-            rate, window or rule that contradicts the config.
+            rate, window or rule, other than the default, that contradicts the config.
 
     Warns:
         UserWarning: many axes, fewer samples, and no names that say which is which: ``[axis, time]`` must be turned.

@@ -17,7 +17,7 @@ from rcbht_jax._util.compiling import jit
 from rcbht_jax._util.values import check_usable
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, encode
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of
+from rcbht_jax.encoding.thresholds import Thresholds, limits_of, of_lanes
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
@@ -246,12 +246,15 @@ def encode_on_device(
 
     Returns:
         device arrays ``[recording, axis, slot]``, where the recordings are; unused slots are at the end and zero.
+
+    Raises:
+        InputError: limits of other axes, or of other recordings.
     """
     count, batch = len(wrench), batch or _batch_within(MEMORY, config, wrench)
     if count <= batch:
         return begin_encoding(config, thresholds, wrench, length)()
     spare = -count % batch  # whole batches: one compiled program
-    limits = _limits_of_each(limits_of(thresholds), count + spare)
+    limits = _limits_of_each(of_lanes(limits_of(thresholds), 4, wrench.shape[::2]), count + spare)
     given = limits, *(_padded(spare, 0, wrench, length) if spare else (wrench, length))
     pieces = [begin_encoding(config, *_part(start, batch, given))() for start in range(0, count, batch)]
     return _joined(count, pieces)
@@ -266,10 +269,11 @@ def begin_encoding(
     """:func:`encode_on_device` in two halves: this one starts the encoding, the function it returns waits for labels.
 
     How many slots there are is known only when the device has encoded; meanwhile the caller can give it other work. All
-    recordings are scanned at once.
+    recordings are scanned at once. It raises the same errors.
     """
-    count, samples = wrench.shape[:2]
-    limits, spare, tail = limits_of(thresholds), -count % ROWS, -samples % (config.window * STRETCH)
+    count, samples, axes = wrench.shape
+    spare, tail = -count % ROWS, -samples % (config.window * STRETCH)
+    limits = of_lanes(limits_of(thresholds), 4, (count, axes))
     if spare and limits.ndim > 2:
         limits = _limits_of_each(limits, count + spare)
     if spare or tail:  # a program of its own: those that encode take long to compile
@@ -279,7 +283,7 @@ def begin_encoding(
 
     def ended() -> LabelTracks:
         widths = tuple(max(-(-int(n) // WIDTH), 1) * WIDTH for n in np.asarray(longest))
-        return shortened(widths, (count, wrench.shape[2]), tracks, used)
+        return shortened(widths, (count, axes), tracks, used)
 
     return ended
 

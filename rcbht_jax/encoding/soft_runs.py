@@ -26,6 +26,7 @@ from jaxtyping import Float, Int
 from rcbht_jax.encoding.fit import SHORTEST, FitConfig
 from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
 from rcbht_jax.encoding.segments import soft_windows, varying_as, whole_windows
+from rcbht_jax.encoding.thresholds import by_lane
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import Primitive
 from rcbht_jax.types import Array
@@ -96,6 +97,9 @@ def step(
     Returns:
         the new state, of the same size, and the runs that may have ended.
 
+    Raises:
+        InputError: limits of other axes.
+
     Example:
         >>> limits, config = jnp.array([[70.0, 46.0, 23.0, 1.0, 0.1]]), FitConfig()
         >>> five = jnp.array([5])
@@ -120,7 +124,7 @@ def step(
     found, saved = best_break(state.line, every, after, first, each(stop), SHORTEST)
     may = each(there) & (saved > 0)
     size = 0.5 * jnp.log(jnp.where(may, saved, 1) / config.needed)
-    lane_limits = jnp.broadcast_to(jnp.asarray(limits, samples.dtype), (*state.time.shape, 5))
+    lane_limits = jnp.moveaxis(by_lane(limits, 5, state.time.shape, samples.dtype), 0, -1)
     chance = jnp.where(may, jax.nn.sigmoid((size - jnp.log(lane_limits[..., 4])[None]) / temperature), 0)
 
     leaves = each(jnp.where(there, jnp.where(count == config.window, config.window, stop), 0))
@@ -144,7 +148,7 @@ def drain(config: FitConfig, limits: Float[Array, "*axes 5"], state: SoftState, 
     temperature = jnp.asarray(temperature, recent.dtype)
     end = jnp.full_like(state.start, config.kept)
     line = join(state.line, span_line(recent, end - (state.time[None] - state.start - state.line.count), end))
-    lane_limits = jnp.broadcast_to(jnp.asarray(limits, recent.dtype), (*state.time.shape, 5))
+    lane_limits = jnp.moveaxis(by_lane(limits, 5, state.time.shape, recent.dtype), 0, -1)
     stop = jnp.broadcast_to(state.time[None], state.start.shape)
     return SoftRuns(state.weight, state.start, stop, soft_primitive(config, lane_limits, line, temperature))
 

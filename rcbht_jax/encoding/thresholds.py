@@ -94,13 +94,21 @@ def by_lane(limits: Array, number: int, lanes: tuple[int, ...], dtype: jax.typin
     Raises:
         InputError: they are of other axes, or another number of them.
     """
+    limits = jnp.asarray(of_lanes(limits, number, lanes), dtype)
+    return jnp.moveaxis(jnp.broadcast_to(limits, (*lanes, number)), -1, 0)
+
+
+def of_lanes(limits: Array, number: int, lanes: tuple[int, ...]) -> Array:
+    """The limits as they are, if they are ``[axis, number]`` or ``[*lanes, number]``.
+
+    Raises:
+        InputError: they are of other axes, be it a single one, or another number of them.
+    """
     shape, wide = jnp.shape(limits), (*lanes, number)
-    try:
-        if shape[-1:] != wide[-1:]:
-            raise ValueError
-        return jnp.moveaxis(jnp.broadcast_to(jnp.asarray(limits, dtype), wide), -1, 0)
-    except ValueError:
-        raise InputError(f"Thresholds have shape {shape}; expected [axis, {number}], or {[*wide]}.") from None
+    if shape not in (wide, wide[-2:]):
+        expected = " or ".join(str([*one]) for one in sorted({wide, wide[-2:]}, key=len))
+        raise InputError(f"Thresholds have shape {shape}; expected {expected}.")
+    return limits
 
 
 def validate(limits: NDArray[np.floating]) -> None:

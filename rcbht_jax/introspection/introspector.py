@@ -27,6 +27,7 @@ from rcbht_jax.events import (
     SubtaskStarted,
     Word,
     stamp_before,
+    stamp_of,
 )
 from rcbht_jax.introspection.alarms import Alarm, Confidence, PhaseFilter
 from rcbht_jax.introspection.chain import FeatureView, StreamState, begin_stream, step
@@ -294,7 +295,7 @@ class Introspector:
         return room if self._every is None else min(room, self._every - self.received % self._every)
 
     def _now(self) -> float:
-        return round(self.received * self._config.dt, 9) if self._time is None else self._time
+        return stamp_of(self.received, self.received, self._time, self._config.dt)
 
     def _call(self) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
         # The buffer is copied: the call may still read it when the next samples come.

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import columns_for
-from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_before
+from rcbht_jax._util.signals import check_names, columns_for
+from rcbht_jax._util.values import finite
+from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_of
 from rcbht_jax.introspection.alarms import conformal_p
 from rcbht_jax.introspection.nominal_file import MonitorFile
 
@@ -81,19 +82,21 @@ class NominalWatch:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: other axes, or values that are not finite.
+            InputError: other axes or another order, values that are not finite, or a time that is no number; then
+                nothing is consumed.
         """
+        time = None if time is None else finite("The time", time)
+        check_names(samples, self.axes)
         scores = self._stream.push(samples)
         count = len(scores)
-        last = (self._received + count) * self.dt if time is None else time
+        end = self._received + count
         step = self._monitor.score_step
         first = -(self._received + 1) % step  # the first sample with a new score
         events: list[Event] = []
         for place in range(first, count, step):
             sample = self._received + place + 1
-            events += self._judged(sample, stamp_before(last, count - place - 1, self.dt), float(scores[place]))
-        self._received += count
-        self._time = last
+            events += self._judged(sample, stamp_of(sample, end, time, self.dt), float(scores[place]))
+        self._received, self._time = end, stamp_of(end, end, time, self.dt)
         return events
 
     def _judged(self, sample: int, time: float, score: float) -> list[Event]:

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import columns_for, in_precision, numbers_of
-from rcbht_jax._util.values import usable
+from rcbht_jax._util.signals import check_names, columns_for, in_precision, numbers_of
+from rcbht_jax._util.values import finite, usable
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Belief, stamp_before
+from rcbht_jax.events import Belief, stamp_of
 from rcbht_jax.features.trailing import LatestWords, RunningTotals, TrailingStatistics, with_norms
 from rcbht_jax.introspection.alarms import Confidence
 from rcbht_jax.introspection.segmenter_columns import WINDOWS, Course, decision_period
@@ -98,12 +98,15 @@ class SegmenterStream:
             time: stamp of the last one, s; None = samples received x period.
 
         Raises:
-            InputError: other axes, or values that are not finite, or too large; then nothing is consumed.
+            InputError: other axes or another order, values that are not finite, or too large, or a time that is no
+                number; then nothing is consumed.
         """
+        time = None if time is None else finite("The time", time)
+        check_names(samples, self._file.axes)
         chunk = in_precision(numbers_of(samples), np.float32)
         if chunk.ndim != 2 or chunk.shape[1] != len(self._file.axes) or not usable(chunk):
             raise InputError(f"Samples have shape {chunk.shape}; expected finite [time, {len(self._file.axes)}].")
-        last = (self._received + len(chunk)) * self.dt if time is None else time
+        end = self._received + len(chunk)
         events = []
         while len(chunk):
             count = -self._received % self._every + 1  # until the next decision
@@ -111,7 +114,7 @@ class SegmenterStream:
             row = self._row(piece)
             self._received += len(piece)
             if len(piece) == count:
-                events.append(self._belief(row, stamp_before(last, len(chunk), self.dt)))
+                events.append(self._belief(row, stamp_of(self._received, end, time, self.dt)))
         return events
 
     def _row(self, piece: Float[np.ndarray, "time axis"]) -> Float[np.ndarray, "1 column"]:

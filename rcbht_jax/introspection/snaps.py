@@ -15,7 +15,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Snap, stamp_before
+from rcbht_jax.events import Snap, stamp_of
 from rcbht_jax.introspection.snap_rule import SnapConfig, Snaps, SnapSizes, fall_time, init, line_of, steps
 
 LOOK = 0.01  # s of each window, if it has two samples in this time
@@ -115,20 +115,19 @@ class SnapDetector:
         check_names(samples, self.axes)
         blocks = self._encoder.lines(samples)
         end = self._encoder.received + len(np.asarray(samples))
-        stamp = round(end * self.dt, 9) if time is None else time
         events = []
         for block in blocks:
             words, running = (line_of(*lines) for lines in block)
             self._state, found = steps(
                 self.config, self.dt, self._words.window, self.sizes, self._state, words, running
             )
-            events += self._events(found, running.t1, end, stamp)
+            events += self._events(found, running.t1, end, time)
         return events
 
-    def _events(self, new: Snaps, samples: NDArray[np.integer], end: int, stamp: float) -> list[Snap]:
+    def _events(self, new: Snaps, samples: NDArray[np.integer], end: int, time: float | None) -> list[Snap]:
         def at(count: int) -> float:
             """Stamp of the latest of so many samples."""
-            return stamp_before(stamp, end - count, self.dt)
+            return stamp_of(count, end, time, self.dt)
 
         found = []
         for which in zip(*np.nonzero(new.seen | new.published), strict=True):

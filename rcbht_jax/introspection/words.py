@@ -9,10 +9,12 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.signals import check_names, distinct
+from rcbht_jax._util.values import finite
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Event, ProvisionalWord, SubtaskStarted, Word, stamp_before
+from rcbht_jax.events import Event, ProvisionalWord, SubtaskStarted, Word, stamp_before, stamp_of
 from rcbht_jax.introspection.model import Head
 from rcbht_jax.labels import AXES, LAYERS, UNIT_OF, name
 from rcbht_jax.types import LabelTracks
@@ -103,7 +105,7 @@ class WordIntrospector:
         units: of each axis; default N and Nm for the axes of a wrench, else none.
 
     Raises:
-        InputError: thresholds that are not in order, or for other axes.
+        InputError: thresholds that are not in order, or for other axes, or axes that are not different names.
 
     Example:
         >>> import rcbht_jax as rj
@@ -123,8 +125,8 @@ class WordIntrospector:
         axes: Sequence[str] = AXES,
         units: Sequence[str] | None = None,
     ) -> None:
-        self.config, self.axes = config, tuple(axes)
-        self.units = tuple(UNIT_OF.get(axis, "") for axis in axes) if units is None else tuple(units)
+        self.config, self.axes = config, distinct(axes)
+        self.units = tuple(UNIT_OF.get(axis, "") for axis in self.axes) if units is None else tuple(units)
         shape = (*checked_limits(config, thresholds).shape[:-1], 4)
         if shape != (len(self.axes), 4) or len(self.units) != len(self.axes):
             raise InputError(
@@ -171,16 +173,19 @@ class WordIntrospector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, a value that is not finite, or more samples than are counted (``MOST_SAMPLES`` of
-                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
+            InputError: wrong shape, names of other axes, a value that is not finite, a time that is no number, or more
+                samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
+                consumed.
         """
+        time = None if time is None else finite("The time", time)
+        check_names(samples, self.axes)
         complete = self.received // self.config.window
         published = self._encoder.push(samples)
         self._time = time
         events: list[Event] = []
         for number, tracks in enumerate(published, complete + 1):
             sample = number * self.config.window
-            when = stamp_before(self._now(), self.received - sample, self.config.dt)
+            when = stamp_of(sample, self.received, time, self.config.dt)
             new = np.array([[np.asarray(leaf)[:, 0] for leaf in _spans(tracks, layer)] for layer in LAYERS], np.int32)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
             events += words_of_window(new, self.axes, sample, when, self.config.dt)
@@ -195,7 +200,7 @@ class WordIntrospector:
         return [*words_of_tracks(self._encoder.ending(), self.axes, self.received, self._now(), self.config.dt)]
 
     def _now(self) -> float:
-        return round(self.received * self.config.dt, 9) if self._time is None else self._time
+        return stamp_of(self.received, self.received, self._time, self.config.dt)
 
 
 def _spans(tracks: LabelTracks, layer: str) -> tuple[Any, Any, Any]:

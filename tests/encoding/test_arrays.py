@@ -190,6 +190,9 @@ def test_arrays_that_were_cut_are_not_called_by_other_names() -> None:
     some = jax.tree.map(lambda leaf: leaf[1, 2:4], tracks)
     assert repr(some).startswith("LabelTracks(1 recording, 2 axes")
     assert set(some.to_frame()["axis"]) == {"axis0", "axis1"}
+    two_arms = rj.encode(pd.DataFrame(np.zeros((50, 12)), columns=[f"{arm}_{axis}" for arm in "LR" for axis in NAMES]))
+    right = jax.tree.map(lambda leaf: leaf[6:], two_arms)  # six axes, but not known to be those of a wrench
+    assert right.to_xarray().axis.values.tolist() == [f"axis{number}" for number in range(6)]
 
 
 def test_missing_values_of_masked_arrays_and_pandas_are_seen() -> None:

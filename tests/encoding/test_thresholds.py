@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from rcbht_jax import labels
-from rcbht_jax.encoding import thresholds
+from rcbht_jax.calibration.label_durations import Samples, label_durations
+from rcbht_jax.encoding import encoder, soft_runs, thresholds
+from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.limit_files import read_limits, write_limits
@@ -136,7 +138,7 @@ def test_limits_of_other_axes_are_refused_by_every_function_of_a_stream(name: st
     rule, number = rule_of(config), 5 if isinstance(config, FitConfig) else 4
     state, window, limits = rule.init(config, (2, 6)), jnp.ones((5, 2, 6)), jnp.ones((7, number))
     count = () if name == "step" else (jnp.ones((2, 6), jnp.int32),)
-    with pytest.raises(InputError, match=rf"shape \(7, {number}\); expected \[axis, {number}\], or \[2, 6, {number}\]"):
+    with pytest.raises(InputError, match=rf"shape \(7, {number}\); expected \[6, {number}\] or \[2, 6, {number}\]"):
         getattr(rule, name)(config, limits, state, window, *count)
     with pytest.raises(InputError, match="has 4 samples; this encoder takes 5"):
         getattr(rule, name)(config, limits[:6], state, window[1:], *count)
@@ -145,6 +147,28 @@ def test_limits_of_other_axes_are_refused_by_every_function_of_a_stream(name: st
 def test_limits_lead_in_front_of_all_lanes_and_none_is_missing() -> None:
     limits = np.arange(24.0).reshape(6, 4)
     np.testing.assert_array_equal(by_lane(limits, 4, (2, 6), np.float32), np.stack([limits.T] * 2, 1))
-    for shape in ((3, 4), (3, 6), (3, 1), (2, 5), ()):
-        with pytest.raises(InputError, match=r"expected \[axis, 5\]"):
+    for shape in ((3, 4), (3, 6), (3, 1), (2, 5), (1, 5), (5,), (1, 3, 5), ()):
+        with pytest.raises(InputError, match=r"expected \[3, 5\]\.$"):
             by_lane(np.ones(shape), 5, (3,), np.float32)
+    with pytest.raises(InputError, match=r"expected \[3, 5\] or \[2, 3, 5\]"):
+        by_lane(np.ones((1, 3, 5)), 5, (2, 3), np.float32)
+
+
+def test_limits_of_one_axis_or_recording_are_not_those_of_all() -> None:
+    """They gave words of the others, which were wrong."""
+    one, five, wrench = np.ones((1, 2, 4)), np.ones((1, 5)), np.zeros((3, 40, 2), np.float32)
+    length, state, fit_state = np.full(3, 40, np.int32), encoder.init((2,)), soft_runs.init(FitConfig(), (2,))
+    recordings, counts = Samples(jnp.zeros((3, 40, 6)), jnp.asarray(length)), jnp.full(2, 5, jnp.int32)
+    edges = jnp.array([[0, 40]] * 3)
+    for run in (
+        lambda: encoder.encode(EncoderConfig(), one, wrench, length),
+        lambda: encoder.step(EncoderConfig(), one[0, :1], state, wrench[0, :5]),
+        lambda: encode_on_device(EncoderConfig(), one, wrench, length),
+        lambda: encode_on_device(EncoderConfig(), one, wrench, length, batch=2),
+        lambda: encode_on_device(EncoderConfig(), np.ones((2, 2, 4)), wrench, length, batch=2),
+        lambda: soft_runs.step(FitConfig(), five, fit_state, wrench[0, :5], counts, 0.1),
+        lambda: soft_runs.drain(FitConfig(), five, fit_state, 0.1),
+        lambda: label_durations(FitConfig(), five[None], recordings, edges),
+    ):
+        with pytest.raises(InputError, match="Thresholds have shape"):
+            run()

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,29 +15,55 @@ from hypothesis import strategies as st
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, SubtaskStarted, TrialStarted
 from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.nominal import NominalMonitor
+from rcbht_jax.introspection.nominal_file import MonitorFile
+from rcbht_jax.introspection.nominal_watch import NominalWatch
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
+from rcbht_jax.introspection.segmenter_file import SegmenterFile
+from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample
+from rcbht_jax.labels import AXES, UNITS
+from rcbht_jax.types import Recordings
 from tests.io.test_stream_sources import samples_of
 from tests.support.introspection_models import FIT, FIT_LIMITS, model, trial
 
 WRENCH = np.concatenate([trial(2, 4, 200), trial(1, 5, 150)])
 WRENCH[80:200, 2] += 8
-STREAM = Together(
-    Together(Introspector(model()), WordIntrospector(FIT, FIT_LIMITS)),
-    readers=[SnapDetector(200.0, ["Fz", "My"], least=3.0)],
-)
+KINDS = {"Word", "Belief", "Snap", "AnomalyScore", "AnomalyRaised", "AnomalyCleared"}
+NOMINAL = np.stack([trial(2, seed, 350) for seed in range(30)])
 
 
-def said(cuts: list[int], start: float | None) -> list[dict[str, object]]:
-    STREAM.reset()
+def segmenter_at(rate: float) -> SegmenterStream:
+    data = Recordings.from_arrays(NOMINAL[:4], rate)
+    fitted = WrenchSegmenter(trees=5, words=False).fit(data, [np.arange(350) // 200] * 4)
+    return SegmenterStream(SegmenterFile.of(fitted, "phase", ("before", "after")))
+
+
+def watch_at(rate: float) -> NominalWatch:
+    monitor = NominalMonitor(rate=rate, memory=0.1).fit(NOMINAL)
+    return NominalWatch(MonitorFile(monitor, AXES, UNITS), 0.1)
+
+
+@cache
+def stream_at(rate: float) -> Together:
+    """Every kind of stream; a model has its own rate, 200 Hz."""
+    words = WordIntrospector(replace(FIT, dt=1 / rate), FIT_LIMITS)
+    readers = [SnapDetector(rate, ["Fz", "My"], least=3.0), segmenter_at(rate), watch_at(rate)]
+    return Together(Together(Introspector(model()), words) if rate == 200 else words, readers=readers)
+
+
+def said(cuts: list[int], start: float | None, rate: float = 200.0) -> list[dict[str, Any]]:
+    stream = stream_at(rate)
+    stream.reset()
     events, end = [], 0
     for piece in np.split(WRENCH, sorted(cuts)):
         end += len(piece)
-        events += STREAM.push(piece, None if start is None else round(start + (end - 1) * 0.005, 6))
-    return [event.to_json() for event in events + STREAM.finish()]
+        events += stream.push(piece, None if start is None else round(start + (end - 1) / rate, 6))
+    return [event.to_json() for event in [*events, *stream.finish(), *stream.reset()]]
 
 
 @settings(max_examples=8, deadline=None)
@@ -42,9 +71,18 @@ def said(cuts: list[int], start: float | None) -> list[dict[str, object]]:
 def test_events_are_the_same_however_the_samples_are_cut(cuts, start):
     """Every word, belief and snap, with its stamps, in order; the last digits of stamps were others."""
     events = said(cuts, start)
-    assert {event["event"] for event in events} == {"Word", "Belief", "Snap"}
+    assert {event["event"] for event in events} == KINDS
     assert events == said([], start)
     assert not any(repr(value) == "-0.0" for event in events for value in event.values())
+
+
+@pytest.mark.parametrize("pieces", [7, 50, 350])
+def test_stamps_without_those_of_a_source_are_the_same_however_the_samples_are_cut(pieces: int) -> None:
+    """At 240 Hz, where a sample does not last a whole number of nanoseconds."""
+    events = said([*range(350 // pieces, 350, 350 // pieces)], None, 240.0)
+    assert {event["event"] for event in events} == KINDS
+    assert events == said([], None, 240.0)
+    assert all(event["time"] == round(event["sample"] / 240, 9) for event in events)
 
 
 def test_events_say_which_trial_they_are_of():
@@ -85,10 +123,31 @@ def test_an_alarm_that_a_gap_or_a_trial_ends_is_cleared():
         assert alarms[1].probability > 0.5
 
 
+@cache
+def streams() -> list[Introspector | WordIntrospector | SnapDetector | SegmenterStream | NominalWatch]:
+    """Of all six axes."""
+    words = WordIntrospector(FIT, FIT_LIMITS)
+    return [
+        Introspector(model()), words, SnapDetector(200.0, AXES, least=3.0), segmenter_at(200.0), watch_at(200.0)
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("time", [np.nan, np.inf])
 def test_a_stamp_that_is_no_time_is_refused(time: float) -> None:
-    detector, introspector = SnapDetector(200.0, ["Fz"], least=3.0), Introspector(model())
-    for push in (lambda: detector.push(WRENCH[:40, [2]], time), lambda: introspector.push(WRENCH[:40], time)):
+    for stream in streams():
+        stream.reset()
         with pytest.raises(InputError, match="expected a finite number"):
-            push()
-    assert introspector.received == 0
+            stream.push(WRENCH[:40], time)
+        events = stream.push(WRENCH)
+        stream.reset()
+        assert events == stream.push(WRENCH)  # nothing had been consumed
+
+
+def test_axes_in_another_order_are_refused_by_every_stream() -> None:
+    """They were read as those of the stream."""
+    frame = pd.DataFrame(WRENCH, columns=AXES)
+    for stream in streams():
+        stream.reset()
+        with pytest.raises(InputError, match=r"The samples have the axes Mz, .*; the stream has Fx"):
+            stream.push(frame[[*AXES[::-1]]])
+        assert stream.push(frame)

@@ -93,6 +93,8 @@ def test_sub_tasks_and_wrong_input():
     assert stream.received == 0
     with pytest.raises(InputError, match=r"expected \[3, 4\]"):
         WordIntrospector(CONFIG, rj.preset("hiro", ["a", "b"]), ["a", "b", "c"])
+    with pytest.raises(InputError, match="2 axes are called Fz"):
+        WordIntrospector(CONFIG, rj.preset("hiro", ["Fz", "Fz"]), ["Fz", "Fz"])
 
 
 # --- the beginning of a stream ---------------------------------------------------------------------------------------

@@ -142,8 +142,9 @@ OBJECTS = {
     "rj.write_recordings(folder / 'a', recordings, {}, part=0)": "A part has 0 recordings",
     "rj.read_recordings(None)": "expected Path or str",
     "core.encode(config, limits, wrench[0], np.ones(4, int))": r"expected \[trial, time, axis\]",
-    "core.encode(config, limits.limits[:3], wrench, np.ones(4, int))": r"expected \[axis, 4\]",
-    "core.step(config, limits.limits[:3], core.init((6,)), wrench[0, :5])": r"expected \[axis, 4\]",
+    "core.encode(config, limits.limits[:3], wrench, np.ones(4, int))": r"expected \[6, 4\] or \[4, 6, 4\]",
+    "core.encode(config, limits.limits[:1], wrench, np.ones(4, int))": r"expected \[6, 4\] or \[4, 6, 4\]",
+    "core.step(config, limits.limits[:3], core.init((6,)), wrench[0, :5])": r"expected \[6, 4\]",
 }
 CASES = NUMBERS | NAMES | OBJECTS
 
