@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,11 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
-from rcbht_jax.io.store import count_recordings, open_store, recording_rows
+from rcbht_jax.io.store import count_recordings, open_store, read_table, recording_rows
 from rcbht_jax.io.store_schema import HASH, LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.tasks import TrackBatches
-from rcbht_jax.types import LabelTrack, LabelTracks
+from rcbht_jax.types import LabelTrack, LabelTracks, TrackInfo
 
 with needs_extra("store"):
     import zarr
@@ -138,7 +139,7 @@ def _write_draft(
 
 
 def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any]]:
-    """Read a set of label tracks ``[recording, axis, slot]`` and its attributes.
+    """Read a set of label tracks ``[recording, axis, slot]``, with the names of their axes, and its attributes.
 
     >>> tracks, attrs = read_tracks(Path("trials.zarr"), "online-W5")
     >>> tracks.primitive.label.shape[:2]  # [recording, axis]
@@ -148,10 +149,14 @@ def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     path = as_path(path)
-    attrs = read_tracks_attrs(path, name)
-    count = count_recordings(path)
-    [tracks] = read_batches(path, name, [count])
-    return tracks, attrs
+    attrs, table = read_tracks_attrs(path, name), read_table(path)
+    info = TrackInfo(1 / table.dt, table.axes, tuple(range(len(table))))
+    return replace(_whole(path, name), info=info), attrs
+
+
+def _whole(path: Path, name: str) -> LabelTracks:
+    [tracks] = read_batches(path, name, [count_recordings(path)])
+    return tracks
 
 
 def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelTracks]:
@@ -179,7 +184,7 @@ def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
     """
     if "part_rows" in read_tracks_attrs(path, name):
         return label_parts.joined(list(label_parts.read(_folder(path, name), recording_rows(path)[numbers])))
-    return label_parts.taken(read_tracks(path, name)[0], numbers)
+    return label_parts.taken(_whole(path, name), numbers)
 
 
 def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
@@ -246,7 +251,7 @@ def choose_tracks(path: Path | str, name: str = "") -> tuple[str, LabelTracks, d
     """
     path = as_path(path)
     chosen = choose_name(path, name)
-    return (chosen, *read_tracks(path, chosen))
+    return chosen, _whole(path, chosen), read_tracks_attrs(path, chosen)
 
 
 def choose_name(path: Path, name: str = "") -> str:

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_store, parts, store
-from rcbht_jax.types import LabelTrack, LabelTracks
+from rcbht_jax.types import LabelTrack, LabelTracks, TrackInfo
 from tests.support.store_cases import files, folder_is_clean, same, simple
 
 
@@ -58,6 +58,16 @@ def test_tracks_round_trip(seed: int, slots: int) -> None:
         same_tracks(got, label_tracks(seed, slots=slots))
         assert attrs["window"] == 5
         folder_is_clean(Path(folder), "x.zarr")
+
+
+def test_tracks_have_the_names_of_the_axes_of_the_store(tmp_path: Path) -> None:
+    turned = ("Mz", "My", "Mx", "Fz", "Fy", "Fx")
+    recordings = dataclasses.replace(simple(), axes=turned)
+    store.write_recordings(tmp_path / "x.zarr", recordings, {})
+    label_store.write_tracks(tmp_path / "x.zarr", "x", label_tracks(1), {})
+    found, _ = label_store.read_tracks(tmp_path / "x.zarr", "x")
+    assert found.info == TrackInfo(1 / recordings.dt, turned, (0, 1, 2))
+    assert found.words("Mz", "primitive", 1) == label_tracks(1).words(0, "primitive", 1)
 
 
 def test_tracks_join_the_store(path: Path) -> None:

@@ -99,7 +99,7 @@ def test_what_is_written_whole_is_the_same_bytes(parted: Path, tmp_path: Path) -
     assert store.read_attrs(whole) == store.read_attrs(parted)
     same(store.read_recordings(whole), ragged())
     assert_trees_equal(store.read_simulation(parted), {name: truth()[name] for name in sorted(truth())})
-    found, how = label_store.read_tracks(parted, "x")
+    _, found, how = label_store.choose_tracks(parted, "x")
     assert_trees_equal(found, tracks_of())
     assert how["window"] == 5
 
@@ -163,10 +163,10 @@ def test_gaps_keep_their_place_and_are_left_out(tmp_path: Path) -> None:
     assert store.count_recordings(path) == len(kept)
     same(store.read_rows(path, [5, 4]), trimmed(expected.take([5, 4])))
     assert store.read_simulation(path, "mass")["mass"].tolist() == truth()["mass"][kept].tolist()
-    assert_trees_equal(label_store.read_tracks(path, "x")[0], label_parts.taken(tracks_of(gaps=GAPS), kept))
+    assert_trees_equal(label_store.choose_tracks(path, "x")[1], label_parts.taken(tracks_of(gaps=GAPS), kept))
     wanted = label_parts.taken(tracks_of(gaps=GAPS), kept)
     label_store.write_tracks(path, "y", wanted, {})
-    assert_trees_equal(label_store.read_tracks(path, "y")[0], wanted)
+    assert_trees_equal(label_store.choose_tracks(path, "y")[1], wanted)
     with xr.open_zarr(path) as data:
         assert data["length"].values[list(GAPS)].tolist() == [0, 0]
         assert data["wrench"].shape[0] == COUNT
@@ -353,9 +353,9 @@ def test_version_2_reads_equal(tmp_path: Path) -> None:
     store.verify(path)
     assert store.count_recordings(path) == COUNT
     assert_trees_equal(store.read_simulation(path), {name: truth()[name] for name in sorted(truth())})
-    assert_trees_equal(label_store.read_tracks(path, "online-W5")[0], tracks_of())
+    assert_trees_equal(label_store.choose_tracks(path, "online-W5")[1], tracks_of())
     label_store.write_tracks(path, "new", tracks_of(), {})
-    assert_trees_equal(label_store.read_tracks(path, "new")[0], tracks_of())
+    assert_trees_equal(label_store.choose_tracks(path, "new")[1], tracks_of())
     chunk = path / "length" / "c" / "0"
     chunk.unlink()
     with pytest.raises(InputError, match="damaged"):
