@@ -171,7 +171,8 @@ class FaultMonitor:
             snapshots: of the training trials; trials without a snapshot are left out. Folds are grouped by trial.
             cause: class of each trial, NOMINAL or why it failed.
             subtasks: those that get a classifier, if both nominal and faulty trials reach them; None = all.
-            durations: duration of each timed sub-task, s, NaN where it did not end; none = no clock.
+            durations: duration of each timed sub-task, s, NaN where it did not end, which counts as longer than any;
+                none = no clock.
             kind: classes over which the share of detected failures is averaged; None = ``cause``.
             visible: s since the trial began before which a fault cannot show; earlier snapshots do not train. None = 0.
             deadline: s; later alarms do not count as detection. NaN = the trial does not count. None = no deadline.
@@ -181,8 +182,8 @@ class FaultMonitor:
 
         Raises:
             InputError: no sub-task has both nominal and faulty trials, there are too few nominal trials for the
-                chosen probability of false alarms, snapshots of trials that have no cause, or fewer per second than
-                the config has.
+                chosen probability of false alarms, too many in which a timed sub-task did not end, snapshots of trials
+                that have no cause, or fewer per second than the config has.
         """
         config = FaultMonitorConfig() if config is None else config
         expect("The config", config, FaultMonitorConfig)
@@ -193,7 +194,7 @@ class FaultMonitor:
         deadline = np.full(len(cause), np.inf) if deadline is None else deadline
         calm = nominal if own is None else nominal & own
         limits = {
-            subtask: conformal_threshold(lasted[streamed & calm], config.clock_false_alarms)
+            subtask: _limit(subtask, lasted[streamed & calm], config.clock_false_alarms)
             for subtask, lasted in (durations or {}).items()
         }
         shown = snapshots.time >= visible[snapshots.trial]
@@ -260,6 +261,17 @@ def _check_snapshots(snapshots: SubtaskSnapshots, trials: int, rate: float) -> N
             f"Snapshots of a sub-task are up to {apart:g} s apart, and the monitor's config has {rate:g} per second; "
             f"take them so often, or train with a config of rate={1 / apart:g}."
         )
+
+
+def _limit(subtask: int, lasted: Float[np.ndarray, " trial"], share: float) -> float:
+    """Seconds that a sub-task may last, for a share of false alarms."""
+    limit = conformal_threshold(np.where(np.isnan(lasted), np.inf, lasted), share)
+    if np.isinf(limit):
+        raise InputError(
+            f"Sub-task {subtask} did not end in {int((~np.isfinite(lasted)).sum())} of {len(lasted)} nominal trials, "
+            f"too many for a time limit with {share:g} false alarms per trial; leave these trials out, or accept more."
+        )
+    return limit
 
 
 def _training_rows(

@@ -89,6 +89,20 @@ def test_the_clock_of_a_later_sub_task_starts_when_that_begins() -> None:
     np.testing.assert_allclose(monitor.alarms(new, 3)["clock"], 1.0 + 1.6)
 
 
+def test_a_nominal_trial_that_did_not_end_does_not_stop_the_clock() -> None:
+    """A single one made the limit NaN, which no time exceeds."""
+    lessons, cause = streams(100, 20, 6.0), causes(100, 20)
+
+    def limit(unfinished: int) -> float:
+        lasted = np.append(np.linspace(0.6, 0.9, 100), np.full(20, np.nan))
+        lasted[:unfinished] = np.nan
+        return FaultMonitor.fit(lessons, cause, durations={0: lasted}, config=CONFIG).limits[0]
+
+    assert limit(0) < limit(1) == 0.9  # the 99th of 100
+    with pytest.raises(InputError, match="Sub-task 0 did not end in 2 of 100 nominal trials, too many"):
+        limit(2)
+
+
 def test_nothing_is_learned_before_a_fault_can_show() -> None:
     cause, late = causes(100, 20), streams(100, 20, 6.0, since=20)
     visible = np.where(cause == NOMINAL, 0.0, 2.05)
