@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, SubtaskStarted, TrialStarted
 from rcbht_jax.introspection.introspector import Introspector
@@ -151,3 +152,19 @@ def test_axes_in_another_order_are_refused_by_every_stream() -> None:
         with pytest.raises(InputError, match=r"The samples have the axes Mz, .*; the stream has Fx"):
             stream.push(frame[[*AXES[::-1]]])
         assert stream.push(frame)
+
+
+def test_a_frame_of_another_rate_is_refused_by_every_stream() -> None:
+    """Two seconds at 100 Hz were read as one at 200 Hz."""
+    slow, right = (pd.to_timedelta(np.arange(len(WRENCH)) / rate, unit="s") for rate in (100, 200))
+    for stream in [*streams(), Encoder(FIT, FIT_LIMITS)]:
+        stream.restart() if isinstance(stream, Encoder) else stream.reset()
+        with pytest.raises(InputError, match="The rate is 200, but the time has 100 samples per second"):
+            stream.push(pd.DataFrame(WRENCH, slow, AXES))
+        assert stream.push(pd.DataFrame(WRENCH, right, AXES))
+    together, timed = stream_at(200.0), pd.DataFrame(WRENCH, columns=AXES)
+    together.reset()
+    expected = together.push(WRENCH)
+    together.reset()
+    timed.insert(0, "time", np.arange(len(WRENCH)) / 200)  # a column that is no axis, for its readers neither
+    assert together.push(timed) == expected
