@@ -125,7 +125,8 @@ class Introspector:
         model: see :mod:`rcbht_jax.introspection.model`.
         rate: beliefs per second; "auto" = nearest to ten that fits the sampling period; None = one per window. The
             clock is the number of samples received.
-        k: certainty level: a belief is certain when its probability exceeds ``k``, 0.5 to 1 (paper: 0.70 to 0.95).
+        k: certainty level: a belief is certain when its probability exceeds ``k``, from 0.5 + ``margin`` to less
+            than 1 (paper: 0.70 to 0.95).
         margin: a certain belief stays certain until its probability falls below ``k - margin``.
         hold: seconds for which an alarm must stay above its level (the classifier's own, else ``k``) before it is
             raised, and below 0.5 before it is cleared; None = those for which the classifier's level was computed.
