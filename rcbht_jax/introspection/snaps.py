@@ -25,6 +25,8 @@ TOLERANCES = 10.0  # of the words in the smallest fall
 class SnapDetector:
     """Snaps in a stream of forces, found with words of the fit rule; chunks of any size give the same events.
 
+    Only stamps that are dates may differ, by a microsecond, where samples are not whole microseconds apart.
+
     Args:
         rate: samples per second.
         axes: their names.

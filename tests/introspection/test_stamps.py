@@ -57,13 +57,13 @@ def stream_at(rate: float) -> Together:
     return Together(Together(Introspector(model()), words) if rate == 200 else words, readers=readers)
 
 
-def said(cuts: list[int], start: float | None, rate: float = 200.0) -> list[dict[str, Any]]:
+def said(cuts: list[int], start: float | None, rate: float = 200.0, digits: int = 6) -> list[dict[str, Any]]:
     stream = stream_at(rate)
     stream.reset()
     events, end = [], 0
     for piece in np.split(WRENCH, sorted(cuts)):
         end += len(piece)
-        events += stream.push(piece, None if start is None else round(start + (end - 1) / rate, 6))
+        events += stream.push(piece, None if start is None else round(start + (end - 1) / rate, digits))
     return [event.to_json() for event in [*events, *stream.finish(), *stream.reset()]]
 
 
@@ -84,6 +84,13 @@ def test_stamps_without_those_of_a_source_are_the_same_however_the_samples_are_c
     assert {event["event"] for event in events} == KINDS
     assert events == said([], None, 240.0)
     assert all(event["time"] == round(event["sample"] / 240, 9) for event in events)
+
+
+@pytest.mark.parametrize("pieces", [7, 50, 350])
+def test_stamps_of_a_source_at_240_hz_are_the_same_however_the_samples_are_cut(pieces: int) -> None:
+    """Where a stamp was that of the sample itself, it was not rounded, and differed from others in the last digits."""
+    cuts = [*range(350 // pieces, 350, 350 // pieces)]
+    assert said(cuts, 12.3, 240.0, 15) == said([], 12.3, 240.0, 15)
 
 
 def test_events_say_which_trial_they_are_of():
