@@ -6,7 +6,8 @@
 Each line of the input is {"wrench": [Fx, Fy, Fz, Mx, My, Mz]}, one per sampling period, in the order and the units that
 chain.json in the archive names, or {"begin": true} where a sub-task begins and {"reset": true} where a trial does; a
 reading on such a line is the next one. One JSON line with the probabilities of every head is printed per window. A
-reading that is not finite, or has other axes, is left out with a message: it would stay in the state for good.
+reading that is no list of finite numbers, one per axis, is left out with a message: it would stay in the state for
+good.
 """
 
 import io
@@ -36,7 +37,10 @@ def main() -> None:
             begins = np.where([scope == "subtask" for scope in meta["sentences"]], received, begins).astype(np.int32)
         if "wrench" not in message:
             continue
-        reading = np.asarray(message["wrench"], np.float32)
+        try:
+            reading = np.asarray(message["wrench"], np.float32)
+        except (TypeError, ValueError):  # text, or lists of different lengths
+            reading = np.zeros(0, np.float32)
         if reading.shape != window.shape[1:] or not np.isfinite(reading).all():
             print(f"left out: {line.strip()}", file=sys.stderr)
             continue

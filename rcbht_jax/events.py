@@ -17,12 +17,13 @@ def stamp_before(stamp: float, samples: int, dt: float) -> float:
     """Time stamp of the sample so many before the one with this stamp, s.
 
     Rounded to what stamps hold, a nanosecond or of dates a microsecond, so that it does not depend on which later
-    sample brought the stamp.
+    sample brought the stamp, nor on whether it is its own. Doubles resolve dates to a quarter of a microsecond: where
+    samples are not whole microseconds apart, the last digit may differ.
 
-    >>> stamp_before(0.12, 20, 0.005), stamp_before(1.7e9, -1, 0.005)
-    (0.02, 1700000000.005)
+    >>> stamp_before(0.12, 20, 0.005), stamp_before(1.7e9, -1, 0.005), stamp_before(1 / 240, 0, 1 / 240)
+    (0.02, 1700000000.005, 0.004166667)
     """
-    return round(stamp - samples * dt, 9 if abs(stamp) < 1e6 else 6) + 0.0 if samples else stamp
+    return round(stamp - samples * dt, 9 if abs(stamp) < 1e6 else 6) + 0.0
 
 
 def stamp_of(sample: int, received: int, stamp: float | None, dt: float) -> float:

@@ -231,19 +231,22 @@ def columns_for(what: str, needed: Sequence[str], period: float, axes: Sequence[
     return [tuple(axes).index(axis) for axis in needed]
 
 
-def check_names(samples: Any, axes: Sequence[str]) -> None:
-    """Raise an error for samples of a stream that are a frame or an xarray of other axes, or in another order.
+def read_chunk(samples: Any, dt: float, axes: Sequence[str] = ()) -> Any:
+    """Samples of a stream of these axes, () = of any: values where they are a frame or an xarray, else as they are.
 
     Raises:
-        InputError: their names are not those of the stream.
+        InputError: other axes or another order, or as :func:`read_signal`.
 
     Example:
-        >>> check_names(np.zeros((5, 1)), ["Fz"])
+        >>> read_chunk([[1.0]], 0.005, ["Fz"])
+        [[1.0]]
     """
-    if is_frame(samples) or is_xarray(samples):
-        names = _column_names(samples) if is_frame(samples) else _coordinate_names(samples)
-        if names and names != tuple(axes):
-            raise InputError(f"The samples have the axes {', '.join(names)}; the stream has {', '.join(axes)}.")
+    if not (is_frame(samples) or is_xarray(samples)):
+        return samples
+    values, names = read_signal(samples, dt)
+    if names and axes and names != tuple(axes):
+        raise InputError(f"The samples have the axes {', '.join(names)}; the stream has {', '.join(axes)}.")
+    return values
 
 
 def check_learned(names: Sequence[str] | None, estimator: Any, what: str) -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from rcbht_jax._util.compiling import host_device, jit
-from rcbht_jax._util.signals import in_precision, numbers_of
+from rcbht_jax._util.signals import in_precision, numbers_of, read_chunk
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.fit import FitConfig, running, step
@@ -186,14 +186,14 @@ class Encoder:
         """Feed any number of samples ``[time, axis]``; returns one entry per window that they complete.
 
         Raises:
-            InputError: wrong shape, a value that is not finite, or more samples than are counted (``MOST_SAMPLES`` of
-                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
+            InputError: wrong shape, a frame of another rate, a value that is not finite, or more samples than are
+                counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         return list(self.windows(samples))
 
     def windows(self, samples: ArrayLike) -> Iterator[LabelTracks]:
         """Like :meth:`push`, but yields one entry at a time: in between, the stream is at the end of the window."""
-        chunk = self._buffer.checked(samples)
+        chunk = self._buffer.checked(read_chunk(samples, self._config.dt))
         while len(chunk):
             chunk = self._buffer.fill(chunk, self._config.window)
             if not self._buffer.room:
@@ -224,7 +224,7 @@ class Encoder:
         """
         if not isinstance(self._config, FitConfig):
             raise InputError('Only words of the fit rule have a running line; choose rule="fit".')
-        return self._blocks(self._config, self._buffer.checked(samples))
+        return self._blocks(self._config, self._buffer.checked(read_chunk(samples, self._config.dt)))
 
     def _blocks(self, config: FitConfig, chunk: NDArray[np.floating]) -> Iterator[tuple[StraightLines, StraightLines]]:
         while len(chunk):

@@ -155,13 +155,17 @@ class Confidence:
     """Level of a belief: certain above ``k``, until it falls below ``k - margin`` or another class is likelier.
 
     Raises:
-        InputError: ``k`` or ``margin`` is out of range.
+        InputError: ``k`` is not from 0.5 + ``margin`` to less than 1, or the margin is negative.
     """
 
     def __init__(self, k: float, margin: float) -> None:
         k, margin = number("The certainty level", k), number("The margin", margin)
-        if not INADMISSIBLE <= k < 1 or not 0 <= margin <= k - INADMISSIBLE:
-            raise InputError(f"a belief cannot be certain above {k:g} with a margin of {margin:g}; k is 0.5 to 1.")
+        least = INADMISSIBLE + max(margin, 0.0)
+        if not least - 1e-9 <= k < 1 or margin < 0:
+            raise InputError(
+                f"a belief cannot be certain above {k:g} with a margin of {margin:g}; expected a margin of zero or "
+                f"more, and a level from 0.5 + margin, here {least:g}, to less than 1."
+            )
         self._k, self._margin = k, margin
         self.reset()
 

@@ -10,6 +10,7 @@ all trials and the hold time is chosen afterwards; tests confirm it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,7 @@ from rcbht_jax.learning.svm import SvmSpec
 
 NOMINAL = "none"  # the cause of a trial without a fault
 COLUMNS = ("trial", "subtask", "begin", "now", "features")  # of snapshots
+SLACK = 1e-5  # share by which snapshots may be further apart than the rate has them: it may be rounded to six digits
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ class FaultMonitorConfig:
         InputError: a value is of another type or out of range.
     """
 
-    rate: float = 10.0  # snapshots per second
+    rate: float = 10.0  # snapshots per second, at least
     false_alarms: float = 0.01  # of the words, per nominal trial
     clock_false_alarms: float = 0.0025  # of the clock, per nominal trial and timed sub-task
     holds: tuple[float, ...] = (0.3, 0.5, 1.0, 2.0, 4.0)  # s for which an alarm must last; one of them is chosen
@@ -147,6 +149,7 @@ class FaultMonitor:
     hold: float  # s for which it must stay there
     limits: dict[int, float]  # s that a sub-task may last
     detected: float  # share of the training failures that the words detect, held out; mean over the kinds
+    rate: float = FaultMonitorConfig.rate  # snapshots per second, at least, for which the levels hold
 
     @staticmethod
     def fit(
@@ -168,7 +171,8 @@ class FaultMonitor:
             snapshots: of the training trials; trials without a snapshot are left out. Folds are grouped by trial.
             cause: class of each trial, NOMINAL or why it failed.
             subtasks: those that get a classifier, if both nominal and faulty trials reach them; None = all.
-            durations: duration of each timed sub-task, s, NaN where it did not end; none = no clock.
+            durations: duration of each timed sub-task, s, NaN where it did not end, which counts as longer than any;
+                none = no clock.
             kind: classes over which the share of detected failures is averaged; None = ``cause``.
             visible: s since the trial began before which a fault cannot show; earlier snapshots do not train. None = 0.
             deadline: s; later alarms do not count as detection. NaN = the trial does not count. None = no deadline.
@@ -178,18 +182,19 @@ class FaultMonitor:
 
         Raises:
             InputError: no sub-task has both nominal and faulty trials, there are too few nominal trials for the
-                chosen probability of false alarms, or snapshots of trials that have no cause.
+                chosen probability of false alarms, too many in which a timed sub-task did not end, snapshots of trials
+                that have no cause, or fewer per second than the config has.
         """
         config = FaultMonitorConfig() if config is None else config
         expect("The config", config, FaultMonitorConfig)
         cause = np.asarray(cause)
-        _check_trials(snapshots, len(cause))
+        _check_snapshots(snapshots, len(cause), config.rate)
         nominal, streamed = cause == NOMINAL, np.isin(np.arange(len(cause)), snapshots.trial)
         visible = np.zeros(len(cause)) if visible is None else visible
         deadline = np.full(len(cause), np.inf) if deadline is None else deadline
         calm = nominal if own is None else nominal & own
         limits = {
-            subtask: conformal_threshold(lasted[streamed & calm], config.clock_false_alarms)
+            subtask: _limit(subtask, lasted[streamed & calm], config.clock_false_alarms)
             for subtask, lasted in (durations or {}).items()
         }
         shown = snapshots.time >= visible[snapshots.trial]
@@ -205,11 +210,11 @@ class FaultMonitor:
         scored = streamed & ~nominal & ~np.isnan(deadline)
         options = []
         for hold in config.holds:
-            steps, share = round(hold * config.rate) + 1, config.false_alarms / len(machines)
+            steps, share = math.ceil(hold * config.rate * (1 - SLACK)) + 1, config.false_alarms / len(machines)
             levels = {subtask: _level(snapshots, subtask, calm, probability, steps, share) for subtask in machines}
             raised = _detected(snapshots, levels, np.where(scored, deadline, -np.inf), probability, steps)
             detected = _mean_share(raised[scored], (cause if kind is None else kind)[scored])
-            options.append(FaultMonitor(machines, levels, hold, limits, detected))
+            options.append(FaultMonitor(machines, levels, hold, limits, detected, config.rate))
         return max(options, key=lambda option: option.detected)  # the shortest of equals
 
     def predict(self, snapshots: SubtaskSnapshots) -> Float[np.ndarray, " snapshot"]:
@@ -227,9 +232,9 @@ class FaultMonitor:
             ``"words"``: by the classifiers; ``"clock"``: by the time limits.
 
         Raises:
-            InputError: there are snapshots of more trials.
+            InputError: there are snapshots of more trials, or fewer per second than those that set the levels.
         """
-        _check_trials(snapshots, trials)
+        _check_snapshots(snapshots, trials, self.rate)
         first = {name: np.full(trials, np.inf) for name in ("words", "clock")}
         probability, time = self.predict(snapshots), snapshots.time
         for subtask, level in self.levels.items():
@@ -245,10 +250,28 @@ class FaultMonitor:
         return first
 
 
-def _check_trials(snapshots: SubtaskSnapshots, trials: int) -> None:
+def _check_snapshots(snapshots: SubtaskSnapshots, trials: int, rate: float) -> None:
     expect("The stream", snapshots, SubtaskSnapshots)
     if (last := int(snapshots.trial.max(initial=-1))) >= trials:
         raise InputError(f"There are {trials} trials, and snapshots of a trial of number {last}; expected less.")
+    within = (np.diff(snapshots.trial) == 0) & (np.diff(snapshots.subtask) == 0)
+    apart = float(np.diff(snapshots.time)[within].max(initial=0.0))
+    if apart * rate > 1 + SLACK:  # an alarm that lasts some seconds would need fewer of them, and be false more often
+        raise InputError(
+            f"Snapshots of a sub-task are up to {apart:g} s apart, and the monitor's config has {rate:g} per second; "
+            f"take them so often, or train with a config of rate={1 / apart:g}."
+        )
+
+
+def _limit(subtask: int, lasted: Float[np.ndarray, " trial"], share: float) -> float:
+    """Seconds that a sub-task may last, for a share of false alarms."""
+    limit = conformal_threshold(np.where(np.isnan(lasted), np.inf, lasted), share)
+    if np.isinf(limit):
+        raise InputError(
+            f"Sub-task {subtask} did not end in {int((~np.isfinite(lasted)).sum())} of {len(lasted)} nominal trials, "
+            f"too many for a time limit with {share:g} false alarms per trial; leave these trials out, or accept more."
+        )
+    return limit
 
 
 def _training_rows(

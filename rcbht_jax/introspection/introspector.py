@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.compiling import host_device, jit
-from rcbht_jax._util.signals import check_names
+from rcbht_jax._util.signals import read_chunk
 from rcbht_jax._util.values import expect, finite, number
 from rcbht_jax.encoding.encoder import PackedLabels
 from rcbht_jax.encoding.rules import AnyConfig
@@ -125,7 +125,8 @@ class Introspector:
         model: see :mod:`rcbht_jax.introspection.model`.
         rate: beliefs per second; "auto" = nearest to ten that fits the sampling period; None = one per window. The
             clock is the number of samples received.
-        k: certainty level: a belief is certain when its probability exceeds ``k``, 0.5 to 1 (paper: 0.70 to 0.95).
+        k: certainty level: a belief is certain when its probability exceeds ``k``, from 0.5 + ``margin`` to less
+            than 1 (paper: 0.70 to 0.95).
         margin: a certain belief stays certain until its probability falls below ``k - margin``.
         hold: seconds for which an alarm must stay above its level (the classifier's own, else ``k``) before it is
             raised, and below 0.5 before it is cleared; None = those for which the classifier's level was computed.
@@ -274,13 +275,12 @@ class Introspector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, names of other axes, a value that is not finite, a time that is no number, or more
-                samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
-                consumed.
+            InputError: wrong shape, a frame of other axes or of another rate, a value that is not finite, a time that
+                is no number, or more samples than are counted (``MOST_SAMPLES`` of
+                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         time = None if time is None else finite("The time", time)
-        check_names(samples, self.axes)
-        chunk = self._buffer.checked(samples)
+        chunk = self._buffer.checked(read_chunk(samples, self._config.dt, self.axes))
         events: list[Event] = []
         end = self.received + len(chunk)
         while len(chunk):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import check_names, columns_for
+from rcbht_jax._util.signals import columns_for, read_chunk
 from rcbht_jax._util.values import finite
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_of
 from rcbht_jax.introspection.alarms import conformal_p
@@ -82,12 +82,11 @@ class NominalWatch:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: other axes or another order, values that are not finite, or a time that is no number; then
-                nothing is consumed.
+            InputError: other axes, another order or rate, values that are not finite, or a time that is no number;
+                then nothing is consumed.
         """
         time = None if time is None else finite("The time", time)
-        check_names(samples, self.axes)
-        scores = self._stream.push(samples)
+        scores = self._stream.push(read_chunk(samples, self.dt, self.axes))
         count = len(scores)
         end = self._received + count
         step = self._monitor.score_step

@@ -24,7 +24,7 @@ from rcbht_jax.labels import AXES
 from rcbht_jax.types import Recordings
 
 ON_GRID = 0.01  # of a period: nearer than this is on the grid
-FASTER = 0.9  # of a period between readings, or less: the source is faster than the grid
+FASTER = 0.91  # of a period between readings, or less: the source is faster than the grid, 1.1 times or more
 COUNTED = 50  # readings of which this is the mean
 JITTER = 0.25  # of a period: readings further off the grid are reported
 PAUSE = 1.0  # s between reports of continuing irregularities: jitter, bridged readings

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import check_names, columns_for, in_precision, numbers_of
+from rcbht_jax._util.signals import columns_for, in_precision, numbers_of, read_chunk
 from rcbht_jax._util.values import finite, usable
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
@@ -98,12 +98,11 @@ class SegmenterStream:
             time: stamp of the last one, s; None = samples received x period.
 
         Raises:
-            InputError: other axes or another order, values that are not finite, or too large, or a time that is no
-                number; then nothing is consumed.
+            InputError: other axes, another order or rate, values that are not finite, or too large, or a time that is
+                no number; then nothing is consumed.
         """
         time = None if time is None else finite("The time", time)
-        check_names(samples, self._file.axes)
-        chunk = in_precision(numbers_of(samples), np.float32)
+        chunk = in_precision(numbers_of(read_chunk(samples, self.dt, self._file.axes)), np.float32)
         if chunk.ndim != 2 or chunk.shape[1] != len(self._file.axes) or not usable(chunk):
             raise InputError(f"Samples have shape {chunk.shape}; expected finite [time, {len(self._file.axes)}].")
         end = self._received + len(chunk)

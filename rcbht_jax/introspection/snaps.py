@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.signals import check_names, columns_for, distinct, numbers_of, period
+from rcbht_jax._util.signals import columns_for, distinct, numbers_of, period, read_chunk
 from rcbht_jax._util.values import expect, finite
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
@@ -24,6 +24,8 @@ TOLERANCES = 10.0  # of the words in the smallest fall
 
 class SnapDetector:
     """Snaps in a stream of forces, found with words of the fit rule; chunks of any size give the same events.
+
+    Only stamps that are dates may differ, by a microsecond, where samples are not whole microseconds apart.
 
     Args:
         rate: samples per second.
@@ -107,12 +109,12 @@ class SnapDetector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, names of other axes, a value that is not finite, a time that is no number, or more
-                samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
-                consumed.
+            InputError: wrong shape, a frame of other axes or of another rate, a value that is not finite, a time that
+                is no number, or more samples than are counted (``MOST_SAMPLES`` of
+                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         time = None if time is None else finite("The time", time)
-        check_names(samples, self.axes)
+        samples = read_chunk(samples, self.dt, self.axes)
         blocks = self._encoder.lines(samples)
         end = self._encoder.received + len(np.asarray(samples))
         events = []

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike
 
+from rcbht_jax._util.signals import read_chunk
 from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, Word
@@ -155,6 +156,7 @@ class Together:
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
         """Feed samples ``[time, axis]``; returns all events that they cause, in order; see ``Introspector.push``."""
+        samples = read_chunk(samples, self.config.dt, self.axes)
         events = list(self._main.push(samples, time))
         if self._words is not self._main:
             events += self._words.push(samples, time)

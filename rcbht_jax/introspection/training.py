@@ -203,9 +203,11 @@ def train_head(
     ``progress`` is called with the number of snapshots since the last call and the total.
 
     Raises:
-        InputError: fewer than two classes in two trials or more, intervals of a track that overlap, or too few nominal
-            trials for ``false_alarms``.
+        InputError: an encoder of another sampling period, fewer than two classes in two trials or more, intervals of a
+            track that overlap, or too few nominal trials for ``false_alarms``.
     """
+    if not np.isclose(config.dt, recordings.dt):
+        raise InputError(f"The encoder has a sampling period of {config.dt} s, the recordings of {recordings.dt} s.")
     items, _ = learnable(labelled_intervals(recordings, spec.task))
     track = track_of(recordings, spec.task)
     _check_apart(items, recordings, track)
@@ -297,8 +299,8 @@ def train_model(
 ) -> IntrospectionModel:
     """Train a model with one classifier per specification; see :func:`train_head`.
 
-    ``config`` and ``thresholds`` default to those of the encoder, with the sampling period of the recordings. The fit
-    rule takes FitConfig with FitLimits, whose tolerance should come from the training recordings
+    ``config`` and ``thresholds`` default to those of the encoder; the sampling period is that of the recordings. The
+    fit rule takes FitConfig with FitLimits, whose tolerance should come from the training recordings
     (:func:`rcbht_jax.encoding.rules.limits_for`).
 
     Raises:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.signals import check_names, distinct
+from rcbht_jax._util.signals import distinct, read_chunk
 from rcbht_jax._util.values import finite
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits
 from rcbht_jax.encoding.stream import Encoder
@@ -173,12 +173,12 @@ class WordIntrospector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, names of other axes, a value that is not finite, a time that is no number, or more
-                samples than are counted (``MOST_SAMPLES`` of :mod:`rcbht_jax.encoding.stream`); then nothing is
-                consumed.
+            InputError: wrong shape, a frame of other axes or of another rate, a value that is not finite, a time that
+                is no number, or more samples than are counted (``MOST_SAMPLES`` of
+                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         time = None if time is None else finite("The time", time)
-        check_names(samples, self.axes)
+        samples = read_chunk(samples, self.config.dt, self.axes)
         complete = self.received // self.config.window
         published = self._encoder.push(samples)
         self._time = time

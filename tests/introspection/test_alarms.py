@@ -158,3 +158,11 @@ def test_a_level_that_no_belief_can_pass_or_keep_is_refused(k: float, margin: fl
     with pytest.raises(InputError, match="cannot be certain above"):
         Confidence(k, margin)
     Confidence(0.8, 0.3)
+
+
+@pytest.mark.parametrize(("margin", "least"), [(0.0, 0.5), (0.05, 0.55), (0.2, 0.7)])
+def test_the_least_level_is_the_one_that_the_error_names(margin: float, least: float) -> None:
+    """It named 0.5, which the default margin does not allow; and 0.7 - 0.2 is less than 0.5 in binary."""
+    with pytest.raises(InputError, match=f"here {least:g}, to less than 1"):
+        Confidence(least - 0.01, margin)
+    Confidence(least, margin)

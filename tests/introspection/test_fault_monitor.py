@@ -43,6 +43,36 @@ def test_alarms_on_new_trials_keep_the_promise() -> None:
     assert np.isinf(first["clock"]).all()
 
 
+@pytest.mark.parametrize("every", [2, 3])
+def test_the_promise_holds_at_the_rate_of_the_snapshots(every: int) -> None:
+    """A level for alarms of so many snapshots was kept by alarms of so many seconds, which took fewer of them."""
+
+    def drawn(nominal: int, seed: int) -> SubtaskSnapshots:
+        count = nominal + 20
+        trial, subtask, begin, now = schedule_snapshots(np.zeros((count, 1), int), np.full(count, 60), every)
+        x = np.random.default_rng(seed).normal(size=(len(trial), 1)) + 2.5 * (trial >= nominal)[:, None]
+        return SubtaskSnapshots(trial, subtask, begin, now, x, DT)
+
+    lessons, new = drawn(60, 0), drawn(600, 1)
+    with pytest.raises(InputError, match=rf"up to 0.{every} s apart, .* has 10 per second; .* rate={10 / every:g}\."):
+        FaultMonitor.fit(lessons, causes(60, 20), config=CONFIG)
+    slow = replace(CONFIG, rate=float(f"{10 / every:g}"), holds=(0.6,))
+    monitor = FaultMonitor.fit(lessons, causes(60, 20), config=slow)
+    assert np.isfinite(monitor.alarms(new, 620)["words"][:600]).mean() < 2 * CONFIG.false_alarms
+    quick = FaultMonitor.fit(streams(200, 20, 6.0), causes(200, 20), config=CONFIG)
+    with pytest.raises(InputError, match="the monitor's config has 10 per second"):
+        quick.alarms(new, 620)
+
+
+def test_a_hold_between_two_snapshots_takes_the_later_one() -> None:
+    """The level is that of as many snapshots as the alarm takes: 0.25 s are three steps of 0.1 s, not two."""
+    lessons, cause = streams(200, 20, 6.0), causes(200, 20)
+    between, after = (
+        FaultMonitor.fit(lessons, cause, config=replace(CONFIG, holds=(hold,))).levels for hold in (0.25, 0.3)
+    )
+    assert between == after
+
+
 def test_the_clock_raises_the_alarm_when_a_sub_task_lasts_too_long() -> None:
     durations = {0: np.append(np.linspace(0.6, 0.9, 100), np.full(20, np.nan))}
     monitor = FaultMonitor.fit(streams(100, 20, 6.0), causes(100, 20), durations=durations, config=CONFIG)
@@ -57,6 +87,20 @@ def test_the_clock_of_a_later_sub_task_starts_when_that_begins() -> None:
     new = streams(2, 1, 0.0)
     np.testing.assert_allclose(new.elapsed, [*np.arange(1, 11) * DT, *np.arange(1, 21) * DT] * 3)
     np.testing.assert_allclose(monitor.alarms(new, 3)["clock"], 1.0 + 1.6)
+
+
+def test_a_nominal_trial_that_did_not_end_does_not_stop_the_clock() -> None:
+    """A single one made the limit NaN, which no time exceeds."""
+    lessons, cause = streams(100, 20, 6.0), causes(100, 20)
+
+    def limit(unfinished: int) -> float:
+        lasted = np.append(np.linspace(0.6, 0.9, 100), np.full(20, np.nan))
+        lasted[:unfinished] = np.nan
+        return FaultMonitor.fit(lessons, cause, durations={0: lasted}, config=CONFIG).limits[0]
+
+    assert limit(0) < limit(1) == 0.9  # the 99th of 100
+    with pytest.raises(InputError, match="Sub-task 0 did not end in 2 of 100 nominal trials, too many"):
+        limit(2)
 
 
 def test_nothing_is_learned_before_a_fault_can_show() -> None:

@@ -118,6 +118,13 @@ def test_of_a_faster_source_samples_are_means_over_a_period(rate):
     assert rate < 500 or np.abs(vibration[51:]).max() < 0.2  # 0.84 in single readings
 
 
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+def test_a_source_is_faster_from_eleven_tenths_on(start: float) -> None:
+    """It was from 1.111 times on; docs/online.md states 1.1."""
+    for rate, kinds in ((216, []), (220, ["faster"])):
+        assert fed([(start + k / rate, 0.0) for k in range(200)])[1][:1] == kinds
+
+
 def test_a_stream_that_repeats_the_values_of_a_slower_sensor_has_its_rate():
     values = np.repeat(np.random.default_rng(0).normal(size=(60, 6)), 10, axis=0)
     opening = read_opening(iter([Sample(tuple(value), k / 1000) for k, value in enumerate(values.tolist())]), 1.0)

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, SubtaskStarted, TrialStarted
 from rcbht_jax.introspection.introspector import Introspector
@@ -56,13 +57,13 @@ def stream_at(rate: float) -> Together:
     return Together(Together(Introspector(model()), words) if rate == 200 else words, readers=readers)
 
 
-def said(cuts: list[int], start: float | None, rate: float = 200.0) -> list[dict[str, Any]]:
+def said(cuts: list[int], start: float | None, rate: float = 200.0, digits: int = 6) -> list[dict[str, Any]]:
     stream = stream_at(rate)
     stream.reset()
     events, end = [], 0
     for piece in np.split(WRENCH, sorted(cuts)):
         end += len(piece)
-        events += stream.push(piece, None if start is None else round(start + (end - 1) / rate, 6))
+        events += stream.push(piece, None if start is None else round(start + (end - 1) / rate, digits))
     return [event.to_json() for event in [*events, *stream.finish(), *stream.reset()]]
 
 
@@ -83,6 +84,13 @@ def test_stamps_without_those_of_a_source_are_the_same_however_the_samples_are_c
     assert {event["event"] for event in events} == KINDS
     assert events == said([], None, 240.0)
     assert all(event["time"] == round(event["sample"] / 240, 9) for event in events)
+
+
+@pytest.mark.parametrize("pieces", [7, 50, 350])
+def test_stamps_of_a_source_at_240_hz_are_the_same_however_the_samples_are_cut(pieces: int) -> None:
+    """Where a stamp was that of the sample itself, it was not rounded, and differed from others in the last digits."""
+    cuts = [*range(350 // pieces, 350, 350 // pieces)]
+    assert said(cuts, 12.3, 240.0, 15) == said([], 12.3, 240.0, 15)
 
 
 def test_events_say_which_trial_they_are_of():
@@ -151,3 +159,19 @@ def test_axes_in_another_order_are_refused_by_every_stream() -> None:
         with pytest.raises(InputError, match=r"The samples have the axes Mz, .*; the stream has Fx"):
             stream.push(frame[[*AXES[::-1]]])
         assert stream.push(frame)
+
+
+def test_a_frame_of_another_rate_is_refused_by_every_stream() -> None:
+    """Two seconds at 100 Hz were read as one at 200 Hz."""
+    slow, right = (pd.to_timedelta(np.arange(len(WRENCH)) / rate, unit="s") for rate in (100, 200))
+    for stream in [*streams(), Encoder(FIT, FIT_LIMITS)]:
+        stream.restart() if isinstance(stream, Encoder) else stream.reset()
+        with pytest.raises(InputError, match="The rate is 200, but the time has 100 samples per second"):
+            stream.push(pd.DataFrame(WRENCH, slow, AXES))
+        assert stream.push(pd.DataFrame(WRENCH, right, AXES))
+    together, timed = stream_at(200.0), pd.DataFrame(WRENCH, columns=AXES)
+    together.reset()
+    expected = together.push(WRENCH)
+    together.reset()
+    timed.insert(0, "time", np.arange(len(WRENCH)) / 200)  # a column that is no axis, for its readers neither
+    assert together.push(timed) == expected

@@ -85,6 +85,13 @@ def test_intervals_that_overlap_are_refused():
             training.train_head(data, spec, EncoderConfig(), preset())
 
 
+def test_an_encoder_of_another_sampling_period_is_refused():
+    """The model took seconds of 100 Hz for half seconds of 200 Hz."""
+    data = Recordings.from_arrays(np.zeros((4, 200, 6)), 100, outcome=["success", "failure"] * 2)
+    with pytest.raises(InputError, match=r"sampling period of 0\.005 s, the recordings of 0\.01 s"):
+        training.train_model(data, (HeadSpec(TaskSpec("outcome"), families=("histogram",)),), EncoderConfig())
+
+
 def test_names_of_classifiers_are_known_before_they_are_trained(monkeypatch):
     """All were trained before a detector was found to have the name of a task."""
     states, phase = HeadSpec(TaskSpec("a")), HeadSpec(TaskSpec("phase"))
