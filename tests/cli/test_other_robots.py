@@ -84,6 +84,13 @@ def test_thresholds_come_from_the_recordings(store: Path, tmp_path: Path, capsys
     assert "the thresholds do not fit these recordings; try --robot auto." in capsys.readouterr().out
 
 
+def test_the_rule_of_merging_changes_no_thresholds(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """--rule similar was refused for every robot without a preset, with a list of rules that lacks it."""
+    made = run(capsys, "encode", store, "--rule", "similar")
+    assert made["thresholds"] == read_tracks(store, "online-W5")[1]["thresholds"]
+    assert made["rest_not_constant"].keys() == {"grip", "twist"}
+
+
 def test_encode_says_where_noise_hides_all_changes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng, push = np.random.default_rng(0), np.interp(np.arange(4000) / 4000, [0.3, 0.6, 0.7], [0, 4, 0])
     noisy = np.stack([push, np.zeros(4000)], 1) + 0.02 * rng.normal(size=(4, 4000, 2))
