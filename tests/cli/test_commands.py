@@ -141,6 +141,8 @@ def test_other_recordings_get_the_thresholds_of_a_model(tmp_path: Path, capsys: 
     ],
 )
 def test_the_advice_for_other_labels_can_be_followed(
+        ("--robot", "hiro"),
+        ("--mode", "offline", "--version", "wip", "--robot", "pa10"),
     options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one, two, model = tmp_path / "one.zarr", tmp_path / "two.zarr", str(tmp_path / "m")
