@@ -76,6 +76,10 @@ def test_evaluate_beats_chance_and_reports_baselines(store: Path, capsys: pytest
     assert result["majority_baseline"]["accuracy"]["mean"] == 0.25
     crossed = run(capsys, "evaluate", store, "--train-on", "A", "--test-on", "B", *quick)
     assert np.sum(crossed["confusion"]) == 4 * TRIALS // 2
+    assert (crossed["protocol"]["folds"], crossed["protocol"]["repeats"]) == (None, None)
+    for unused in ("--folds", "--repeats"):
+        assert main(["evaluate", str(store), "--train-on", "A", "--test-on", "B", unused, "4"]) == 2
+        assert "--folds and --repeats are for cross-validation" in capsys.readouterr().err
     assert main(["evaluate", str(store), "--folds", "3", "--repeats", "1", *map(str, quick)]) == 0
     assert "duration alone" in capsys.readouterr().out
 
