@@ -82,6 +82,8 @@ def test_thresholds_come_from_the_recordings(store: Path, tmp_path: Path, capsys
     assert again["rest_not_constant"]["grip"] < 0.2
     assert main(["encode", str(store), "--robot", "hiro", "--scale", "0.001", "--name", "too-low"]) == 0
     assert "the thresholds do not fit these recordings; try --robot auto." in capsys.readouterr().out
+    assert main(["encode", str(store), "--scale", "0.001", "--name", "too-low-by-auto"]) == 0
+    assert "the thresholds do not fit these recordings." in capsys.readouterr().out
 
 
 def test_the_rule_of_merging_changes_no_thresholds(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
