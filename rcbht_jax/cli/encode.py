@@ -156,7 +156,8 @@ class Encode(RuleCommand):
 
     def _default_name(self) -> str:
         if self.mode == "offline":
-            return f"offline-{'clean' if self.clean else self.version}"
+            words = [self.version] if self.version != Encode.version or not self.clean else []
+            return "-".join(["offline", *["clean"] * self.clean, *words])
         options = {"ungated": not self.gate, "merged-a": not self.adj_exempt, "contact-first": self.contact_first}
         words = [word for word, used in options.items() if used]
         words += [word for word in (self.pipe, self.rule) if word not in ("two-slot", "paper")]

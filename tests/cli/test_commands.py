@@ -141,12 +141,12 @@ def test_other_recordings_get_the_thresholds_of_a_model(tmp_path: Path, capsys: 
     "options",
     [
         ("--robot", "auto", "--window", "20"),
+        ("--robot", "hiro"),
+        ("--mode", "offline", "--version", "wip", "--robot", "pa10"),
         ("--robot", "hiro", "--scale", "2", "--rule", "similar", "--no-gate", "--contact-first", "--latency-cap", "1"),
     ],
 )
 def test_the_advice_for_other_labels_can_be_followed(
-        ("--robot", "hiro"),
-        ("--mode", "offline", "--version", "wip", "--robot", "pa10"),
     options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one, two, model = tmp_path / "one.zarr", tmp_path / "two.zarr", str(tmp_path / "m")
@@ -279,3 +279,9 @@ def test_a_default_name_is_one_that_the_store_takes() -> None:
     limits, tolerance = Path("my limits (2).json"), (2e6,)
     name = Encode(Path("x.zarr"), thresholds=limits, rule="fit", tolerance=tolerance)._default_name()
     assert name == "online-W5-fit-tol2e06-my-limits-2-"
+
+
+@pytest.mark.parametrize(("version", "name"), [("master", "offline-clean"), ("wip", "offline-clean-wip")])
+def test_clean_labels_of_two_versions_have_two_names(version: Any, name: str) -> None:
+    """They differ, and all of them were called offline-clean."""
+    assert Encode(Path("x.zarr"), mode="offline", clean=True, version=version)._default_name() == name
