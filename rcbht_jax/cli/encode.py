@@ -156,8 +156,8 @@ class Encode(RuleCommand):
 
     def _default_name(self) -> str:
         if self.mode == "offline":
-            words = [self.version] if self.version != Encode.version or not self.clean else []
-            return "-".join(["offline", *["clean"] * self.clean, *words])
+            version = "" if self.clean and self.version == Encode.version else f"-{self.version}"
+            return f"offline{'-clean' * self.clean}{version}"
         options = {"ungated": not self.gate, "merged-a": not self.adj_exempt, "contact-first": self.contact_first}
         words = [word for word, used in options.items() if used]
         words += [word for word in (self.pipe, self.rule) if word not in ("two-slot", "paper")]
