@@ -56,7 +56,7 @@ def rest_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper"
     Args:
         recordings: any axes and units.
         window: samples per straight-line fit, as the encoder will have it.
-        rule: of the words, "paper" or "fit".
+        rule: of the words: "paper" or "similar", which have the same windows, or "fit".
 
     Raises:
         InputError: no ``Recordings``, none is as long as two windows, or no encoder has such a window or rule.
@@ -75,6 +75,7 @@ def rest_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper"
         raise InputError(f"No recording has two windows of {window} samples; choose a smaller window.")
     steep = np.abs(slope)
     per_block = max(1, round(BLOCK / (window * recordings.dt)))
+    rule = "paper" if rule == "similar" else rule  # what windows merge to does not change them
     fit = isinstance(config_of(rule, window, recordings.dt), FitConfig)
     activity = _deviations(recordings, window, used, per_block) if fit else _block_means(steep, used, per_block)
     moving = changing(recordings) & steep[used].any(0)  # rounding is no slope

@@ -13,10 +13,12 @@ from rcbht_jax.cli.snaps import SnapSize, detector_of
 class Describe(Command):
     """Describe a trial in sentences: which axes rise, fall or ring, when, by how much and how fast, and what snaps.
 
-    The store needs no labels: the lines of the fit rule are computed here. Without --snap, a snap is a force that falls
-    within 40 ms by at least the smallest reported change of the force that changes most; at 12.5 samples per second or
-    less, none can be seen. Use "rcbht import --tare": a constant offset counts as a load, and a brief contact can look
-    like its release.
+    The store needs no labels: the lines of the fit rule are computed here. A rise or fall is given in full; its
+    duration is the time from a tenth to nine tenths of it, and its sentence begins at the tenth.
+
+    Without --snap, a snap is a force that falls within 40 ms by at least the smallest reported change of the force that
+    changes most; at 12.5 samples per second or less, none can be seen. Use "rcbht import --tare": a constant offset
+    counts as a load, and a brief contact can look like its release.
 
     Example: rcbht describe hiro.zarr 20121127-HIROSA-S-05
     """

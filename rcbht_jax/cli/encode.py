@@ -138,9 +138,10 @@ class Encode(RuleCommand):
             f"{result['name']}: {counts} labels in {result['seconds']:.1f} s with compilation ({speed:,.0f} samples/s)"
         )
         if restless := [axis for axis, share in result["rest_not_constant"].items() if share > RESTLESS]:
+            learned = self.thresholds is None and result["thresholds_from"]["method"] == "auto"
             text += (
                 f"\nMore than a third of the time at rest is not labelled constant on {', '.join(restless)}: the "
-                "thresholds do not fit these recordings; try --robot auto."
+                f"thresholds do not fit these recordings{'' if learned else '; try --robot auto'}."
             )
         if hidden := result["changes_all_constant"]:
             dt = result["config"]["dt"]
@@ -155,7 +156,8 @@ class Encode(RuleCommand):
 
     def _default_name(self) -> str:
         if self.mode == "offline":
-            return f"offline-{'clean' if self.clean else self.version}"
+            version = "" if self.clean and self.version == Encode.version else f"-{self.version}"
+            return f"offline{'-clean' * self.clean}{version}"
         options = {"ungated": not self.gate, "merged-a": not self.adj_exempt, "contact-first": self.contact_first}
         words = [word for word, used in options.items() if used]
         words += [word for word in (self.pipe, self.rule) if word not in ("two-slot", "paper")]

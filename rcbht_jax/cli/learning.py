@@ -145,6 +145,8 @@ class Evaluate(_Learning):
         from rcbht_jax.features import FeatureSpec
         from rcbht_jax.learning.evaluation import FOLDS, EvaluationProtocol, evaluate
 
+        if self.train_on and (self.folds is not None or self.repeats != Evaluate.repeats):
+            raise InputError("--folds and --repeats are for cross-validation; leave them out, or leave out --train-on.")
         grammars, how = self.read_tracks()
         protocol = EvaluationProtocol(
             self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on, self.group

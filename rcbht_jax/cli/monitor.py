@@ -28,7 +28,8 @@ MONITOR = MadeBy('"rcbht monitor fit STORE.zarr -o {path}"')
 Where = Annotated[tuple[str, ...], option("Recordings to use: COLUMN=VALUE; if several, all must hold.", "all")]
 Group = Annotated[str, option("Column of the days or sessions between which recordings differ.")]
 FalseAlarms = Annotated[float, option("Share of nominal recordings that may raise an alarm.")]
-ScoreRate = Annotated[float, option("Scores per second.")]
+USUAL_RATE = 20.0  # scores per second
+ScoreRate = Annotated[float | None, option("Scores per second.", f"{USUAL_RATE:g}, or the store's rate if it is lower")]
 AUTO, NONE = ("auto",), ("none",)
 Levels = Annotated[
     tuple[str, ...],
@@ -52,7 +53,7 @@ class MonitorFit(Command):
     nominal: str = "success"
     """Outcome of nominal recordings; others are not used."""
     group: Group = "session"
-    score_rate: ScoreRate = 20.0
+    score_rate: ScoreRate = None
     levels: Levels = AUTO
     exact: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Set the threshold on recordings held out from training, so that its guarantee on false alarms is exact."""
@@ -167,7 +168,7 @@ class MonitorEvaluate(Command):
     folds: Annotated[int, option("Parts into which the groups are distributed; 0 = one part per group.")] = 10
     onset: Annotated[str, option("Column with the seconds after which the anomaly began, for the delay.", "")] = ""
     false_alarms: FalseAlarms = 0.05
-    score_rate: ScoreRate = 20.0
+    score_rate: ScoreRate = None
     levels: Levels = AUTO
 
     def run(self) -> dict[str, Any]:
@@ -285,7 +286,7 @@ def _judged(recordings: Recordings) -> NDArray[np.bool_]:
     return ~np.isin(recordings.outcome, (UNKNOWN, UNFINISHED))
 
 
-def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...]) -> NominalMonitor:
+def _monitor(recordings: Recordings, score_rate: float | None, levels: tuple[str, ...]) -> NominalMonitor:
     from rcbht_jax.introspection.nominal import NominalMonitor
 
     rate, numbers = 1 / recordings.dt, None
@@ -295,7 +296,12 @@ def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...])
         if unknown:
             raise InputError(f"There is no axis {unknown[0]}; there are {', '.join(recordings.axes)}.")
         numbers = tuple(recordings.axes.index(name) for name in named)
-    return NominalMonitor(rate=rate, score_rate=min(score_rate, rate), levels=numbers)
+    if score_rate is not None and score_rate > rate * (1 + 1e-9):  # 1 / dt is rounded
+        raise InputError(
+            f"--score-rate is {score_rate:g}; the store has {rate:g} samples per second, expected no more."
+        )
+    chosen = min(USUAL_RATE, rate) if score_rate is None else min(score_rate, rate)
+    return NominalMonitor(rate=rate, score_rate=chosen, levels=numbers)
 
 
 def _line(event: str, about: dict[str, str], **more: Any) -> None:

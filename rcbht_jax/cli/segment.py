@@ -78,6 +78,8 @@ class Segment(Command):
 
         if self.write_model is not None and self.offline:
             raise InputError("A segmenter that reads later samples cannot follow a stream; leave out --offline.")
+        if self.one_shot and self.folds != Segment.folds:
+            raise InputError("--one-shot trains on one recording at a time, without folds; leave out --folds.")
         if self.out.suffix != ".csv":
             raise InputError(f"{self.out} must end in .csv.")
         recordings = read_recordings(self.store)

@@ -252,6 +252,26 @@ class Source(RuleCommand):
             checked_rate(self.sampling_rate, "--sampling-rate")
         if not 0 <= self.lead <= 600:
             raise InputError(f"--lead is {self.lead}; expected 0 to 600 s.")
+        self._check_used()
+
+    def _check_used(self) -> None:
+        """Refuse options that would be ignored, for want of what they are about."""
+        from rcbht_jax.io.rosbags import is_bag
+
+        path, live = as_path(self.source), self.source == "-"
+        store, known = _is_store(path), live or path.exists()  # a source that does not exist is refused as such
+        needs = {
+            "false_alarms": (self.monitor is not None, "--monitor"),
+            "certainty": (self.model is not None or self.segmenter is not None, "--model or --segmenter"),
+            "rate": (self.model is not None, "--model"),
+            "trial": (store or not known, "a store"),
+            "arm": (store or not known or (path.is_dir() and not is_bag(path)), "a store or the folder of a trial"),
+            "topic": (not known or is_bag(path), "a bag or MCAP file"),
+            "timeout": (live or not known, "lines on standard input"),
+        }
+        for name, (used, what) in needs.items():
+            if getattr(self, name) != getattr(Source, name) and not used:
+                raise InputError(f"--{name.replace('_', '-')} has no effect without {what}; leave it out.")
 
     def _words(
         self, messages: Messages, say: Callable[[str], None], reads: Reads | None = None

@@ -185,6 +185,8 @@ def _summarised(run: list[Change]) -> list[Change | Ringing]:
 def sentences(found: Sequence[Change | Ringing], units: Mapping[str, str]) -> list[tuple[float, str]]:
     """Time and text of each sentence, in order; axes that begin to change within 0.1 s share one.
 
+    A rise or fall is given in full, and its duration is the time from a tenth to nine tenths of it.
+
     Args:
         found: changes and ringings of all axes.
         units: of each axis.
@@ -256,7 +258,7 @@ def describe_recording(
             one that changes most.
 
     Returns:
-        seconds and text, in order of time.
+        seconds and text, in order of time; durations as of :func:`sentences`.
 
     Raises:
         InputError: no such recording, a share that is not between 0 and 1, or snaps of other axes or of another rate.

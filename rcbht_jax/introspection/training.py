@@ -36,6 +36,7 @@ ENDS = 6  # snapshots that a complete interval counts for: the belief at its end
 TRIAL_GRID = Grid(
     kernels=("linear", "rbf"), costs=(1e-2, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1
 )
+OUTCOME = "outcome"  # the task whose classifier raises alarms
 # Features, class and trial of every training snapshot.
 Training = tuple[Float[np.ndarray, "row feature"], Int[np.ndarray, " row"], Shaped[np.ndarray, " row"]]
 PICKED = 12  # snapshots per interval and per spacing (even, geometric) for training
@@ -204,13 +205,16 @@ def train_head(
 
     Raises:
         InputError: an encoder of another sampling period, fewer than two classes in two trials or more, intervals of a
-            track that overlap, or too few nominal trials for ``false_alarms``.
+            track that overlap, too few nominal trials for ``false_alarms``, or no failure among the outcomes for it.
     """
     if not np.isclose(config.dt, recordings.dt):
         raise InputError(f"The encoder has a sampling period of {config.dt} s, the recordings of {recordings.dt} s.")
     items, _ = learnable(labelled_intervals(recordings, spec.task))
     track = track_of(recordings, spec.task)
     _check_apart(items, recordings, track)
+    alarm = FAILURE if spec.task.task == OUTCOME and FAILURE in items.classes else ""
+    if spec.false_alarms and spec.task.task == OUTCOME and not alarm:
+        raise InputError(f"No outcome is {FAILURE}, so no alarm is learned; leave out the rate of false alarms.")
     spec = replace(spec, subtask=bool(track))
     snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
     snapshots = since_trial_start(snapshots) if spec.phase else snapshots
@@ -219,7 +223,6 @@ def train_head(
         recordings, snapshots, view, config, thresholds, progress and (lambda done: progress(done, total))
     )
     machine = learn(x, snapshots, items, view.spec, *spec.learning, seed, recordings.wrench.shape[2])
-    alarm = FAILURE if spec.task.task == "outcome" and FAILURE in items.classes else ""
     head = Head(spec.name, spec.scope, view, machine, alarm)
     head = replace(head, alarm_hold=spec.hold) if alarm else head
     training = x, items.y[snapshots.interval], items.trial[snapshots.interval]
@@ -304,8 +307,11 @@ def train_model(
     (:func:`rcbht_jax.encoding.rules.limits_for`).
 
     Raises:
-        InputError: as from :func:`train_head`, or two classifiers would have the same name.
+        InputError: as from :func:`train_head`, two classifiers would have the same name, or a rate of false alarms
+            without the task outcome.
     """
+    if any(spec.false_alarms for spec in specs) and all(spec.task.task != OUTCOME for spec in specs):
+        raise InputError(f"The rate of false alarms is for the task {OUTCOME}; add that task, or leave the rate out.")
     config = config or EncoderConfig(dt=recordings.dt)
     limits = preset(axes=recordings.axes) if thresholds is None else thresholds
     names = _names(specs)

@@ -210,9 +210,7 @@ def score(
         scored = _in_folds(items, estimators, protocol, groups, splitter)
     return EvaluationResult(
         task=task,
-        protocol=asdict(protocol)
-        | {"folds": protocol.folds_for(items.y, groups)}
-        | ({} if splitter is None else {"splitter": repr(splitter)}),
+        protocol=asdict(protocol) | _folds_used(items, protocol, groups, splitter),
         classes=items.classes,
         items=dict(
             zip(items.classes, np.bincount(items.y[scored.used], minlength=len(items.classes)).tolist(), strict=True)
@@ -230,6 +228,17 @@ def score(
         confounds=" ".join(confounds(items.take(scored.used), facts)),
         provenance=provenance,
     )
+
+
+def _folds_used(
+    items: LabelledIntervals, protocol: EvaluationProtocol, groups: NDArray[Any], splitter: Any
+) -> dict[str, Any]:
+    """Folds and repeats for the result; None where sessions or a splitter take their place."""
+    if protocol.train_on:
+        return {"folds": None, "repeats": None}
+    if splitter is not None:
+        return {"folds": None, "repeats": None, "splitter": repr(splitter)}
+    return {"folds": protocol.folds_for(items.y, groups)}
 
 
 class _Scored(NamedTuple):

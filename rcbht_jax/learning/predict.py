@@ -101,9 +101,11 @@ def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -
         for key in MADE_BY:
             if key in wanted and made[name].get(key) != wanted[key]:
                 what = _difference(wanted[key], made[name].get(key)) or key
+                options = _options(wanted)
+                where = ", where MODEL is the model's file" if "MODEL" in options else ""
                 raise InputError(
                     f"the model was trained on labels {name or 'of its own'} made otherwise ({what}); "
-                    f'make such labels with "rcbht encode{_options(wanted)}" first{_choice(wanted)}.'
+                    f'make such labels with "rcbht encode{options}" first{where}, and name them with --tracks.'
                 )
 
 
@@ -132,12 +134,11 @@ def limits_in(model: TrainedModel, window: int, axes: Sequence[str]) -> tuple[An
 
 
 def _options(made: Mapping[str, Any]) -> str:
-    """Options of ``rcbht encode`` that no store has by itself: choices of the encoder, and limits of recordings."""
-    limits = ["--thresholds MODEL"] if _own(made) else []
+    """Options of ``rcbht encode`` that no store has by itself: choices of the encoder, and the limits of the model."""
     try:
         config = encoder_of(made)[0]
     except (InputError, KeyError, TypeError, ValueError):  # of the offline program, or a damaged file
-        return "".join(f" {word}" for word in limits)
+        return _offline_options(made)
     values, usual = config_fields(config), config_fields(type(config)())
     words = [] if values["rule"] == "paper" else [f"--rule {values['rule']}"]
     words.append(f"--window {config.window}")
@@ -147,17 +148,16 @@ def _options(made: Mapping[str, Any]) -> str:
         value, option = values.get(name), name.replace("_", "-")
         if value is not None and value != usual[name]:
             words.append(f"--{'' if value else 'no-'}{option}" if isinstance(value, bool) else f"--{option} {value}")
-    return "".join(f" {word}" for word in words + limits)
+    return "".join(f" {word}" for word in [*words, "--thresholds MODEL"])
 
 
-def _choice(made: Mapping[str, Any]) -> str:
-    return ", where MODEL is the model's file, and name them with --tracks" if _own(made) else ""
-
-
-def _own(made: Mapping[str, Any]) -> bool:
-    """Whether the limits are not those of a preset, so that other recordings have others."""
-    source = made.get("thresholds_from")
-    return isinstance(source, dict) and bool(source) and (source.get("method") != "preset" or "scale" in source)
+def _offline_options(made: Mapping[str, Any]) -> str:
+    """Options of ``rcbht encode`` for labels of the offline program; none where the file does not state them."""
+    config = made.get("config")
+    if made.get("semantics") != "offline" or not isinstance(config, dict):
+        return ""
+    chosen = "".join(f" --{name} {config[name]}" for name in ("robot", "version") if name in config)
+    return f" --mode offline{chosen}{' --clean' if config.get('clean') else ''}"
 
 
 def _difference(wanted: Any, items: Any) -> str:

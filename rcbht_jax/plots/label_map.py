@@ -63,25 +63,27 @@ def label_map(
         layer: "primitive", "mc" or "llb".
         select: which recordings: bool ``[recording]`` or row numbers; default all.
         by: what a column is.
-        words: largest number of labels to show; the caption states how many rows are truncated. Default all.
+        words: largest number of labels to show, by word; the caption states how many rows are truncated. Default all.
         title: start of the title.
         track: track of annotations; default see :meth:`rcbht_jax.annotations.Annotations.choose`.
 
     Raises:
-        InputError: the layer or ``by`` is unknown, no recording is selected, ``words`` is not positive, or the tracks
-            do not belong to the recordings.
+        InputError: the layer or ``by`` is unknown, no recording is selected, ``words`` is not positive or given for a
+            map by state, or the tracks do not belong to the recordings.
     """
     if layer not in LAYERS or by not in ("word", "state"):
         raise InputError(
             f"A label map of {layer!r} by {by!r} does not exist; expected {', '.join(LAYERS)} by word or state."
         )
+    if by == "state" and words is not None:
+        raise InputError("A label map by state has no number of words; leave that out, or choose a map by word.")
     check_rows(recordings, tracks)
     rows = _sorted_rows(recordings, select)
     chosen: LabelTrack = getattr(tracks, layer)
     states = _states(recordings, track) if by == "state" else ()
     codes = _by_word(chosen, rows) if by == "word" else _by_state(chosen, rows, recordings, track, states)
     caption = _CAPTIONS[by]
-    if by == "word" and words is not None:
+    if words is not None:
         codes, caption = _cut(codes, words, caption)
     # Up to a thousand labels need one wide panel per axis; states are short and fit in two columns.
     columns = 1 if by == "word" or len(recordings.axes) == 1 else 2

@@ -159,7 +159,8 @@ def _view(recordings: Recordings, index: int, seconds: tuple[float, float] | Non
     duration = float(recordings.length[index] * recordings.dt)
     start, stop = (0.0, duration) if seconds is None else seconds
     times = np.arange(recordings.length[index]) * recordings.dt
-    if not (0 <= start < min(stop, duration) and ((times >= start) & (times <= stop)).any()):
+    start = max(start, 0.0)
+    if not (start < min(stop, duration) and ((times >= start) & (times <= stop)).any()):
         raise InputError(f"No sample lies between {start:g} s and {stop:g} s; the recording lasts {duration:g} s.")
     return _View(start, min(stop, duration), recordings.dt)
 

@@ -142,6 +142,8 @@ class Simulate(Command):
 
         if self.status:
             return status(self.out)
+        if self.lanes is not None and self.engine == "native":
+            raise InputError("--lanes is for --engine mjx or warp; leave it out, or use one of them.")
         name, spec = self._chosen()
         encode = self._encode_afterwards()
         command = self if encode is None else replace(self, window=None)

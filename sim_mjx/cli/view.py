@@ -135,6 +135,8 @@ class View(Command):
 
         attrs = read_attrs(self.store)
         if "simulated" in attrs:
+            if self.data is not None:
+                raise InputError(f"{self.store} is simulated, and needs no recorded joint angles; leave out --data.")
             return partial(simulated, self.store)
         if self.data is None and "joined" in attrs:
             raise InputError(

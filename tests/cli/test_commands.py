@@ -76,6 +76,10 @@ def test_evaluate_beats_chance_and_reports_baselines(store: Path, capsys: pytest
     assert result["majority_baseline"]["accuracy"]["mean"] == 0.25
     crossed = run(capsys, "evaluate", store, "--train-on", "A", "--test-on", "B", *quick)
     assert np.sum(crossed["confusion"]) == 4 * TRIALS // 2
+    assert (crossed["protocol"]["folds"], crossed["protocol"]["repeats"]) == (None, None)
+    for unused in ("--folds", "--repeats"):
+        assert main(["evaluate", str(store), "--train-on", "A", "--test-on", "B", unused, "4"]) == 2
+        assert "--folds and --repeats are for cross-validation" in capsys.readouterr().err
     assert main(["evaluate", str(store), "--folds", "3", "--repeats", "1", *map(str, quick)]) == 0
     assert "duration alone" in capsys.readouterr().out
 
@@ -137,6 +141,8 @@ def test_other_recordings_get_the_thresholds_of_a_model(tmp_path: Path, capsys: 
     "options",
     [
         ("--robot", "auto", "--window", "20"),
+        ("--robot", "hiro"),
+        ("--mode", "offline", "--version", "wip", "--robot", "pa10"),
         ("--robot", "hiro", "--scale", "2", "--rule", "similar", "--no-gate", "--contact-first", "--latency-cap", "1"),
     ],
 )
@@ -273,3 +279,9 @@ def test_a_default_name_is_one_that_the_store_takes() -> None:
     limits, tolerance = Path("my limits (2).json"), (2e6,)
     name = Encode(Path("x.zarr"), thresholds=limits, rule="fit", tolerance=tolerance)._default_name()
     assert name == "online-W5-fit-tol2e06-my-limits-2-"
+
+
+@pytest.mark.parametrize(("version", "name"), [("master", "offline-clean"), ("wip", "offline-clean-wip")])
+def test_clean_labels_of_two_versions_have_two_names(version: Any, name: str) -> None:
+    """They differ, and all of them were called offline-clean."""
+    assert Encode(Path("x.zarr"), mode="offline", clean=True, version=version)._default_name() == name

@@ -173,6 +173,8 @@ def test_another_unit_is_refused(store: Path, model: Path, capsys: pytest.Captur
         (["fit", "--where", "skill=9"], "no recording with skill=9"),
         (["fit", "--levels", "Mx"], "There is no axis Mx; there are Fz, grip"),
         (["fit", "--where", "skill=7"], "three or more"),
+        (["fit", "--score-rate", "30"], "--score-rate is 30; the store has 20 samples per second"),
+        (["fit", "--score-rate", "0"], "score_rate is 0"),
         (["fit", "--where", "tool=2"], "three or more"),  # a column of numbers
         (["fit", "--nominal", "good"], "outcome good; there are failure, success. Choose one with --nominal."),
     ],

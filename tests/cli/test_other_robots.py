@@ -82,6 +82,15 @@ def test_thresholds_come_from_the_recordings(store: Path, tmp_path: Path, capsys
     assert again["rest_not_constant"]["grip"] < 0.2
     assert main(["encode", str(store), "--robot", "hiro", "--scale", "0.001", "--name", "too-low"]) == 0
     assert "the thresholds do not fit these recordings; try --robot auto." in capsys.readouterr().out
+    assert main(["encode", str(store), "--scale", "0.001", "--name", "too-low-by-auto"]) == 0
+    assert "the thresholds do not fit these recordings." in capsys.readouterr().out
+
+
+def test_the_rule_of_merging_changes_no_thresholds(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """--rule similar was refused for every robot without a preset, with a list of rules that lacks it."""
+    made = run(capsys, "encode", store, "--rule", "similar")
+    assert made["thresholds"] == read_tracks(store, "online-W5")[1]["thresholds"]
+    assert made["rest_not_constant"].keys() == {"grip", "twist"}
 
 
 def test_encode_says_where_noise_hides_all_changes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

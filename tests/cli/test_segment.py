@@ -61,6 +61,7 @@ def test_recordings_of_one_source_have_their_numbers_in_the_store(store, tmp_pat
     [
         (["--task", "nothing"], "nothing"),
         (["-o", "table.txt"], "must end in .csv"),
+        (["--one-shot", "--folds", "3"], "leave out --folds"),
         (["--source", "none"], "no recording has the source none"),
     ],
 )

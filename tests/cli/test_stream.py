@@ -307,6 +307,30 @@ def test_options_that_contradict_each_other(model_path, capsys, monkeypatch):
     assert "--sampling-rate" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("source", "option", "what"),
+    [
+        ("-", "--false-alarms 7", "--monitor"),
+        ("-", "--certainty 9", "--model or --segmenter"),
+        ("-", "--rate -4", "--model"),
+        ("-", "--trial t01", "a store"),
+        ("-", "--arm L", "a store or the folder of a trial"),
+        ("-", "--topic /wrench", "a bag or MCAP file"),
+        ("s.zarr", "--topic /wrench", "a bag or MCAP file"),
+        ("s.zarr", "--timeout -1", "lines on standard input"),
+    ],
+)
+@pytest.mark.parametrize("command", ["stream", "serve"])
+def test_options_without_effect_are_refused(tmp_path, capsys, monkeypatch, command, source, option, what):
+    """They were accepted with any value, and nobody learned that no alarm, no topic and no trial was chosen."""
+    monkeypatch.chdir(tmp_path)
+    rj.write_recordings(tmp_path / "s.zarr", rj.Recordings.from_arrays([trial(1, 3)], rate=200), {})
+    port = ["--port", "0", "--no-stay", "--speed", "0"] if command == "serve" else []
+    monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(0, 1, 60))))
+    assert main([command, source, "--robot", "hiro", *option.split(), *port]) == 2
+    assert f"{option.split()[0]} has no effect without {what}; leave it out." in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("with_model", [False, True])
 def test_serve_opens_the_page_before_the_first_reading(with_model, model_path, monkeypatch):
     """Also where words of another rule than the model's are shown, which needs the beginning of the stream."""

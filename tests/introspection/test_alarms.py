@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -25,7 +26,7 @@ from rcbht_jax.introspection.alarms import (
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.session import Session
-from rcbht_jax.introspection.training import HeadSpec, train_head
+from rcbht_jax.introspection.training import HeadSpec, train_head, train_model
 from rcbht_jax.io.messages import Sample
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.svm import SvmSpec, fit
@@ -136,6 +137,15 @@ def test_a_head_learns_its_level():
     assert sum(raised[12:]) >= 10
     with pytest.raises(InputError, match="it takes 99"):
         train_head(data, HeadSpec(TaskSpec("outcome"), ("histogram",), false_alarms=0.01), CONFIG, preset())
+
+
+def test_a_rate_of_false_alarms_without_an_alarm_is_refused():
+    data = made_up([0] * 4 + [1] * 4)
+    with pytest.raises(InputError, match="is for the task outcome; add that task"):
+        train_model(data, (HeadSpec(TaskSpec("session"), false_alarms=0.1),), CONFIG, preset())
+    renamed = replace(data, outcome=np.repeat(["good", "bad"], 4))
+    with pytest.raises(InputError, match="No outcome is failure, so no alarm is learned"):
+        train_head(renamed, HeadSpec(TaskSpec("outcome"), ("histogram",), false_alarms=0.1), CONFIG, preset())
 
 
 def test_dates_as_time_stamps_delay_no_alarm():

@@ -86,6 +86,14 @@ def test_no_change_is_lost_or_told_twice(steps: list[tuple[float, float]]) -> No
     assert [c for c in series if c not in inside] == [c for c in alone if c not in inside]
 
 
+def test_help_states_which_part_of_a_change_its_duration_is(capsys: pytest.CaptureFixture[str]) -> None:
+    """All of a ramp of one second stands beside 0.8 s."""
+    ramp = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 0.0, 10.0, 10.0])
+    assert sentences(changes("Fz", *ramp, 1.0), {"Fz": "N"}) == [(1.1, "Fz rises 10 N in 0.8 s")]
+    assert main(["describe", "--help"]) == 0
+    assert "duration is the time from a tenth to nine tenths of it" in " ".join(capsys.readouterr().out.split())
+
+
 def test_axes_that_change_together_share_a_sentence() -> None:
     found = [Change("My", 1.05, 1.2, -0.4), Change("Fz", 1.0, 1.3, 131.7), Change("Fx", 1.2, 1.3, 2.0)]
     assert sentences(found, {"Fz": "N", "My": "Nm", "Fx": ""}) == [

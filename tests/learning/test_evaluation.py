@@ -252,7 +252,7 @@ def test_a_splitter_replaces_the_folds_and_must_keep_trials_together(recordings)
     tracks, task, spec = make_tracks(recordings), TaskSpec(complete=True), FeatureSpec(("histogram",))
     made = evaluate(recordings, tracks, task, spec, EvaluationProtocol(grid=QUICK), splitter=LeaveOneGroupOut())
     assert np.shape(made.fold_accuracy) == (1, 19)
-    assert made.protocol["splitter"] == "LeaveOneGroupOut()"
+    assert [made.protocol[name] for name in ("folds", "repeats", "splitter")] == [None, None, "LeaveOneGroupOut()"]
     with pytest.raises(InputError, match="both sides"):
         evaluate(recordings, tracks, task, spec, EvaluationProtocol(grid=QUICK), splitter=KFold(3, shuffle=True))
     shuffle = GroupShuffleSplit(4, test_size=0.5, random_state=0)

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rcbht_jax as rj
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import AXES
-from rcbht_jax.plots import trial_figure
+from rcbht_jax.plots import label_map, trial_figure
 from rcbht_jax.types import Recordings
 
 
@@ -55,3 +56,14 @@ def test_what_is_no_force_is_called_a_signal(recordings: Recordings) -> None:
 def test_a_part_between_two_samples_is_refused(recordings: Recordings, seconds: tuple[float, float]) -> None:
     with pytest.raises(InputError, match="No sample lies between"):
         trial_figure(recordings, None, 0, seconds=seconds)
+
+
+def test_a_part_that_begins_early_shows_what_there_is(recordings: Recordings) -> None:
+    """A start before the recording was refused with a false sentence; an end after it was not."""
+    early, exact = (trial_figure(recordings, None, 0, seconds=(start, 1.0)) for start in (-0.5, 0.0))
+    assert early.axes[0].get_xlim() == exact.axes[0].get_xlim()
+
+
+def test_a_map_by_state_has_no_number_of_words(recordings: Recordings) -> None:
+    with pytest.raises(InputError, match="by state has no number of words"):
+        label_map(recordings, rj.encode(recordings.wrench, rate=200), "llb", by="state", words=3)

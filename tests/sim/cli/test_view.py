@@ -43,6 +43,14 @@ def test_a_joined_store_says_what_it_does_not_keep(
     assert "view a simulated trial in the store that simulated it" in said
 
 
+def test_a_simulated_trial_has_no_folder_of_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    synthesise(tmp_path / "simulated.zarr", SMALL, simulate=fake_engine)
+    said = refused(
+        capsys, str(tmp_path / "simulated.zarr"), "sim-B-000000", "--data", str(tmp_path), "-o", str(tmp_path / "t.png")
+    )
+    assert "needs no recorded joint angles; leave out --data" in said
+
+
 def test_a_display_that_is_not_there_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
