@@ -94,7 +94,7 @@ class Source(RuleCommand):
     ] = 10.0
     rate: BeliefRate = None
     certainty: float = 0.70
-    """Probability above which a belief counts as certain."""
+    """Probability above which a belief counts as certain, from 0.55 to less than 1."""
     speed: Annotated[
         float | None,
         option(
