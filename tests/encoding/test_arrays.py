@@ -105,7 +105,7 @@ def test_columns_that_hold_no_numbers_are_named() -> None:
     frame = pd.DataFrame(WRENCH[0], columns=NAMES).assign(note="x", day=DATES)
     with pytest.raises(InputError, match="columns note, day hold no numbers; drop them"):
         rj.encode(frame)
-    with pytest.raises(InputError, match="Dataset; expected an array"):
+    with pytest.raises(InputError, match="An xarray Dataset holds several arrays; make one of them"):
         rj.Encoder(rj.EncoderConfig(), rj.preset()).push(xr.Dataset({"Fz": ("time", WRENCH[0, :, 2])}))
 
 
