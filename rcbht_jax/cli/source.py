@@ -256,17 +256,18 @@ class Source(RuleCommand):
 
     def _check_used(self) -> None:
         """Refuse options that would be ignored, for want of what they are about."""
-        from rcbht_jax.io.rosbags import is_bag
+        from rcbht_jax.io.messages import is_bag
 
         path, live = as_path(self.source), self.source == "-"
         store, known = _is_store(path), live or path.exists()  # a source that does not exist is refused as such
+        bag = is_bag(path)
         needs = {
             "false_alarms": (self.monitor is not None, "--monitor"),
             "certainty": (self.model is not None or self.segmenter is not None, "--model or --segmenter"),
             "rate": (self.model is not None, "--model"),
             "trial": (store or not known, "a store"),
-            "arm": (store or not known or (path.is_dir() and not is_bag(path)), "a store or the folder of a trial"),
-            "topic": (not known or is_bag(path), "a bag or MCAP file"),
+            "arm": (store or not known or (path.is_dir() and not bag), "a store or the folder of a trial"),
+            "topic": (not known or bag, "a bag or MCAP file"),
             "timeout": (live or not known, "lines on standard input"),
         }
         for name, (used, what) in needs.items():
@@ -289,7 +290,7 @@ class Source(RuleCommand):
         from rcbht_jax.introspection.opening import read_opening
         from rcbht_jax.introspection.resampling import resampled
         from rcbht_jax.introspection.words import WordIntrospector
-        from rcbht_jax.io.rosbags import is_bag
+        from rcbht_jax.io.messages import is_bag
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.labels import UNIT_OF
 
@@ -348,9 +349,8 @@ class Source(RuleCommand):
 
     def _messages(self, model: IntrospectionModel | None) -> Messages:
         from rcbht_jax.io.importing.find import kind_of
-        from rcbht_jax.io.messages import read_live
+        from rcbht_jax.io.messages import is_bag, read_live
         from rcbht_jax.io.playback import play, read_folder
-        from rcbht_jax.io.rosbags import is_bag, read_bag
         from rcbht_jax.io.store import read_recordings
 
         if self.source == "-":
@@ -360,6 +360,8 @@ class Source(RuleCommand):
         if model is not None and not _is_store(path):  # of ROS, or of a trial in HIRO's layout
             model.check_wrench(str(path))
         if is_bag(path):
+            from rcbht_jax.io.rosbags import read_bag  # of the extra stream, which stores and lines do not need
+
             return read_bag(path, self.topic)
         if _is_store(path):
             recordings = read_recordings(path)

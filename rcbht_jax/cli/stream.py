@@ -184,7 +184,9 @@ class Stream(Source):
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_lines
         from rcbht_jax.introspection.words import Revisions
-        from rcbht_jax.io.rosbags import McapWriter
+
+        if self.mcap:
+            from rcbht_jax.io.rosbags import McapWriter  # of the extra stream, which lines do not need
 
         session, messages = self.opened(self.words or self.provisional)
         window, revisions = session.introspector.config.window, Revisions()

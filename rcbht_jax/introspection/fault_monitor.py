@@ -259,7 +259,7 @@ def _check_snapshots(snapshots: SubtaskSnapshots, trials: int, rate: float) -> N
     if apart * rate > 1 + SLACK:  # an alarm that lasts some seconds would need fewer of them, and be false more often
         raise InputError(
             f"Snapshots of a sub-task are up to {apart:g} s apart, and the monitor's config has {rate:g} per second; "
-            f"take them so often, or train with a config of rate={1 / apart:g}."
+            f"take as many, or train with a config of rate={1 / apart:g}."
         )
 
 

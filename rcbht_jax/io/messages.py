@@ -14,6 +14,7 @@ import queue
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from rcbht_jax._util.untrusted import MAX_LINE
@@ -21,6 +22,7 @@ from rcbht_jax.errors import InputError
 
 LONGEST_SILENCE = 1e9  # s: a thread cannot wait for more than some 9e9
 _AXES = ("x", "y", "z")
+BAGS = (".bag", ".mcap", ".db3")
 
 
 @dataclass(frozen=True)
@@ -206,3 +208,8 @@ def read_live(source: LineReader, silent: float = 1.0) -> Iterator[Message]:
         if isinstance(message, BaseException):
             raise message
         yield message
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is named like a bag, or is a folder with the metadata of a ROS 2 bag."""
+    return path.suffix in BAGS or (path / "metadata.yaml").is_file()

@@ -22,7 +22,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import LEVELS, AnomalyScore, Belief, Event, Word
 from rcbht_jax.io.bag_chunks import bound_chunks, take_packed, unpacked_file, unpacked_message
 from rcbht_jax.io.mcap_file import seal, sound
-from rcbht_jax.io.messages import Malformed, Message, sample_of
+from rcbht_jax.io.messages import BAGS, Malformed, Message, sample_of
 from rcbht_jax.labels import AXES, LAYERS, UNITS, name
 
 with needs_extra("stream"):
@@ -31,7 +31,6 @@ with needs_extra("stream"):
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 WRENCH = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
-SUFFIXES = (".bag", ".mcap", ".db3")
 
 LATEST = 2.0**31 - 1  # s, the last stamp that ROS can hold
 _LABELS = """std_msgs/Header header
@@ -75,11 +74,6 @@ _EVENT = """std_msgs/Header header
 string event
 string json
 """
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path is named like a bag, or is a folder with the metadata of a ROS 2 bag."""
-    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
@@ -178,7 +172,7 @@ def _files(path: Path) -> list[Path]:
     parts = [part for part in sorted(path.iterdir()) if not part.is_dir()]  # the metadata may name any of them
     for part in parts:
         about = part.name == "metadata.yaml"
-        check_file(part, MAX_BAG_INFO_BYTES if about else MAX_BAG_BYTES, empty=not (about or part.suffix in SUFFIXES))
+        check_file(part, MAX_BAG_INFO_BYTES if about else MAX_BAG_BYTES, empty=not (about or part.suffix in BAGS))
     return parts
 
 

@@ -20,8 +20,8 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Notice
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.session import Session
-from rcbht_jax.io.messages import Malformed, Sample
-from rcbht_jax.io.rosbags import McapWriter, is_bag, read_bag
+from rcbht_jax.io.messages import Malformed, Sample, is_bag
+from rcbht_jax.io.rosbags import McapWriter, read_bag
 from tests.io.test_stream_sources import samples_of
 from tests.support.introspection_models import model, trial
 

@@ -23,13 +23,14 @@ def store(tmp_path: Path) -> Path:
     ("extras", "command"),
     [
         (("store",), ["encode", "{store}"]),
+        (("store",), ["stream", "{store}", "--robot", "hiro", "--speed", "0"]),
         (("store", "report"), ["report", "{store}", "-o", "{out}.html"]),
         (("store", "export"), ["export", "{store}", "--format", "csv", "-o", "{out}"]),
         (("store", "export"), ["export", "{store}", "--format", "parquet", "-o", "{out}"]),
         (("store", "export"), ["export", "{store}", "--format", "lerobot", "-o", "{out}"]),
         (("store", "stream"), ["export", "{store}", "--format", "mcap", "-o", "{out}"]),
     ],
-    ids=["encode", "report", "csv", "parquet", "lerobot", "mcap"],
+    ids=["encode", "stream", "report", "csv", "parquet", "lerobot", "mcap"],
 )
 def test_a_command_needs_no_other_extra(extras: tuple[str, ...], command: list[str], store: Path) -> None:
     words = [word.format(store=store, out=store.with_name("out")) for word in command]
