@@ -106,7 +106,9 @@ def _table(path: Path) -> Any:
         if path.suffix.lower() in ARROW:
             magic = raw.read(6)
             raw.seek(0)
-            with pa.ipc.open_file(raw) if magic == b"ARROW1" else pa.ipc.open_stream(raw) as file:
+            options = pa.ipc.IpcReadOptions(use_threads=False)
+            opened = pa.ipc.open_file if magic == b"ARROW1" else pa.ipc.open_stream
+            with opened(raw, options=options) as file:
                 _check_width(path, len(file.schema))
                 table = file.read_all()
                 check_declared(path, table.nbytes, size)
@@ -118,7 +120,8 @@ def _table(path: Path) -> Any:
             unpacked = sum(group.total_byte_size for group in groups)
             cells = sum(group.column(n).num_values for group in groups for n in range(group.num_columns))
             check_declared(path, max(unpacked, 8 * cells, 8 * meta.num_rows), size)
-            return file.read(columns=_usable(pa, file.schema_arrow))
+            # Each thread's stack counts as memory of the child, however many cores there are.
+            return file.read(columns=_usable(pa, file.schema_arrow), use_threads=False)
 
 
 def _check_width(path: Path, columns: int) -> None:
@@ -253,7 +256,7 @@ def episode_tables(path: Path, _: str) -> Iterator[Table]:
         file = require("pyarrow.parquet", "import").ParquetFile(raw)
         check_declared(path, file.metadata.num_rows * 8, size)
         wanted = [key for key in file.schema_arrow.names if key not in _BOOKKEEPING and "/" not in key]
-        for row in file.read(columns=wanted).to_pylist():
+        for row in file.read(columns=wanted, use_threads=False).to_pylist():
             number, facts = _episode(row)
             yield Table(str(number), {}, facts=facts)
 

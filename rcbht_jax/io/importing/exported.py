@@ -137,7 +137,8 @@ def exported_tables(path: Path, name: str) -> Iterator[Table]:
     check_declared(path, 0, check_file(path))
     with reading(path, "Parquet"), path.open("rb") as raw:
         file = require("pyarrow.parquet", "import").ParquetFile(raw)
-        table = file.read([field.name for field in file.schema_arrow if not field.type.num_fields])  # no lists
+        names = [field.name for field in file.schema_arrow if not field.type.num_fields]  # no lists
+        table = file.read(names, use_threads=False)
         columns = {key: table.column(key).to_numpy() for key in table.column_names}
     plain = {key: values.astype(np.str_) if values.dtype.kind == "O" else values for key, values in columns.items()}
     yield Table(name, plain)

@@ -152,13 +152,14 @@ def test_a_decoder_imports_nothing_but_the_libraries_that_are_named(
     list(getattr(module, f"read_{kind}")(made, "n"))
     [(decode, *libraries)] = asked
     lines = (
-        "import importlib, pathlib, sys",
+        "import importlib, os, pathlib, sys",
         f"decode = importlib.import_module({module.__name__!r}).{decode}",
         f"[importlib.import_module(one) for one in {libraries!r}]",
         "before = set(sys.modules)",
         f"[table] = decode(pathlib.Path({str(made)!r}), 'n')",
         "assert len(table.columns) == 2",
-        "print(*set(sys.modules) - before)",
+        "print(*set(sys.modules) - before, flush=True)",
+        "os._exit(0)",  # as the child is ended: Arrow's threads may abort an orderly exit
     )
     ran = subprocess.run([sys.executable, "-c", "\n".join(lines)], check=False, capture_output=True, text=True)
     assert (ran.returncode, ran.stdout.split()) == (0, []), ran.stderr
@@ -169,3 +170,26 @@ def test_sentences_pass_with_the_name_that_was_given(file: Path) -> None:
         list(isolated(refuses, file, "n"))
     with pytest.raises(MissingPackage, match=r"h5py is not installed"):
         list(isolated(lacks, file, "n"))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="threads as Linux lists them")
+@pytest.mark.parametrize("suffix", [".parquet", ".feather"])
+def test_a_machine_of_many_cores_decodes_with_no_more_threads(tmp_path: Path, suffix: str) -> None:
+    table, path = pa.table({f"a{number}": np.arange(2000.0) for number in range(64)}), tmp_path / f"a{suffix}"
+    if suffix == ".parquet":
+        pq.write_table(table, path)
+    else:
+        with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_file(sink, table.schema) as writer:
+            writer.write_table(table)
+    lines = (
+        "import os, pathlib, pandas, pyarrow.parquet",
+        "from rcbht_jax.io.importing.columnar import parquet_tables",
+        "pyarrow.set_cpu_count(32)",
+        "before = len(os.listdir('/proc/self/task'))",
+        f"[table] = parquet_tables(pathlib.Path({str(path)!r}), 'n')",
+        "assert len(table.columns) == 64",
+        "print(len(os.listdir('/proc/self/task')) - before, flush=True)",
+        "os._exit(0)",
+    )
+    ran = subprocess.run([sys.executable, "-c", "\n".join(lines)], check=False, capture_output=True, text=True)
+    assert int(ran.stdout) <= 8, ran.stderr  # those of input and output, however many cores
