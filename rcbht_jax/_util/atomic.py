@@ -34,7 +34,7 @@ Identity = tuple[int, int, int, int] | None  # of what is at a path; None = noth
 
 _BEFORE: ContextVar[dict[Path, Identity]] = ContextVar("what was at the targets of a command when it began")
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD, RENAME_EXCHANGE of Linux
-DISK_FULL = (errno.ENOSPC, errno.EDQUOT)  # errors that no other name or input mends
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # errors that no other name or input mends
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # what ends a process that may still tidy up
 
 

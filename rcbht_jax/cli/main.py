@@ -139,8 +139,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.errno in DISK_FULL:
             return _fail(
-                "The disk is full. Free some space and try again; no file was replaced by an incomplete one, and the "
-                "events of a stream end where it filled up.",
+                "The disk is full, or a file reached the largest size that the system allows (ulimit -f). Free some "
+                "space and try again; no file was replaced by an incomplete one, and the events of a stream end there.",
                 1,
             )
         name = without_draft(str(error.filename or "A file"))

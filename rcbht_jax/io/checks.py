@@ -94,9 +94,11 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
         if dtype == "string":
             _check_text(name, array.tolist())
     for name, values in recordings.columns.items():
-        if np.shape(values) != (count,) or np.asarray(values).dtype.kind not in "Ubiuf":
+        dtype = np.asarray(values).dtype
+        if np.shape(values) != (count,) or dtype.kind not in "Ubiuf" or (dtype.kind == "f" and dtype.itemsize > 8):
             raise InputError(
-                f"column {name} is {values.dtype} of shape {values.shape}; expected text or numbers [{count}]."
+                f"column {name} is {values.dtype} of shape {values.shape}; expected text or numbers of at most "
+                f"64 bits [{count}]."
             )
         if not NAME.fullmatch(name) or name in VARIABLES:
             raise InputError(f"{name!r} is not a name for a column; expected letters, digits and _ - . only.")

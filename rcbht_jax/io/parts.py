@@ -137,6 +137,8 @@ def put(path: Path, parts: Sequence[Part]) -> None:
     for part in parts:  # all before any is written: a refused part must not change one that is there
         check(part)
     for part in parts:
+        _unseal(part)
+    for part in parts:
         write(part)
     for number in {part.number for part in parts}:
         flush(path, number)
@@ -176,9 +178,23 @@ def write(part: Part) -> None:
 @uninterrupted()
 def seal(part: Part) -> None:
     """Write the digest of a part, all of whose arrays are written: from then on the part counts."""
-    digest = digest_of(part.values, {name: part.fields[name] for name in part.hashed})
     group = zarr_io.open_group(part.folder, "r+")
-    zarr_io.member(group, DIGESTS)[part.number] = np.frombuffer(bytes.fromhex(digest), np.uint8)
+    zarr_io.member(group, DIGESTS)[part.number] = np.frombuffer(bytes.fromhex(_digest_of(part)), np.uint8)
+
+
+def _unseal(part: Part) -> None:
+    """Remove the digest of a part that is about to be written with other content: until the new one it is missing."""
+    if not part.hashed:
+        return
+    stored = digest(zarr_io.open_group(part.folder, "r"), part.number)
+    if stored is not None and stored != _digest_of(part):  # the same content: another process may have written it
+        file = part.folder / digest_file(part.number)
+        delete(file)
+        flush_all([file.parent])
+
+
+def _digest_of(part: Part) -> str:
+    return digest_of(part.values, {name: part.fields[name] for name in part.hashed})
 
 
 def digest_of(values: Mapping[str, Any], fields: Mapping[str, Field]) -> str:

@@ -72,8 +72,19 @@ class Stored:
     def rows(self) -> NDArray[np.int64]:
         """The row of each recording."""
         self.check_finished()
-        with zarr_io.reading(self.path):
-            return np.delete(np.arange(self.schema.layout.rows), self.group.attrs[GAPS])  # type: ignore[arg-type]
+        used = np.ones(self.schema.layout.rows, bool)
+        try:
+            used[np.array(self.group.attrs[GAPS], np.intp)] = False
+        except (KeyError, ValueError, TypeError, IndexError, OverflowError):
+            raise self.other_gaps() from None
+        return np.flatnonzero(used)
+
+    def other_gaps(self) -> InputError:
+        """The error for a list of rows without a recording that cannot be."""
+        return InputError(
+            f"{self.path} is damaged: its list of rows without a recording is not that of its rows. "
+            "Import or copy it again."
+        )
 
     def damaged(self, what: str) -> InputError:
         """The error for content that does not match its checksum."""
@@ -240,6 +251,9 @@ def check_whole(stored: Stored) -> None:
         dt, time = (zarr_io.read_array(stored.group, name, "float64") for name in ("dt", "time"))
         if dt != stored.schema.dt or not np.array_equal(time, np.arange(len(time)) * stored.schema.dt):
             raise InputError(f"{stored.path} is damaged: its times are not those of its rate. Import or copy it again.")
+        used = np.flatnonzero(zarr_io.read_array(stored.group, "length", "int32"))
+    if not np.array_equal(used, stored.rows()):  # no digest covers the list
+        raise stored.other_gaps()
 
 
 def check_part(stored: Stored, number: int) -> None:

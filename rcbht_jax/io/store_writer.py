@@ -154,7 +154,8 @@ def finish(path: Path | str, attrs: Mapping[str, Any] | None = None) -> None:
     """
     path = as_path(path)
     for leftover in path.rglob("*.partial"):  # of a process that was killed while it wrote a file
-        leftover.unlink()
+        if leftover.is_file():  # a column may have such a name
+            leftover.unlink()
     schema = schema_in(open_store(path))
     group = zarr_io.open_group(path, "r+")
     with zarr_io.reading(path):

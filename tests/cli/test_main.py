@@ -137,6 +137,7 @@ def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.Capture
         (MemoryError(), 2, "The memory does not suffice; use fewer"),
         (MemoryError("Unable to allocate 7 TiB"), 2, "does not suffice (Unable to allocate 7 TiB); use"),
         (OSError(errno.EDQUOT, "Disk quota exceeded"), 1, "disk is full"),
+        (OSError(errno.EFBIG, "File too large"), 1, "largest size that the system allows (ulimit -f)"),
         (PermissionError(errno.EACCES, "Permission denied", "x.zarr"), 2, "x.zarr cannot be used"),
         (
             PermissionError(errno.EACCES, "Permission denied", ".x.partial-0123456789ab.zarr"),

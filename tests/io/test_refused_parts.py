@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import pytest
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import store, store_writer
+from rcbht_jax.io import parts, store, store_writer
+from rcbht_jax.types import Recordings
 from tests.support.parted_stores import add, begun, finish, ragged, tree, trimmed, truth
 
 
@@ -63,3 +65,57 @@ def test_what_differs_between_the_simulations_of_two_parts_is_named(tmp_path: Pa
     ):
         with pytest.raises(InputError, match=words):
             store_writer.write_part(path, 0, part, changed)
+
+
+def test_a_part_whose_second_writing_was_interrupted_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = begun(tmp_path / "parts.zarr")
+    for number in (0, 1, 2):
+        add(path, number)
+    changed = trimmed(ragged().take([3, 2, 1, 0]))
+    simulation = {name: values[:4] for name, values in truth().items()}
+
+    def interrupted(part: parts.Part) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(parts, "write", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            store_writer.write_part(path, 0, trimmed(ragged().take([0, 1, 2, 3])), simulation)
+        assert store_writer.has_part(path, 0)  # the same content again: what is there stays right
+        with pytest.raises(KeyboardInterrupt):
+            store_writer.write_part(path, 0, changed, simulation)
+    assert not store_writer.has_part(path, 0)
+    assert store_writer.has_part(path, 1)
+    with pytest.raises(InputError, match=r"1 of 3 parts of .* are missing"):
+        store_writer.finish(path)
+    store_writer.write_part(path, 0, changed, simulation)
+    store_writer.finish(path)
+    store.verify(path)
+    assert store.read_table(path).trial.tolist()[:4] == changed.trial.tolist()
+
+
+@pytest.mark.parametrize("gaps", ["[2, 3]", '"x"', "[9999]", "[[1]]", "[1.5]", "null"])
+def test_a_list_of_gaps_that_is_not_that_of_the_rows_is_found(
+    parted: Path, gaps: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = parted / "zarr.json"
+    attrs = json.loads(file.read_text())
+    attrs["attributes"]["gaps"] = json.loads(gaps)
+    file.write_text(json.dumps(attrs))
+    for read in (store.verify, store.read_recordings, lambda path: list(store.read_batches(path))):
+        with pytest.raises(InputError, match="its list of rows without a recording is not that of its rows"):
+            read(parted)
+    assert main(["doctor", str(parted)]) == 2
+    assert "rows without a recording" in "".join(capsys.readouterr())
+
+
+def test_columns_of_any_legal_name_and_no_wider_numbers_than_stores_hold(tmp_path: Path) -> None:
+    recordings = Recordings.from_arrays([np.ones((9, 6))], 200.0, **{"load.partial": [1.0]})
+    store.write_recordings(tmp_path / "a.zarr", recordings, {})
+    assert store.read_recordings(tmp_path / "a.zarr").columns["load.partial"].tolist() == [1.0]
+    if np.dtype(np.longdouble).itemsize > 8:
+        wide = Recordings.from_arrays([np.ones((9, 6))], 200.0, c=np.ones(1, np.longdouble))
+        with pytest.raises(InputError, match=r"column c is .*; expected text or numbers of at most 64 bits"):
+            store.write_recordings(tmp_path / "b.zarr", wide, {})
