@@ -94,8 +94,8 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
         if dtype == "string":
             _check_text(name, array.tolist())
     for name, values in recordings.columns.items():
-        dtype = np.asarray(values).dtype
-        if np.shape(values) != (count,) or dtype.kind not in "Ubiuf" or (dtype.kind == "f" and dtype.itemsize > 8):
+        kind = np.asarray(values).dtype
+        if np.shape(values) != (count,) or kind.kind not in "Ubiuf" or (kind.kind == "f" and kind.itemsize > 8):
             raise InputError(
                 f"column {name} is {values.dtype} of shape {values.shape}; expected text or numbers of at most "
                 f"64 bits [{count}]."
