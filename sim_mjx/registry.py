@@ -134,7 +134,7 @@ def pair(assembly: Assembly, robot: Robot) -> Scenario:
     states = tuple(phase.name for phase in assembly.phases)
     names = [("task", field.name) for field in fields(task)] + [("parts.own", field.name) for field in fields(own)]
     names += [("parts.mount", "position"), ("parts.mount", "stiffness"), ("parts.mount", "friction")]
-    names += [("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]
+    names += [("parts", "grip"), ("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]
     return Scenario(
         draw.Pairing(assembly, robot), ("R",), partial(scene.scene, assembly, robot), draw.sample_batch, tuple(names),
         assembly.name, robot.name, states, assembly.variation, assembly.tabs,

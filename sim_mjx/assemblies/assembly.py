@@ -41,6 +41,7 @@ class Parts:
 
     mount: Mount
     own: Any  # parameters of the assembly's own parts, a dataclass that is a pytree
+    grip: Float[Array, "*batch 3"]  # rad, the male part's turn in the upright hand, a rotation vector in world axes
 
 
 @jax.tree_util.register_dataclass
@@ -51,7 +52,7 @@ class AssemblyTrial:
     task: Any  # parameters of the assembly's controller, a dataclass that is a pytree
     sensor: SensorParams
     parts: Parts
-    hand: Float[Array, "*batch 6"]  # m, error of the mouth's assumed place; rad, the part's turn in the hand
+    hand: Float[Array, "*batch 3"]  # m, error of the mouth's assumed place
     home: Float[Array, "*batch joint"]  # rad, at time zero
     timeout: Float[Array, "*batch"]  # s, after which an unfinished trial ends
     command_delay: Int[Array, "*batch"]  # control periods between reference and servo

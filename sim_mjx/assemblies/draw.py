@@ -121,7 +121,8 @@ def _sample(
     """One trial of checked distributions; arguments as of :func:`sample`."""
     assembly, robot, which = pairing.assembly, pairing.robot, f" in trial {index}"
     rng = stream(seed, index)
-    hand = np.concatenate([uniform(rng, spec.shift, 2), [0.0], uniform(rng, spec.lean, 2), [uniform(rng, spec.turn)]])
+    hand = np.array([*uniform(rng, spec.shift, 2), 0.0])
+    grip = np.array([*uniform(rng, spec.lean, 2), uniform(rng, spec.turn)])
     stiffness = np.array(assembly.mount_stiffness) * uniform(rng, spec.mount)
     mount = Mount(np.zeros(3), np.asarray(0.0), stiffness, uniform(rng, spec.friction))
     sensor = _sensor(spec, rng)
@@ -135,7 +136,7 @@ def _sample(
         check_like(f"draw of {assembly.name}{which}", like, found)
     task, own = (_typed(like, found) for like, found in zip(pattern, (task, own), strict=True))
     trial = AssemblyTrial(
-        task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),
+        task=task, sensor=sensor, parts=Parts(mount, own, grip), hand=hand, home=np.array(home(assembly, robot)),
         timeout=np.asarray(assembly.timeout, np.float64), command_delay=np.array(lag, np.int32), seed=key,
     )  # fmt: skip
     if kind != "none":
@@ -146,7 +147,7 @@ def _sample(
     if spec.longest is not None:
         trial = replace(trial, timeout=np.minimum(trial.timeout, spec.longest))
     shift = trial.hand[:2] - trial.parts.mount.position[:2]
-    return trial, Fault(kind, "", np.array([*shift, trial.hand[5] - trial.parts.mount.turn]))
+    return trial, Fault(kind, "", np.array([*shift, trial.parts.grip[2] - trial.parts.mount.turn]))
 
 
 def _typed(like: Any, found: Any) -> Any:

@@ -104,7 +104,10 @@ def _stiff(trial: AssemblyTrial, spec: LatchVariation, rng: np.random.Generator)
 
 
 def _worn(trial: AssemblyTrial, spec: LatchVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """The hook's edge is worn off: it snaps, but does not hold."""
+    """The hook's edge is worn off: it snaps, but does not hold.
+
+    Where the guides have more play than what is left of the edge, it may slip by beside the lip, which is no pass.
+    """
     return with_own(trial, overlap=uniform(rng, spec.worn))
 
 

@@ -145,9 +145,8 @@ def _rough(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -
 def _askew(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
     """The peg leans in the hand."""
     angle, lean = uniform(rng, (0.0, 2 * np.pi)), uniform(rng, spec.askew)
-    hand = trial.hand.copy()
-    hand[3:5] = lean * np.cos(angle), lean * np.sin(angle)
-    return replace(trial, hand=hand)
+    grip = np.array([lean * np.cos(angle), lean * np.sin(angle), trial.parts.grip[2]])
+    return replace(trial, parts=replace(trial.parts, grip=grip))
 
 
 def _blocked(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:

@@ -81,11 +81,13 @@ class Controller:
         return after, between, LogRow(wrench, joints, loop.phase)
 
     def _tip(self, params: AssemblyTrial, joints: Angles) -> tuple[Vector, Vector]:
-        """Place of the tip from the mouth's assumed place, m, and its turn from upright, rad."""
+        """Place of the tip from the mouth's assumed place, m, and the hand's turn from upright, rad.
+
+        How the part sits in the hand is unknown to a controller.
+        """
         place, rotation = pose(self.chain, joints)
-        # the part sits askew in the hand: what the controller takes for upright leans
-        turn = rotation_vector(times(rotation, jnp.asarray(UPRIGHT).T)) - params.hand[3:]
-        return place - self.mouth - params.hand[:3], turn
+        turn = rotation_vector(times(rotation, jnp.asarray(UPRIGHT).T))
+        return place - self.mouth - params.hand, turn
 
     def _sense(self, params: AssemblyTrial, loop: Loop, joints: Angles, rotation: Rotation, wrench: Array) -> Sense:
         place, turn = self._tip(params, joints)

@@ -90,6 +90,7 @@ def _compiling(assembly: Assembly, robot: Robot) -> Iterator[None]:
 
 def _elements(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
     spec = equipped(robot)
+    spec.compiler.fusestatic = False  # a trial turns the male part in the hand, which is then a body of its own
     hand = spec.body(HAND)
     hand.add_site(name=TIP, pos=(0.0, 0.0, assembly.reach))
     # the hand points down, the parts' z axis up
@@ -109,6 +110,8 @@ def _fields(model: mujoco.MjModel, assembly: Assembly, place: Float64[np.ndarray
     half = np.asarray(mount.turn) / 2
     nothing = np.zeros_like(half)
     writer.body(MOUNT, place + mount.position, np.stack([np.cos(half), nothing, nothing, np.sin(half)], -1))
+    grip = np.asarray(parts.grip)
+    writer.body(MALE, np.broadcast_to(writer.nominal("body_pos", "body", MALE), grip.shape), _held(grip))
     for axis, name in enumerate("XYZ"):
         stiffness = np.asarray(mount.stiffness)[..., axis]
         writer.spring(f"{MOUNT}_{name}", stiffness, 2 * MOUNT_DAMPING * np.sqrt(stiffness * MOUNT_MASS))
@@ -118,6 +121,13 @@ def _fields(model: mujoco.MjModel, assembly: Assembly, place: Float64[np.ndarray
     if endless := [name for name, values in writer.fields.items() if not np.isfinite(values).all()]:
         raise InputError(f"write of {assembly.name} gives a {endless[0]} that is not finite; expected finite numbers.")
     return writer.fields
+
+
+def _held(turn: Float64[np.ndarray, "*batch 3"]) -> Float64[np.ndarray, "*batch 4"]:
+    """Quaternion of the male part in the hand, which is upright: half a turn about x, after the part's own turn."""
+    angle = np.linalg.norm(turn, axis=-1)
+    w, (x, y, z) = np.cos(angle / 2), np.moveaxis(turn * np.sinc(angle / (2 * np.pi))[..., None] / 2, -1, 0)
+    return np.stack([-x, w, -z, y], -1)
 
 
 @cache

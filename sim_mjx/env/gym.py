@@ -88,9 +88,10 @@ class VectorEnv(gymnasium.vector.VectorEnv):
                 Other options are not used.
 
         Raises:
-            InputError: a negative seed, or another number of seeds; a mask with a wrong shape or type, or true
-                nowhere; or one that is not true everywhere before the first reset.
+            InputError: after :meth:`close`, a negative seed, or another number of seeds; a mask with a wrong shape or
+                type, or true nowhere; or one that is not true everywhere before the first reset.
         """
+        self._check_open()
         mask = _mask(options, self.num_envs)
         kept = None if mask is None else _started(self._state)
         keys = self._keys if seed is None else _keys(seed, self._keys)
@@ -105,9 +106,10 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         With the mode "NextStep", the action is ignored where an episode had ended: the next episode begins.
 
         Raises:
-            InputError: before the first :meth:`reset`, actions with a wrong shape or NaN, or no numbers, or with the
-                mode "Disabled" an episode that has ended.
+            InputError: before the first :meth:`reset` or after :meth:`close`, actions with a wrong shape or NaN, or no
+                numbers, or with the mode "Disabled" an episode that has ended.
         """
+        self._check_open()
         state, values = _started(self._state), _checked(actions, (self.num_envs, self.env.action_size))
         if self._mode is AutoresetMode.DISABLED and (over := np.flatnonzero(_host(state.done) > 0.5)).size:
             raise InputError(
@@ -119,6 +121,10 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             final = _final(obs, infos, ended) if ended.any() else {}
             obs, infos = _host(self._state.obs), _infos(self._state) | final
         return obs, reward, ended & ~truncated, truncated, infos
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise InputError("The environments are closed; make new ones.")
 
     def render(self) -> NoReturn:
         """Refused: there are no pictures.

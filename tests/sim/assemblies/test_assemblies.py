@@ -37,7 +37,7 @@ CERTAIN = {"moved-part", "early-stop", "tight", "blocked", "broken-hook", "stiff
 # What a fault may change, and nothing else.
 CHANGES = {
     "moved-part": {".parts.mount.position"}, "early-stop": {".timeout"}, "tight": {".parts.own.clearance"},
-    "rough": {".parts.mount.friction"}, "askew": {".hand"}, "blocked": {".parts.own.floor"},
+    "rough": {".parts.mount.friction"}, "askew": {".parts.grip"}, "blocked": {".parts.own.floor"},
     "broken-hook": {".parts.own.overlap"}, "worn-hook": {".parts.own.overlap"},
     "stiff-hook": {".parts.own.stiffness"}, "chip": {".parts.own.seat"},
 }  # fmt: skip

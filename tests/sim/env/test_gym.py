@@ -116,6 +116,16 @@ def test_without_automatic_resets_a_mask_says_where_episodes_begin(many: VectorE
     np.testing.assert_allclose(infos["time"], after["time"] + 0.025, rtol=1e-6)
 
 
+def test_what_is_closed_neither_steps_nor_begins(many: VectorEnv) -> None:
+    env = VectorEnv(many.env, 3)
+    env.reset()
+    env.close()
+    env.close()
+    for refused in (lambda: env.step(ONE_SEATS), env.reset):
+        with pytest.raises(InputError, match="The environments are closed; make new ones"):
+            refused()
+
+
 @pytest.mark.parametrize("mask", [[True, False], [1, 0, 0], [False] * 3, np.array([[True, True, True]]), "all"])
 def test_a_mask_that_is_none_is_refused(many: VectorEnv, mask: Any) -> None:
     many.reset(seed=0)
