@@ -89,7 +89,9 @@ def task_of(
 
 
 def check_recordings(model: TrainedModel, recordings: Recordings, where: str) -> None:
-    """Refuse recordings of other axes or units than those that the model was trained on; an older one states none.
+    """Refuse recordings of another rate, other axes or units than those that a model was trained on.
+
+    A model of offline labels has no rate, and an older one states no axes.
 
     Args:
         model: trained.
@@ -99,6 +101,15 @@ def check_recordings(model: TrainedModel, recordings: Recordings, where: str) ->
     Raises:
         InputError: names the first difference.
     """
+    for made in encoders_of(model).values():
+        config = made.get("config")
+        dt = config.get("dt") if isinstance(config, dict) else None
+        if isinstance(dt, float) and dt > 0 and dt != recordings.dt:
+            rate = f"{1 / dt:.9g}"
+            raise InputError(
+                f"{where} has {1 / recordings.dt:.9g} samples per second, the model {rate}; import again with "
+                f"--rate {rate}."
+            )
     if model.axes:
         check_axes(recordings.axes, recordings.units, model.axes, model.units, where)
 
@@ -135,7 +146,7 @@ def limits_in(model: TrainedModel, window: int, recordings: Recordings, where: s
         where: name of the recordings, which begins the error.
 
     Raises:
-        InputError: it reads no labels of this window, or of other axes or units.
+        InputError: it reads no labels of this window, or of another rate, other axes or units.
     """
     check_recordings(model, recordings, where)
     axes = recordings.axes
@@ -205,8 +216,8 @@ def classify(
         facts: facts about the wrenches, if the recordings have no samples.
 
     Raises:
-        InputError: an argument of another class, recordings of other axes or units, no sentence that passes the
-            filters, or labels that give other features than the model reads.
+        InputError: an argument of another class, recordings of another rate, other axes or units, no sentence that
+            passes the filters, or labels that give other features than the model reads.
 
     Example:
         >>> import rcbht_jax as rj

@@ -7,6 +7,7 @@ import inspect
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -216,6 +217,7 @@ def test_what_does_not_fit_is_one_sentence(
     assert not (tmp_path / "classes.csv").exists()
 
 
+RATE = ({"dt": 0.0025}, "has 400 samples per second, the model 200; import again with --rate 200.")
 OTHERS = [  # recordings, and what is said of them
     ({"units": ("N",) * 3 + ("Nmm",) * 3}, "has Mx in Nmm; the model learned it in Nm."),
     ({"axes": tuple("abcdef"), "units": ("A",) * 6}, "has the axes a, b, c, d, e, f; the model learned Fx, Fy, Fz,"),
@@ -223,11 +225,11 @@ OTHERS = [  # recordings, and what is said of them
 ]
 
 
-@pytest.mark.parametrize(("changes", "why"), OTHERS)
-def test_other_axes_and_units_are_refused(
-    changes: dict[str, tuple[str, ...]], why: str, place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("changes", "why"), [RATE, *OTHERS])
+def test_another_rate_other_axes_and_units_are_refused(
+    changes: dict[str, Any], why: str, place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Moments in Nmm were classified by a model of moments in Nm."""
+    """Moments in Nmm were classified by a model of moments in Nm; of another rate, "encode" was advised in vain."""
     store, model = tmp_path / "other.zarr", place / "one.model"
     other = replace(synthetic(), **changes)
     write_recordings(store, other, {})
