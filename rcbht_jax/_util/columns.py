@@ -14,10 +14,16 @@ from numpy.typing import NDArray
 from rcbht_jax.errors import InputError
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s per unit of time
-FORCES = ("N", "mN", "cN", "daN", "kN", "gf", "kgf", "ozf", "lbf")
-MOMENTS = (
-    "Nm", "mNm", "cNm", "Nmm", "Ncm", "kNm", "gf cm", "kgf m", "kgf cm", "kgf mm", "ozf in", "lbf in", "lbf ft",
-)  # fmt: skip
+_GF, _LBF, _INCH = 9.80665e-3, 4.4482216152605, 0.0254  # N, N, m
+FORCES = {  # N per unit
+    "N": 1.0, "mN": 1e-3, "cN": 1e-2, "daN": 10.0, "kN": 1e3, "gf": _GF, "kgf": 1e3 * _GF, "ozf": _LBF / 16,
+    "lbf": _LBF,
+}  # fmt: skip
+MOMENTS = {  # Nm per unit
+    "Nm": 1.0, "mNm": 1e-3, "cNm": 1e-2, "Nmm": 1e-3, "Ncm": 1e-2, "kNm": 1e3, "gf cm": 1e-2 * _GF,
+    "kgf m": 1e3 * _GF, "kgf cm": 10 * _GF, "kgf mm": _GF, "ozf in": _LBF / 16 * _INCH, "lbf in": _LBF * _INCH,
+    "lbf ft": _LBF * 12 * _INCH,
+}  # fmt: skip
 UNITS = {
     **{unit.lower().replace(" ", ""): unit for unit in (*FORCES, *MOMENTS)},
     "lb": "lbf", "lbs": "lbf", "inlbf": "lbf in", "lbin": "lbf in", "inlb": "lbf in", "inlbs": "lbf in",
@@ -54,6 +60,16 @@ _SINCE = re.compile(r"\s+since\s.*$")  # ms since 2026-05-01 00:00:00
 _QUANTITY = re.compile(r"[NН]|кгс|kgf|lbf")  # in the unit of a force or a moment, after a comma or a slash
 _MEGA = re.compile(r"[MМ][NН]")  # no milli
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<（［【]\s*([^\])}>）］】]*?)\s*[\])}>）］】]$")
+
+
+def ratio_of(unit: str, other: str) -> float | None:
+    """How many of another unit one unit is; None = not known, or of another quantity.
+
+    >>> ratio_of("Nmm", "Nm"), ratio_of("lbf", "N"), ratio_of("N", "Nm"), ratio_of("V", "mV")
+    (0.001, 4.4482216152605, None, None)
+    """
+    sizes = next((sizes for sizes in (FORCES, MOMENTS, SECONDS) if {unit, other} <= sizes.keys()), None)
+    return None if sizes is None else sizes[unit] / sizes[other]
 
 
 def split_unit(name: str) -> tuple[str, str]:

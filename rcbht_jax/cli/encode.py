@@ -195,11 +195,16 @@ class Encode(RuleCommand):
 
         return _Run(encode, how, bar, training, rows)
 
-    def limits_in_file(self, file: Path, axes: tuple[str, ...]) -> tuple[AnyLimits, dict[str, Any]]:
+    def read_limits(self, recordings: Recordings, store: Path, scale: float = 1.0) -> tuple[AnyLimits, dict[str, Any]]:
+        """As of all commands; the limits of a model, too."""
+        from rcbht_jax.encoding.rules import scaled
         from rcbht_jax.learning.model_io import load
         from rcbht_jax.learning.predict import limits_in
 
-        return limits_in(load(file), self.window, axes) if is_zipfile(file) else super().limits_in_file(file, axes)
+        if self.thresholds is None or not is_zipfile(self.thresholds):
+            return super().read_limits(recordings, store, scale)
+        limits, source = limits_in(load(self.thresholds), self.window, recordings, str(store))
+        return (limits, source) if scale == 1 else (scaled(limits, scale), {**source, "scale": scale})
 
     def config(self, dt: float) -> AnyConfig:
         from rcbht_jax.encoding.encoder import EncoderConfig

@@ -238,8 +238,8 @@ class Classify(Command):
 
     The table has a row per sentence: trial, arm, session, start and end in seconds, predicted class, true class (empty
     if the store has none), and a decision value for each pair of classes, positive for the first. If the store has
-    true classes, the accuracy is printed, separately for trials that the model was trained on. The labels must come
-    from an encoder with the same settings as in training.
+    true classes, the accuracy is printed, separately for trials that the model was trained on. The rate, the axes,
+    their units and the encoder of the labels must be those of the training.
 
     Example: rcbht classify new.zarr --model states.model -o classes.csv
     """
@@ -260,13 +260,14 @@ class Classify(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
         from rcbht_jax.learning.model_io import load
-        from rcbht_jax.learning.predict import classify, task_of
+        from rcbht_jax.learning.predict import check_recordings, classify, task_of
 
         if self.out.suffix not in (".csv", ".jsonl"):
             raise InputError(f"{self.out} must end in .csv or .jsonl, which selects the format.")
         model = load(self.model)
         spec = task_of(model, self.source, self.session, self.outcome)
         recordings, facts = table_and_facts(self.store)
+        check_recordings(model, recordings, str(self.store))
         tracks = self._tracks(model)
         write = _csv if self.out.suffix == ".csv" else _json_lines
         with progress_bar("classify", "steps", 2) as bar:

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
+from rcbht_jax._util.columns import ratio_of
 from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax.annotations import Annotations, corrected_variant
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.tare import tare
+from rcbht_jax.labels import UNITS
 from rcbht_jax.types import Recordings
 
 _Seen = tuple[Path, bytes, Recordings, int]  # store, digest of the samples, its recordings, row
@@ -87,10 +89,24 @@ def _check(paths: Sequence[Path], parts: Sequence[Recordings]) -> None:
                 "with --rate."
             )
         if (part.axes, part.units) != (parts[0].axes, parts[0].units):
-            how = "" if part.axes != parts[0].axes else (
-                " State units in the names of columns, such as Fx [N], or in a map, and import again."
-            )  # fmt: skip
+            how = _same_units(path, part, paths[0], parts[0]) if part.axes == parts[0].axes else ""
             raise InputError(f"{path} has {_axes(part)}; {paths[0]} has {_axes(parts[0])}.{how}")
+
+
+def _same_units(path: Path, part: Recordings, first_path: Path, first: Recordings) -> str:
+    """How the recordings of two stores get the same units: those of the first, or N and Nm if the other has them."""
+    if all(unit in UNITS for unit in part.units):
+        path, part, first = first_path, first, part
+    apart = [one for one in zip(part.axes, part.units, first.units, strict=True) if one[1] != one[2]]
+    if any("" in one[1:] for one in apart):
+        return " State units in the names of columns, such as Fx [N], or in a map, and import again."
+    channels = dict[str, list[str]]()
+    for axis, unit, other in apart:
+        if (ratio := ratio_of(unit, other)) is None:
+            return ""
+        channels.setdefault(f'scale = {ratio:.10g} and unit = "{other}"', []).append(axis)
+    needs = "; ".join(f"{content} for {', '.join(axes)}" for content, axes in channels.items())
+    return f" Import {path} again with a map that has {needs}."
 
 
 def _corrected(parts: Sequence[Recordings]) -> list[Recordings]:

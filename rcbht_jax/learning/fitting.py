@@ -91,4 +91,6 @@ def train(
             "group": group,
         },
         digests=facts.digests[np.unique(np.concatenate([part.recording for part in items.intervals]))],
+        axes=recordings.axes,
+        units=recordings.units,
     )  # fmt: skip

@@ -7,6 +7,7 @@ names of the features, the encoder's configuration and thresholds, and where it 
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -36,6 +37,7 @@ MAKERS = {
 _ARRAYS = ("center", "width", "knots", "support", "support_count", "dual", "intercept")
 
 
+_SIGNAL = ("axes", "units")
 _NO_DIGESTS = np.zeros((0, 32), np.uint8)  # older files
 
 
@@ -52,6 +54,8 @@ class TrainedModel:
     version: str = rcbht_jax.__version__
     extra: dict[str, Any] = field(default_factory=dict)  # anything else worth keeping: JSON values
     digests: NDArray[np.uint8] = field(default_factory=lambda: _NO_DIGESTS)  # [recording, byte] of the training set
+    axes: tuple[str, ...] = ()  # names of those of the training set; none in older files
+    units: tuple[str, ...] = ()  # of the axes, "" = not stated
 
 
 def save(path: Path | str, model: TrainedModel) -> None:
@@ -65,13 +69,16 @@ def save(path: Path | str, model: TrainedModel) -> None:
         "format": FORMAT,
         **described,
         "feature_spec": asdict(model.feature_spec),
-        **{k: getattr(model, k) for k in ("feature_names", "task", "encoder", "data_hash", "version", "extra")},
+        **{
+            k: getattr(model, k)
+            for k in ("feature_names", "task", "encoder", "data_hash", "version", "extra", *_SIGNAL)
+        },
     }
     write_archive(path, meta, {**arrays, "digests": model.digests})
 
 
 def load(path: Path | str) -> TrainedModel:
-    """Read a file written by ``save``.
+    """Read a file written by ``save``; one of an older version that does not state its axes gives a warning.
 
     Raises:
         InputError: the file is missing, damaged, or not a model of this format.
@@ -86,7 +93,16 @@ def load(path: Path | str) -> TrainedModel:
         digests = archive.get("digests", _NO_DIGESTS)
         if digests.ndim != 2 or digests.shape[1] != 32 or digests.dtype != np.uint8:
             raise InputError(f"its digests have the shape {digests.shape}; expected 32 bytes for each recording")
-        return TrainedModel(svm, FeatureSpec.from_dict(meta["feature_spec"]), names, **rest, digests=digests)
+        axes, units = (checked_texts(f"its {name}", meta.get(name, [])) for name in _SIGNAL)
+        if len(axes) != len(units):
+            raise InputError(f"it has {len(axes)} axes and {len(units)} units")
+        spec = FeatureSpec.from_dict(meta["feature_spec"])
+        model = TrainedModel(svm, spec, names, **rest, digests=digests, axes=axes, units=units)
+    if not axes:
+        warnings.warn(
+            f"{path}, of an older version, does not state its axes; those of a store are not checked.", stacklevel=2
+        )
+    return model
 
 
 def check_objects(meta: Mapping[str, Any], *names: str) -> None:

@@ -6,7 +6,7 @@ For probabilities during a stream, see :mod:`rcbht_jax.introspection`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.printable import plural
+from rcbht_jax._util.signals import check_axes
 from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.rules import AnyLimits, checked_limits, config_fields, encoder_of
@@ -87,6 +88,32 @@ def task_of(
     return replace(spec, sources=sources, sessions=sessions, outcomes=kept)
 
 
+def check_recordings(model: TrainedModel, recordings: Recordings, where: str) -> None:
+    """Refuse recordings of another rate, other axes or units than those that a model was trained on.
+
+    A model of offline labels has no rate, and an older one states no axes.
+
+    Args:
+        model: trained.
+        recordings: to be classified, or encoded for that; no samples are needed.
+        where: name of the recordings, which begins the error.
+
+    Raises:
+        InputError: names the first difference.
+    """
+    for made in encoders_of(model).values():
+        config = made.get("config")
+        dt = config.get("dt") if isinstance(config, dict) else None
+        if isinstance(dt, float) and dt > 0 and dt != recordings.dt:
+            rate = f"{1 / dt:.9g}"
+            raise InputError(
+                f"{where} has {1 / recordings.dt:.9g} samples per second, the model {rate}; import again with "
+                f"--rate {rate}."
+            )
+    if model.axes:
+        check_axes(recordings.axes, recordings.units, model.axes, model.units, where)
+
+
 def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -> None:
     """Refuse labels that were made in another way than those the model was trained on.
 
@@ -109,17 +136,20 @@ def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -
                 )
 
 
-def limits_in(model: TrainedModel, window: int, axes: Sequence[str]) -> tuple[AnyLimits, dict[str, Any]]:
+def limits_in(model: TrainedModel, window: int, recordings: Recordings, where: str) -> tuple[AnyLimits, dict[str, Any]]:
     """The limits of the labels that a model reads, and where they came from.
 
     Args:
         model: trained on labels of the online encoder.
         window: of these labels, where the model reads several.
-        axes: of the recordings that shall be encoded.
+        recordings: that shall be encoded.
+        where: name of the recordings, which begins the error.
 
     Raises:
-        InputError: it reads no labels of this window, or of other axes.
+        InputError: it reads no labels of this window, or of another rate, other axes or units.
     """
+    check_recordings(model, recordings, where)
+    axes = recordings.axes
     for made in encoders_of(model).values():
         try:
             config, limits = encoder_of(made)
@@ -186,8 +216,8 @@ def classify(
         facts: facts about the wrenches, if the recordings have no samples.
 
     Raises:
-        InputError: an argument of another class, no sentence passes the filters, or the labels give other features than
-            the model reads.
+        InputError: an argument of another class, recordings of another rate, other axes or units, no sentence that
+            passes the filters, or labels that give other features than the model reads.
 
     Example:
         >>> import rcbht_jax as rj
@@ -198,6 +228,7 @@ def classify(
         ['failure', 'success']
     """
     expect("The model", model, TrainedModel)
+    check_recordings(model, recordings, "The data set")
     items = unlabelled_intervals(recordings, spec, whole=model.task.get("whole") is True)
     if not len(items.row):
         why = (

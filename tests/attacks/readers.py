@@ -139,7 +139,9 @@ def _make_model(path: Path) -> None:
 def _make_classifier(path: Path) -> None:
     x, y = np.random.default_rng(0).normal(size=(20, 3)), np.arange(20) % 2
     svm, spec = fit(x + y[:, None], y, ("a", "b"), SvmSpec("linear", 1.0)), FeatureSpec()
-    model_io.save(path, model_io.TrainedModel(svm, spec, ("a", "b", "c"), {"task": "states"}, {"window": 5}, "abc"))
+    signal = {"axes": ("Fz",), "units": ("N",)}  # a file without them is an older one, which gives a warning
+    task, encoder = {"task": "states"}, {"window": 5}
+    model_io.save(path, model_io.TrainedModel(svm, spec, ("a", "b", "c"), task, encoder, "abc", **signal))
 
 
 def _make_mcap(path: Path) -> None:

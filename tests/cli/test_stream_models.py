@@ -165,6 +165,20 @@ def test_a_clock_that_goes_back_goes_on_in_a_file(tmp_path, monkeypatch):
     np.testing.assert_allclose(found["/words"], np.where(told < 60, told - 50 + ends[0] + 1, told))
 
 
+def test_a_signal_in_nmm_is_recorded_as_no_wrench(tmp_path):
+    """It was one of ROS, which is in Nm, and came back a thousand times too large."""
+    axes, units = rj.labels.AXES, ("N",) * 3 + ("Nmm",) * 3
+    recordings = rj.Recordings.from_arrays([trial(1, 3)], rate=200, axes=axes, units=units)
+    write_recordings(tmp_path / "s.zarr", recordings, {})
+    named = replace(model(), extra={"axes": list(axes), "units": list(units)})
+    model_files.save(tmp_path / "m", named)
+    words = ["stream", str(tmp_path / "s.zarr"), "-m", str(tmp_path / "m"), "--mcap", str(tmp_path / "o.mcap")]
+    assert main([*words, "-o", str(tmp_path / "o.jsonl")]) == 0
+    with AnyReader([tmp_path / "o.mcap"]) as reader:
+        topics = {connection.topic for connection in reader.connections}
+    assert topics & {"/signal", "/wrench"} == {"/signal"}
+
+
 @pytest.mark.parametrize("rule", ["paper", "fit"])
 def test_provisional_words_after_a_gap_are_new_ones(capsys, monkeypatch, rule):
     """Words that began at the same sample as one before the gap were not reported, or as its revisions."""

@@ -147,6 +147,29 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "never.zarr").exists()
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_map_that_converts_units_is_stated(tmp_path: Path, turned: bool) -> None:
+    """Stores that both state their units were asked to state them."""
+    samples, axes = [np.zeros((30, 2))], ("Fz", "Mz")
+
+    def joined(*units: tuple[str, str]) -> str:
+        parts = [Recordings.from_arrays(samples, RATE, axes=axes, units=one) for one in units]
+        stores = [tmp_path / f"{'-'.join(part.units)}.zarr" for part in parts]
+        for path, part in zip(stores, parts, strict=True):
+            store.write_recordings(path, part, {}, overwrite=True)
+        with pytest.raises(InputError) as said:
+            join_stores(stores[:: -1 if turned else 1], tmp_path / "never.zarr")
+        return str(said.value)
+
+    right = ("N", "Nm")
+    assert joined(right, ("N", "Nmm")).endswith(
+        'N-Nmm.zarr again with a map that has scale = 0.001 and unit = "Nm" for Mz.'
+    )
+    assert 'has scale = 4.448221615 and unit = "N" for Fz; scale = 0.001 and' in joined(right, ("lbf", "Nmm"))
+    assert "State units in the names" in joined(right, ("N", ""))
+    assert joined(right, ("N", "V")).endswith(("Mz in Nm.", "Mz in V."))  # of no known ratio
+
+
 def test_a_store_is_not_joined_onto_itself(tmp_path: Path) -> None:
     """Its label tracks would be lost."""
     paths = [written(tmp_path / f"{seed}.zarr", recordings(seed)) for seed in (1, 2)]

@@ -34,6 +34,8 @@ def model() -> TrainedModel:
         data_hash="abc",
         extra={"items": 30},
         digests=np.arange(64, dtype=np.uint8).reshape(2, 32),
+        axes=("grip", "twist"),
+        units=("N", ""),
     )
 
 
@@ -46,7 +48,7 @@ def test_round_trip_keeps_everything(model, tmp_path):
     np.testing.assert_array_equal(back.svm.predict(x), model.svm.predict(x))
     np.testing.assert_array_equal(back.digests, model.digests)
     assert back.svm.spec == model.svm.spec
-    for name in ("feature_spec", "feature_names", "task", "encoder", "data_hash", "version", "extra"):
+    for name in ("feature_spec", "feature_names", "task", "encoder", "data_hash", "version", "extra", "axes", "units"):
         assert getattr(back, name) == getattr(model, name)
 
 
@@ -168,7 +170,7 @@ def test_what_cannot_be_written_is_refused(model, tmp_path):
         {"classes": ["a", "a", "b"]}, {"classes": [1, 2, 3]}, {"classes": [["a"], ["b"], ["c"]]}, {"classes": "abc"},
         {"classes": [None] * 3}, {"classes": ["a", "b", "\ud800"]}, {"classes": ["a", "b", "x" * 2000]},
         {"feature_names": [1, 2, 3, 4]}, {"gamma": "0.5"}, {"task": None}, {"encoder": []}, {"extra": "x"},
-        {"version": 1.0},
+        {"version": 1.0}, {"axes": "ab"}, {"axes": ["a"]}, {"units": [1, 2]},
     ],
 )  # fmt: skip
 def test_names_in_a_model_are_texts(change, path):

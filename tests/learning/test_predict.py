@@ -7,6 +7,7 @@ import inspect
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -214,6 +215,49 @@ def test_what_does_not_fit_is_one_sentence(
     assert why in said
     assert len(said.splitlines()) == 1
     assert not (tmp_path / "classes.csv").exists()
+
+
+RATE = ({"dt": 0.0025}, "has 400 samples per second, the model 200; import again with --rate 200.")
+OTHERS = [  # recordings, and what is said of them
+    ({"units": ("N",) * 3 + ("Nmm",) * 3}, "has Mx in Nmm; the model learned it in Nm."),
+    ({"axes": tuple("abcdef"), "units": ("A",) * 6}, "has the axes a, b, c, d, e, f; the model learned Fx, Fy, Fz,"),
+    ({"axes": ("Mz", "My", "Mx", "Fz", "Fy", "Fx")}, "has the axes Mz, My, Mx, Fz, Fy, Fx; the model learned Fx, Fy,"),
+]
+
+
+@pytest.mark.parametrize(("changes", "why"), [RATE, *OTHERS])
+def test_another_rate_other_axes_and_units_are_refused(
+    changes: dict[str, Any], why: str, place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Moments in Nmm were classified by a model of moments in Nm; of another rate, "encode" was advised in vain."""
+    store, model = tmp_path / "other.zarr", place / "one.model"
+    other = replace(synthetic(), **changes)
+    write_recordings(store, other, {})
+    assert main(["encode", str(store), "--robot", "auto"]) == 0
+    out = tmp_path / "classes.csv"
+    for words in (
+        ["classify", str(store), "-m", str(model), "-o", str(out)],
+        ["encode", str(store), "--thresholds", str(model)],
+    ):
+        capsys.readouterr()
+        assert main(words) == 2
+        assert f"rcbht: {store} {why}" in capsys.readouterr().err
+    assert not out.exists()
+    trained = load(model)
+    with pytest.raises(InputError, match=f"The data set {why}"):
+        classify(trained, other, {}, task_of(trained))
+
+
+def test_an_older_model_is_read_with_one_warning(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, old = load(place / "one.model"), tmp_path / "old.model"
+    assert (model.axes, model.units) == (synthetic().axes, synthetic().units)
+    save(old, replace(model, axes=(), units=()))
+    with pytest.warns(UserWarning, match=r"old\.model, of an older version, does not state its axes") as said:
+        result = run(capsys, place / "set.zarr", "--model", old, "-o", tmp_path / "classes.csv")
+    assert len(said) == 1
+    assert result == run(capsys, place / "set.zarr", "-m", place / "one.model", "-o", tmp_path / "classes.csv")
 
 
 def test_two_recordings_of_one_name_are_refused() -> None:

@@ -101,7 +101,7 @@ def test_a_model_with_ranks_survives_its_file(tmp_path):
     x, y = tailed(2)
     svm = fit(x, y, "abc", SvmSpec("rbf", 1.0, True, ranks=True))
     names = tuple("vwxyz")
-    model_io.save(tmp_path / "m", TrainedModel(svm, FeatureSpec(), names, {}, {}, ""))
+    model_io.save(tmp_path / "m", TrainedModel(svm, FeatureSpec(), names, {}, {}, "", axes=("Fz",), units=("N",)))
     back = model_io.load(tmp_path / "m").svm
     assert back.knots.shape == (KNOTS, 5)
     np.testing.assert_array_equal(back.decision(x), svm.decision(x))

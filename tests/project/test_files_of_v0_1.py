@@ -62,7 +62,8 @@ def test_thresholds_load() -> None:
 
 def test_a_classifier_decides_as_before(store: Path, tmp_path: Path) -> None:
     out = tmp_path / "classes.csv"
-    assert main(["classify", str(store), "--model", str(FILES / "states.model"), "-o", str(out)]) == 0
+    with pytest.warns(UserWarning, match="does not state its axes"):
+        assert main(["classify", str(store), "--model", str(FILES / "states.model"), "-o", str(out)]) == 0
     old, new = (list(csv.reader(path.read_text().splitlines())) for path in (FILES / "classes.csv", out))
     assert new[0] == old[0]
     assert len(new) == len(old) == 9
