@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import FORMATS, DataSet, export, load
+from rcbht_jax.io.export.card import card
 from rcbht_jax.io.importing.importer import import_source, read_source
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.rosbags import McapWriter, topics_of
@@ -159,3 +160,14 @@ def test_only_a_wrench_in_order_and_in_its_units_is_one_in_mcap(change: str, tmp
     back = read_source(tmp_path / "out").recordings  # exports before had a wrench for each of these
     assert (back.axes, back.units) == (made.axes, made.units)
     np.testing.assert_array_equal(back.wrench, made.wrench)
+
+
+@pytest.mark.parametrize("kind", sorted(FORMATS))
+def test_simulated_trials_stay_simulated(kind: str, tmp_path: Path) -> None:
+    """They came back as recorded ones, and their table of the simulation was lost without a word."""
+    seed = {"seed": np.arange(3)}
+    write_recordings(tmp_path / "a.zarr", recordings(), {"simulated": {"seed": 1}}, simulation=seed)
+    export(load(tmp_path / "a.zarr"), tmp_path / "out", kind)
+    report = import_source(tmp_path / "out", tmp_path / "back.zarr", kind).report
+    assert "but for labels and the table of the simulation." in report.remarks[0]
+    assert "3 recordings of 3 simulated trials" in card(load(tmp_path / "back.zarr"), "")
