@@ -198,7 +198,8 @@ class Stream(Source):
         first = first or list(itertools.islice(messages, 1))
         with ExitStack() as stack:
             out = stack.enter_context(atomic_lines(self.out)) if self.out else sys.stdout
-            mcap = stack.enter_context(McapWriter(self.mcap, session.introspector.axes)) if self.mcap else None
+            axes, units = session.introspector.axes, session.introspector.units
+            mcap = stack.enter_context(McapWriter(self.mcap, axes, units)) if self.mcap else None
 
             early: deque[Event] = deque(maxlen=100)  # for the MCAP: before the first reading, no clock is known
 

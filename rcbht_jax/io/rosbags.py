@@ -200,19 +200,23 @@ def messages(reader: Bag, connections: Sequence[Any]) -> Iterator[tuple[Any, int
 
 
 def is_wrench(axes: Sequence[str], units: Sequence[str] = ()) -> bool:
-    """Whether axes are those of a wrench, in its order and its units, by the letters in their names.
+    """Whether axes are those of a wrench, in its order and its units, by the letters in their names or by their units.
 
     >>> is_wrench(["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]), is_wrench(["Fz", "Fx", "Fy", "Tz", "Tx", "Ty"])
     (True, False)
+    >>> is_wrench(["F1", "F2", "F3", "T1", "T2", "T3"], ["N"] * 3 + ["Nm"] * 3), is_wrench(["F1", "F2", "F3", "T1"])
+    (True, False)
 
     Args:
-        axes: their names; without the letters x, y and z they are in order.
+        axes: their names; without the letters x, y and z they are in order, and need units: fingers and thumbs begin
+            with F and T as well.
         units: of the axes, "" = unknown; () = all unknown.
     """
     kinds = "".join(axis[:1] for axis in axes).upper()
     letters = "".join(next((letter for letter in axis[1:].lower() if letter in "xyz"), "") for axis in axes)
     right = all(unit in ("", own) for unit, own in zip(units, UNITS, strict=False))
-    return kinds in ("FFFMMM", "FFFTTT") and letters in ("", "xyzxyz") and right
+    named = right if letters == "xyzxyz" else letters == "" and tuple(units) == UNITS
+    return kinds in ("FFFMMM", "FFFTTT") and named
 
 
 class McapWriter:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from rcbht_jax.io.importing.importer import import_source, read_source
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.rosbags import McapWriter, topics_of
 from rcbht_jax.io.store import read_recordings, write_recordings
-from rcbht_jax.labels import AXES
+from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.types import Recordings
 
 
@@ -113,12 +114,18 @@ def test_a_damaged_export_is_one_sentence(exported: Path) -> None:
         read_source(exported)
 
 
-@pytest.mark.parametrize(("letters", "topic"), [("FFFTTT", "/wrench"), ("jjjjjj", "/signal")])
-def test_six_axes_are_a_wrench_in_mcap_only_by_their_names(letters: str, topic: str, tmp_path: Path) -> None:
-    """Torques of six joints are no force along x; either comes back with its names."""
+@pytest.mark.parametrize(
+    ("letters", "units", "topic"),
+    [("FFFTTT", UNITS, "/wrench"), ("FFFTTT", [""] * 6, "/signal"), ("jjjjjj", [""] * 6, "/signal")],
+)
+def test_six_axes_are_a_wrench_in_mcap_only_by_their_names(
+    letters: str, units: Sequence[str], topic: str, tmp_path: Path
+) -> None:
+    """Torques of six joints or readings of fingers and thumbs, are no force along x; all come back with their names."""
     wrench = np.random.default_rng(0).normal(size=(2, 50, 6)).astype(np.float32)
     axes = tuple(f"{letter}{number}" for number, letter in enumerate(letters))
-    export(DataSet.of(Recordings.from_arrays(list(wrench), 200.0, axes=axes)), tmp_path / "out", "mcap")
+    made = Recordings.from_arrays(list(wrench), 200.0, axes=axes, units=units)
+    export(DataSet.of(made), tmp_path / "out", "mcap")
     with (tmp_path / "out/000001.mcap").open("rb") as file:
         assert {channel.topic for channel in make_reader(file).get_summary().channels.values()} == {topic}
     import_source(tmp_path / "out", tmp_path / "again.zarr", "mcap")
