@@ -312,6 +312,11 @@ class McapWriter:
             fields[f"{layer}_name"] = [name(layer, int(code)) for code in row]
         self._write("/labels", "rcbht_msgs/msg/Labels", time, **fields)
 
+    def interval(self, time: float, label: str, track: str, start: float, end: float | None) -> None:
+        """An annotated interval, on ``/events``; start and end in s, None = not known."""
+        text = json.dumps({"label": label, "track": track, "start": start, "end": end}, allow_nan=False)
+        self._write("/events", "rcbht_msgs/msg/Event", time, event="Interval", json=text)
+
     def event(self, event: Event) -> None:
         """One event; words, the beliefs of every head, and the scores of a monitor have their own topics."""
         if isinstance(event, Word):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import FORMATS, DataSet, export, load
@@ -178,3 +179,23 @@ def test_simulated_trials_stay_simulated(kind: str, tmp_path: Path) -> None:
     report = import_source(tmp_path / "out", tmp_path / "back.zarr", kind).report
     assert "but for labels and the table of the simulation." in report.remarks[0]
     assert "3 recordings of 3 simulated trials" in card(load(tmp_path / "back.zarr"), "")
+
+
+def test_every_interval_of_every_track_is_an_event_in_mcap(tmp_path: Path) -> None:
+    """Only those of the first track were, and of several that begin together the last."""
+    rows = [(0, "phase", "push", 0.5, 1.0), (0, "contact", "touch", 0.5, 0.7), (0, "phase", "rest", 0.5, np.nan)]
+    wrench = np.random.default_rng(0).normal(size=(40, 6))
+    made = Recordings.from_arrays([wrench], 20.0, annotations=[*rows, (0, "phase", "late", 9.0, 9.5)])
+    export(DataSet.of(made), tmp_path / "out", "mcap")
+    with AnyReader([tmp_path / "out/000000.mcap"]) as bag:
+        found = [
+            (time / 1e9, json.loads(bag.deserialize(raw, connection.msgtype).json))
+            for connection, time, raw in bag.messages([c for c in bag.connections if c.topic == "/events"])
+        ]
+    assert {at for at, one in found if one["label"] != "late"} == {0.5}
+    marks = sorted((one["track"], one["label"], one["start"], one["end"]) for _, one in found)
+    assert marks == [
+        ("contact", "touch", 0.5, 0.7), ("phase", "late", 9.0, 9.5), ("phase", "push", 0.5, 1.0),
+        ("phase", "rest", 0.5, None),
+    ]  # fmt: skip
+    assert len(read_source(tmp_path / "out").recordings.annotations) == 4
