@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Bool, Float32, Int32, UInt8
 from numpy.typing import NDArray
 
 
@@ -73,6 +73,14 @@ def wrench_digests(
     rows = zip(wrench, length.tolist(), strict=True)
     found = b"".join(hashlib.sha256(row[:samples].tobytes()).digest() for row, samples in rows)
     return np.frombuffer(found, np.uint8).reshape(len(length), 32)
+
+
+def among(
+    digests: UInt8[np.ndarray, "recording byte"], others: UInt8[np.ndarray, "other byte"]
+) -> Bool[np.ndarray, " recording"]:
+    """Which digests of :func:`wrench_digests` are among others."""
+    known = set(map(bytes, others))
+    return np.array([bytes(one) in known for one in digests], bool)
 
 
 def files_hash(root: Path, paths: Iterable[Path]) -> str:

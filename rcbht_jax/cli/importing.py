@@ -21,7 +21,8 @@ _HELP = """Import {what} into a store: a file, or a folder of files.
 
 The meaning of columns is guessed from their names and shown in a table; --map states it instead, and --write-map
 saves it for editing. All recordings get one uniform time grid. What is left out, and why, is reported; exact copies
-are imported once. A folder of "rcbht export" is restored unchanged.
+are imported once. A folder of "rcbht export" is restored unchanged, but for labels and the table of
+a simulation.
 
 Example: rcbht import {kind} {example}"""
 

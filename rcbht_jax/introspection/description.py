@@ -214,7 +214,7 @@ def _text(one: Change | Ringing, unit: str) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{value:.0f}" if 100 <= value < 1e6 else f"{value:.2g}"
+    return f"{value:.0f}" if 99.5 <= value < 1e6 else f"{value:.2g}"  # two digits of more are 1e+02
 
 
 def describe(

@@ -33,7 +33,16 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import check_online, names
 from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.labels import AXES, UNIT_OF, UNITS
-from rcbht_jax.learning.model_io import check_finite, check_objects, read_svm, reading, svm_members, write_archive
+from rcbht_jax.learning.model_io import (
+    NO_DIGESTS,
+    check_finite,
+    check_objects,
+    read_digests,
+    read_svm,
+    reading,
+    svm_members,
+    write_archive,
+)
 from rcbht_jax.learning.probability import ProbabilisticSvm, SvmArrays, to_arrays
 from rcbht_jax.learning.progress import ProgressArrays, ProgressCalibration, progress_arrays
 from rcbht_jax.types import axis_names
@@ -128,6 +137,7 @@ class IntrospectionModel:
     data_hash: str  # of the training data
     version: str = rcbht_jax.__version__
     extra: dict[str, Any] = field(default_factory=dict)  # anything else worth keeping: JSON values
+    digests: NDArray[np.uint8] = field(default_factory=lambda: NO_DIGESTS)  # [recording, byte] of the training set
 
     def __post_init__(self) -> None:
         limits = self.stacked_limits
@@ -181,7 +191,7 @@ def save(path: Path | str, model: IntrospectionModel) -> None:
     Raises:
         InputError: the folder does not exist, or a description is not JSON.
     """
-    arrays: dict[str, NDArray[Any]] = dict(limit_arrays(model.limits))
+    arrays: dict[str, NDArray[Any]] = {**limit_arrays(model.limits), "digests": model.digests}
     heads = []
     for number, head in enumerate(model.heads):
         prefix = f"{number}."
@@ -211,7 +221,7 @@ def load(path: Path | str) -> IntrospectionModel:
         for name in ("axes", "units"):
             checked_texts(f"its {name}", meta["extra"].get(name) or [])
         rest = {k: meta[k] for k in ("data_hash", "version", "extra")}
-        return IntrospectionModel(config, limits, heads, **rest)
+        return IntrospectionModel(config, limits, heads, **rest, digests=read_digests(archive))
 
 
 def _read_head(

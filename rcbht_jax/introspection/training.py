@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
-from rcbht_jax._util.digest import data_hash
+from rcbht_jax._util.digest import data_hash, wrench_digests
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.encoding.thresholds import limits_of, preset
@@ -320,7 +320,15 @@ def train_model(
     extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
     extra |= {"axes": list(recordings.axes), "units": list(recordings.units)}
     kept = limits if isinstance(limits, FitLimits) else np.asarray(limits_of(limits), np.float64)
-    return IntrospectionModel(config, kept, heads, data_hash(recordings), extra=extra)
+    seen = _trained_on(recordings, specs)
+    return IntrospectionModel(config, kept, heads, data_hash(recordings), extra=extra, digests=seen)
+
+
+def _trained_on(recordings: Recordings, specs: tuple[HeadSpec, ...]) -> UInt8[np.ndarray, "recording byte"]:
+    """Digests of the recordings that any classifier has learnt from."""
+    tasks = (learnable(labelled_intervals(recordings, spec.task))[0] for spec in specs)
+    rows = np.unique(np.concatenate([items.intervals[0].recording for items in tasks]))
+    return wrench_digests(recordings.wrench, recordings.length)[rows]
 
 
 def _names(specs: tuple[HeadSpec, ...]) -> list[str]:

@@ -15,6 +15,7 @@ from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax.annotations import Annotations, corrected_variant
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
+from rcbht_jax.io.simulation import ORIGINS, origin_of
 from rcbht_jax.io.tare import tare
 from rcbht_jax.labels import UNITS
 from rcbht_jax.types import Recordings
@@ -164,10 +165,12 @@ def _attrs(paths: Sequence[Path], taken: dict[str, int], tare_seconds: float) ->
         {"store": path.name, "content_sha256": attrs.get("content_sha256"), "recordings": taken[str(path)]}
         for path, attrs in zip(paths, every, strict=True)
     ]
+    origins = {origin_of(attrs) for attrs, one in zip(every, joined, strict=True) if one["recordings"]}
+    origin = "" if "" in origins else origins.pop() if len(origins) == 1 else ORIGINS[-1]
     every = [{**attrs, "importer": importer_of(attrs)} for attrs in every]
     values_of = {name: {str(attrs.get(name, "")) for attrs in every} for name in _KEPT}
     same = {name: values.pop() for name, values in values_of.items() if len(values) == 1}
-    kept = {"importer": "joined", **{name: value for name, value in same.items() if value}}
+    kept = {"importer": "joined", "origin": origin, **{name: value for name, value in same.items() if value}}
     return {**kept, "joined": joined, "tare_s": tare_seconds}
 
 

@@ -200,19 +200,23 @@ def messages(reader: Bag, connections: Sequence[Any]) -> Iterator[tuple[Any, int
 
 
 def is_wrench(axes: Sequence[str], units: Sequence[str] = ()) -> bool:
-    """Whether axes are those of a wrench, in its order and its units, by the letters in their names.
+    """Whether axes are those of a wrench, in its order and its units, by the letters in their names or by their units.
 
     >>> is_wrench(["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]), is_wrench(["Fz", "Fx", "Fy", "Tz", "Tx", "Ty"])
     (True, False)
+    >>> is_wrench(["F1", "F2", "F3", "T1", "T2", "T3"], ["N"] * 3 + ["Nm"] * 3), is_wrench(["F1", "F2", "F3", "T1"])
+    (True, False)
 
     Args:
-        axes: their names; without the letters x, y and z they are in order.
+        axes: their names; without the letters x, y and z they are in order, and need units: fingers and thumbs begin
+            with F and T as well.
         units: of the axes, "" = unknown; () = all unknown.
     """
     kinds = "".join(axis[:1] for axis in axes).upper()
     letters = "".join(next((letter for letter in axis[1:].lower() if letter in "xyz"), "") for axis in axes)
     right = all(unit in ("", own) for unit, own in zip(units, UNITS, strict=False))
-    return kinds in ("FFFMMM", "FFFTTT") and letters in ("", "xyzxyz") and right
+    named = right if letters == "xyzxyz" else letters == "" and tuple(units) == UNITS
+    return kinds in ("FFFMMM", "FFFTTT") and named
 
 
 class McapWriter:
@@ -307,6 +311,11 @@ class McapWriter:
             fields[layer] = row.astype(np.int32)
             fields[f"{layer}_name"] = [name(layer, int(code)) for code in row]
         self._write("/labels", "rcbht_msgs/msg/Labels", time, **fields)
+
+    def interval(self, time: float, label: str, track: str, start: float, end: float | None) -> None:
+        """An annotated interval, on ``/events``; start and end in s, None = not known."""
+        text = json.dumps({"label": label, "track": track, "start": start, "end": end}, allow_nan=False)
+        self._write("/events", "rcbht_msgs/msg/Event", time, event="Interval", json=text)
 
     def event(self, event: Event) -> None:
         """One event; words, the beliefs of every head, and the scores of a monitor have their own topics."""

@@ -13,7 +13,20 @@ from numpy.typing import NDArray
 from rcbht_jax.io.store import SIMULATION, open_store, read_recordings, read_simulation_batches
 from rcbht_jax.types import Recordings
 
+ORIGINS = ("recorded", "simulated", "recorded and simulated")
 FAULT = "fault"  # array of the kind of fault that each trial was given, "none" = none
+
+
+def origin_of(attrs: Mapping[str, Any]) -> str:
+    """One of ``ORIGINS``, by the attributes of a store; "" = not known, of a store joined by version 0.2 or before.
+
+    >>> origin_of({"simulated": {}}), origin_of({"importer": "csv"}), origin_of({"joined": []})
+    ('simulated', 'recorded', '')
+    """
+    if "simulated" in attrs:
+        return "simulated"
+    origin = attrs.get("origin", "" if "joined" in attrs else "recorded")
+    return origin if origin in ORIGINS else ""
 
 
 def simulation_batches(store: Path, *names: str) -> Iterator[dict[str, NDArray[Any]]]:

@@ -38,7 +38,7 @@ _ARRAYS = ("center", "width", "knots", "support", "support_count", "dual", "inte
 
 
 _SIGNAL = ("axes", "units")
-_NO_DIGESTS = np.zeros((0, 32), np.uint8)  # older files
+NO_DIGESTS = np.zeros((0, 32), np.uint8)  # older files
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class TrainedModel:
     data_hash: str  # of the training data
     version: str = rcbht_jax.__version__
     extra: dict[str, Any] = field(default_factory=dict)  # anything else worth keeping: JSON values
-    digests: NDArray[np.uint8] = field(default_factory=lambda: _NO_DIGESTS)  # [recording, byte] of the training set
+    digests: NDArray[np.uint8] = field(default_factory=lambda: NO_DIGESTS)  # [recording, byte] of the training set
     axes: tuple[str, ...] = ()  # names of those of the training set; none in older files
     units: tuple[str, ...] = ()  # of the axes, "" = not stated
 
@@ -90,19 +90,28 @@ def load(path: Path | str) -> TrainedModel:
         checked_texts("its digest and version", [meta["data_hash"], meta["version"]])
         svm = read_svm(path, meta, archive, len(names))
         rest = {k: meta[k] for k in ("task", "encoder", "data_hash", "version", "extra")}
-        digests = archive.get("digests", _NO_DIGESTS)
-        if digests.ndim != 2 or digests.shape[1] != 32 or digests.dtype != np.uint8:
-            raise InputError(f"its digests have the shape {digests.shape}; expected 32 bytes for each recording")
         axes, units = (checked_texts(f"its {name}", meta.get(name, [])) for name in _SIGNAL)
         if len(axes) != len(units):
             raise InputError(f"it has {len(axes)} axes and {len(units)} units")
-        spec = FeatureSpec.from_dict(meta["feature_spec"])
+        spec, digests = FeatureSpec.from_dict(meta["feature_spec"]), read_digests(archive)
         model = TrainedModel(svm, spec, names, **rest, digests=digests, axes=axes, units=units)
     if not axes:
         warnings.warn(
             f"{path}, of an older version, does not state its axes; those of a store are not checked.", stacklevel=2
         )
     return model
+
+
+def read_digests(archive: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+    """Digests of a model's training recordings ``[recording, byte]``; none in an older file.
+
+    Raises:
+        InputError: not 32 bytes for each recording.
+    """
+    digests = archive.get("digests", NO_DIGESTS)
+    if digests.ndim != 2 or digests.shape[1] != 32 or digests.dtype != np.uint8:
+        raise InputError(f"its digests have the shape {digests.shape}; expected 32 bytes for each recording")
+    return digests
 
 
 def check_objects(meta: Mapping[str, Any], *names: str) -> None:

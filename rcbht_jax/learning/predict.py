@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import among
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.signals import check_axes
 from rcbht_jax._util.untrusted import checked_fields
@@ -256,8 +257,7 @@ def classify(
 def _seen(model: TrainedModel, recordings: Recordings, facts: WrenchFacts) -> NDArray[np.bool_]:
     """Recordings that the model was trained on ``[recording]``, as far as its file states."""
     if len(model.digests):
-        trained = set(map(bytes, model.digests))
-        return np.array([bytes(one) in trained for one in facts.digests], bool)
+        return among(facts.digests, model.digests)
     seen = np.full(len(recordings), facts.data_hash == model.data_hash)  # an older model
     for values, kept in ((recordings.source, "sources"), (recordings.session, "sessions")):
         if model.task.get(kept):

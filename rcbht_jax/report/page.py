@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.columns import measured
+from rcbht_jax._util.digest import among
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.introspector import Introspector
@@ -76,7 +77,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
         "TITLE": escape(options.title or f"{what.capitalize()} introspection"),
         "SECTIONS": _sections(options),
         "STYLE": _asset("report.css"),
-        "SUMMARY": _summary(data, len(rows)) + _about_model(data, options.model),
+        "SUMMARY": _summary(data, len(rows)) + _about_model(data, rows, options.model),
         "RESULTS": "" if options.results is None else results_html(options.results),
         "FACTS": _script_json(facts),
         "BLOBS": "\n".join(f'<script type="text/plain" id="blob-{n}">{blob}</script>' for n, blob in enumerate(blobs)),
@@ -158,15 +159,20 @@ def _summary(data: DataSet, shown: int) -> str:
     )
 
 
-def _about_model(data: DataSet, model: IntrospectionModel | None) -> str:
+def _about_model(data: DataSet, rows: NDArray[np.int64], model: IntrospectionModel | None) -> str:
     """How to read the beliefs that are shown."""
     if model is None:
         return ""
-    trained = (
-        "The model was trained on this store: its beliefs about these trials are optimistic."
-        if model.data_hash == data.data_hash()
-        else "The model was trained on other data than this store."
-    )
+    seen = int(among(data.digests[rows], model.digests).sum())
+    if not len(model.digests):  # an older file
+        trained = "Whether the model was trained on recordings in the browser is not known."
+        if model.data_hash == data.data_hash():
+            trained = "The model was trained on recordings of this store; it is not known on which."
+    elif seen:
+        trained = f"The model was trained on {seen} of the {plural(len(rows), 'recording')} in the browser: "
+        trained += "its beliefs about those are optimistic."
+    else:
+        trained = "The model was trained on none of the recordings in the browser."
     return f"<p><strong>Beliefs:</strong> {trained} The start of each sub-task is given to it, from the store.</p>"
 
 

@@ -152,3 +152,9 @@ def test_a_recording_is_chosen_as_everywhere() -> None:
     assert describe_recording(recordings, -1) == describe_recording(recordings, 1) == [(0.0, "[phase: push]")]
     with pytest.raises(InputError, match="There are 2 recordings"):
         describe_recording(recordings, 2)
+
+
+@pytest.mark.parametrize(("rise", "said"), [(99.4, "99"), (99.5, "100"), (99.7, "100"), (0.996, "1"), (3e6, "3e+06")])
+def test_a_number_is_rounded_before_its_form_is_chosen(rise: float, said: str) -> None:
+    """99.7 N was 1e+02 N."""
+    assert sentences([Change("Fz", 0.0, 0.5, rise)], {"Fz": "N"}) == [(0.0, f"Fz rises {said} N in 0.5 s")]

@@ -211,9 +211,11 @@ def test_an_alarm_is_held_for_the_time_of_its_level(tmp_path):
 
 def test_model_file_keeps_everything(tmp_path):
     path = tmp_path / "m"
-    model_files.save(path, model())
+    digests = np.arange(64, dtype=np.uint8).reshape(2, 32)
+    model_files.save(path, replace(model(), digests=digests))
     back = model_files.load(path)
     signal = story()
+    np.testing.assert_array_equal(back.digests, digests)
     assert Introspector(back).push(signal) == Introspector(model()).push(signal)
     assert (back.extra, back.data_hash, back.encoder) == (model().extra, "abc", CONFIG)
     assert [h.alarm for h in back.heads] == ["", "failure", ""]
@@ -226,8 +228,10 @@ def test_files_of_0_1_are_read(tmp_path):
     members, meta = archive_of(path)
     added = ("view", "alarm_level", "alarm_hold", "progress")  # since then
     heads = [{k: v for k, v in head.items() if k not in added} | {"sight": head["view"]} for head in meta["heads"]]
+    del members["digests"]
     write_archive(path, meta | {"heads": heads}, members)
     back = model_files.load(path)
+    assert back.digests.shape == (0, 32)
     assert [head.view for head in back.heads] == [head.view for head in model().heads]
     assert [head.progress for head in back.heads] == [None] * 3
     assert [head.alarm_hold for head in back.heads] == [0.1] * 3

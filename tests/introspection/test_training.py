@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -131,3 +132,12 @@ def test_what_a_head_sees_depends_on_its_sentence():
         assert head.view.spec.families == families
     assert not {"elapsed", "duration"} & {*TRIAL, *SUBTASK_RELATIVE}
     assert not {*ABSOLUTE} & {*SUBTASK_RELATIVE, *TRIAL_RELATIVE}
+
+
+def test_a_model_keeps_the_digests_of_its_training_recordings_alone():
+    """A report said of trials that were held out that their beliefs are optimistic."""
+    wrench = np.random.default_rng(0).normal(size=(6, 60, 6)).astype(np.float32)
+    data = Recordings.from_arrays(wrench, 200, outcome=["success", "failure"] * 3, source=["a", "a", "b"] * 2)
+    spec = HeadSpec(TaskSpec("outcome", sources=("a",)), families=("histogram",))
+    digests = training.train_model(data, (spec,)).digests
+    np.testing.assert_array_equal(digests, wrench_digests(data.wrench, data.length)[[0, 1, 3, 4]])

@@ -14,6 +14,8 @@ from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
+from rcbht_jax.io.export import load
+from rcbht_jax.io.export.card import card
 from rcbht_jax.io.joining import importer_of, join_stores
 from rcbht_jax.types import Recordings
 from tests.support.store_cases import same
@@ -199,3 +201,19 @@ def test_the_command_joins_and_never_replaces_what_it_reads(tmp_path: Path, caps
         assert main.main(["join", *words]) == 2
         assert sentence in capsys.readouterr().err
     assert len(store.read_recordings(Path(second))) == 3
+
+
+def test_the_card_of_a_joined_store_says_what_was_simulated(tmp_path: Path) -> None:
+    """All trials were called recorded."""
+    origins: list[dict[str, Any]] = [{"simulated": {}}, {"simulated": {}}, {"importer": "csv"}, {"joined": []}]
+    paths = [written(tmp_path / f"{number}.zarr", recordings(number), **of) for number, of in enumerate(origins)]
+    for first, last, said in (
+        (0, 2, "6 simulated trials"),
+        (1, 3, "6 recorded and simulated trials"),
+        (2, 4, "6 trials"),
+    ):
+        out = tmp_path / f"{first}-{last}.zarr"
+        join_stores(paths[first:last], out)
+        text = card(load(out), "")
+        assert f"6 recordings of {said}, " in text
+        assert ("Whether the trials were recorded or simulated is not known." in text) == (said == "6 trials")

@@ -239,9 +239,14 @@ def test_choice_of_trials(data: DataSet) -> None:
 
 
 def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, block: Block, report: Path) -> None:
-    assert "trained on other data" in report.read_text()
-    seen = dataclasses.replace(model(), data_hash=data_hash(block.recordings))
-    assert "are optimistic" in page(data, Options(model=seen, trials=("one",)))
+    assert "Whether the model was trained on recordings in the browser is not known." in report.read_text()
+    older = dataclasses.replace(model(), data_hash=data_hash(block.recordings))
+    assert "recordings of this store; it is not known on which" in page(data, Options(model=older, trials=("one",)))
+    seen = dataclasses.replace(model(), digests=data.digests[1:])
+    shown = page(data, Options(model=seen, trials=("one", "two", "four")))
+    assert "trained on 2 of the 3 recordings in the browser: its beliefs about those are optimistic." in shown
+    held_out = page(data, Options(model=dataclasses.replace(seen, data_hash=older.data_hash), trials=("one",)))
+    assert "trained on none of the recordings in the browser." in held_out
     assert "Beliefs:" not in page(data, Options(trials=("one",)))
 
 

@@ -16,6 +16,7 @@ from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
+from rcbht_jax.io.simulation import origin_of
 from rcbht_jax.labels import LAYERS, MEANING, name
 from rcbht_jax.learning import confounds as learning
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
@@ -67,13 +68,14 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
     recordings = data.recordings
     samples = int(recordings.length.sum())
     trials = set(zip(recordings.source.tolist(), recordings.trial.tolist(), strict=True))
-    origin = "simulated" if "simulated" in data.attrs else "recorded"
+    origin = origin_of(data.attrs)
     about = description(data)
     parts = [
         f"{front}# {measured(recordings.axes, recordings.units).capitalize()} recordings",
-        f"{plural(len(recordings), 'recording')} of {plural(len(trials), f'{origin} trial')}, "
+        f"{plural(len(recordings), 'recording')} of {plural(len(trials), f'{origin} trial'.lstrip())}, "
         f"{plural(samples, 'sample')} at {1 / recordings.dt:g} Hz "
-        f"({samples * recordings.dt / 60:.1f} min). A recording is one arm of one trial.",
+        f"({samples * recordings.dt / 60:.1f} min). A recording is one arm of one trial."
+        + ("" if origin else " Whether the trials were recorded or simulated is not known."),
         "**Licence:** not stated yet; add it here before you share this data. It is the licence of the recordings, not "
         "that of the program that wrote these files.",
         f"## Files\n\n{layout}",

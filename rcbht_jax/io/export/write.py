@@ -7,17 +7,21 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.cells import cell
+from rcbht_jax.annotations import nearest_samples
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import SubtaskStarted
 from rcbht_jax.io.export import tables
 from rcbht_jax.io.export.card import write_card
 from rcbht_jax.io.export.dataset import Block, DataSet, codes_at_samples
 from rcbht_jax.io.export.lerobot import EPISODE, write_lerobot
 from rcbht_jax.io.export.parquet import ParquetFiles
 from rcbht_jax.io.export.tables import Table
+from rcbht_jax.types import Recordings
 
 Progress = Callable[[int], None]  # called with the number of recordings done since the last call
 
@@ -144,7 +148,7 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
     layout = (
         "* `NNNNNN.mcap`: recording N, from time 0: `/wrench` (geometry_msgs/WrenchStamped; `/signal` where axes or "
         "units are not those of one), `/labels` (whenever one changes; online labels appear when they were published), "
-        "`/events` (starts of annotated intervals);\n"
+        "`/events` (a JSON text where an annotated interval begins: label, track, start and end in s);\n"
         "* `trials.csv`: one row per recording: names, outcome, further columns;\n"
         "* `annotations.csv`: one row per annotated interval, where there are some;\n"
         "* `simulation.csv`: parameters and ground truth of the simulation, where the trials were simulated;\n"
@@ -158,15 +162,27 @@ def _mcap_recording(block: Block, row: int, path: Path) -> None:
 
     recordings, samples = block.recordings, int(block.recordings.length[row])
     codes = None if block.tracks is None else codes_at_samples(block.tracks, row, samples)
-    begins = recordings.annotations.begins(row, samples, recordings.dt)
+    begins = _intervals_at(recordings, row)
     with McapWriter(path, recordings.axes, recordings.units) as mcap:
         for sample, values in enumerate(recordings.wrench[row, :samples].astype(float).tolist()):
             time = sample * recordings.dt
-            if sample in begins:
-                mcap.event(SubtaskStarted(sample, time, sample, False, begins[sample]))
+            for interval in begins.get(sample, ()):
+                mcap.interval(time, **interval)
             mcap.wrench(time, tuple(values))
             if codes is not None and (sample == 0 or (codes[sample] != codes[sample - 1]).any()):
                 mcap.labels(time, codes[sample])
+
+
+def _intervals_at(recordings: Recordings, row: int) -> dict[int, list[dict[str, Any]]]:
+    """Every annotated interval of a recording, by the sample at which it begins; those outside by the first or last."""
+    marks, samples = recordings.annotations.of_recording(row), int(recordings.length[row])
+    at = nearest_samples(marks.start, samples, recordings.dt).clip(0, samples - 1).astype(int)
+    found: dict[int, list[dict[str, Any]]] = {}
+    ends = (None if np.isnan(end) else end for end in marks.end.tolist())
+    tracks = (marks.tracks[track] for track in marks.track.tolist())
+    for sample, *interval in zip(at.tolist(), marks.names().tolist(), tracks, marks.start.tolist(), ends, strict=True):
+        found.setdefault(sample, []).append(dict(zip(("label", "track", "start", "end"), interval, strict=True)))
+    return found
 
 
 FORMATS: dict[str, Callable[[DataSet, Path, Progress], None]] = {

@@ -24,6 +24,7 @@ from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.io.simulation import origin_of
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
@@ -74,6 +75,18 @@ def read_export(folder: Path) -> Recordings:
     except InputError as error:  # changed values of files without checksums
         raise InputError(f"{folder} is damaged: {error}") from None
     return recordings
+
+
+def not_read(folder: Path) -> list[str]:
+    """What an export holds that :func:`read_export` leaves out."""
+    simulated = any((folder / f"simulation.{suffix}").is_file() for suffix in ("csv", "parquet"))
+    return ["labels", *(["the table of the simulation"] if simulated else [])]
+
+
+def origin_of_export(folder: Path) -> str:
+    """Whether the trials of an export were recorded or simulated, see :func:`rcbht_jax.io.simulation.origin_of`."""
+    about = read_object(folder / "dataset.json").get("store")
+    return origin_of(about) if isinstance(about, dict) else ""
 
 
 def _period(folder: Path, about: Mapping[str, Any]) -> float:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from rcbht_jax._util.digest import files_hash
@@ -28,7 +28,7 @@ from rcbht_jax.io.importing.blocks import read_blocks
 from rcbht_jax.io.importing.bounds import bounded
 from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
-from rcbht_jax.io.importing.exported import read_export
+from rcbht_jax.io.importing.exported import not_read, origin_of_export, read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
 from rcbht_jax.io.importing.given import from_start, on_clock
 from rcbht_jax.io.importing.guess import Understood, guess, interleaved, more_wrenches, nameless, some, stated_words
@@ -64,6 +64,7 @@ class Imported:
     recordings: Recordings
     mapping: Mapping  # of the first file, with the annotations and columns of all
     report: ImportReport
+    attrs: dict[str, str] = field(default_factory=dict)  # of the store, as the files state them
 
 
 def read_source(
@@ -153,7 +154,7 @@ def import_source(
     imported = read_source(source, kind, mapping, progress, keep_copies)
     report = imported.report
     attrs = {"importer": kind, "source_sha256": report.content_sha256, "import_report": report.to_dict()}
-    store.write_recordings(path, imported.recordings, attrs, overwrite)
+    store.write_recordings(path, imported.recordings, attrs | imported.attrs, overwrite)
     return imported
 
 
@@ -193,11 +194,12 @@ def _exported(source: Path, item: Item, others: list[str]) -> Imported:
     check_inside(source, source)
     recordings = read_export(item.path)
     names = [f"{trial}/{arm}" for trial, arm in zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True)]
-    told = f"{spelled(item.path.name)} was written by rcbht export; read as it is, but for labels."
+    left = " and ".join(not_read(item.path))
+    told = f"{spelled(item.path.name)} was written by rcbht export; read as it is, but for {left}."
     report = ImportReport(names, remarks=[told])
     report.remarks += _unread(source, others)
     report.content_sha256 = _digest(source, [item])
-    return Imported(recordings, Mapping(), report)
+    return Imported(recordings, Mapping(), report, {"origin": origin_of_export(item.path)})
 
 
 def _read(

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import FORMATS, DataSet, export, load
+from rcbht_jax.io.export.card import card
 from rcbht_jax.io.importing.importer import import_source, read_source
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.rosbags import McapWriter, topics_of
 from rcbht_jax.io.store import read_recordings, write_recordings
-from rcbht_jax.labels import AXES
+from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.types import Recordings
 
 
@@ -112,12 +115,18 @@ def test_a_damaged_export_is_one_sentence(exported: Path) -> None:
         read_source(exported)
 
 
-@pytest.mark.parametrize(("letters", "topic"), [("FFFTTT", "/wrench"), ("jjjjjj", "/signal")])
-def test_six_axes_are_a_wrench_in_mcap_only_by_their_names(letters: str, topic: str, tmp_path: Path) -> None:
-    """Torques of six joints are no force along x; either comes back with its names."""
+@pytest.mark.parametrize(
+    ("letters", "units", "topic"),
+    [("FFFTTT", UNITS, "/wrench"), ("FFFTTT", [""] * 6, "/signal"), ("jjjjjj", [""] * 6, "/signal")],
+)
+def test_six_axes_are_a_wrench_in_mcap_only_by_their_names(
+    letters: str, units: Sequence[str], topic: str, tmp_path: Path
+) -> None:
+    """Torques of six joints or readings of fingers and thumbs, are no force along x; all come back with their names."""
     wrench = np.random.default_rng(0).normal(size=(2, 50, 6)).astype(np.float32)
     axes = tuple(f"{letter}{number}" for number, letter in enumerate(letters))
-    export(DataSet.of(Recordings.from_arrays(list(wrench), 200.0, axes=axes)), tmp_path / "out", "mcap")
+    made = Recordings.from_arrays(list(wrench), 200.0, axes=axes, units=units)
+    export(DataSet.of(made), tmp_path / "out", "mcap")
     with (tmp_path / "out/000001.mcap").open("rb") as file:
         assert {channel.topic for channel in make_reader(file).get_summary().channels.values()} == {topic}
     import_source(tmp_path / "out", tmp_path / "again.zarr", "mcap")
@@ -159,3 +168,34 @@ def test_only_a_wrench_in_order_and_in_its_units_is_one_in_mcap(change: str, tmp
     back = read_source(tmp_path / "out").recordings  # exports before had a wrench for each of these
     assert (back.axes, back.units) == (made.axes, made.units)
     np.testing.assert_array_equal(back.wrench, made.wrench)
+
+
+@pytest.mark.parametrize("kind", sorted(FORMATS))
+def test_simulated_trials_stay_simulated(kind: str, tmp_path: Path) -> None:
+    """They came back as recorded ones, and their table of the simulation was lost without a word."""
+    seed = {"seed": np.arange(3)}
+    write_recordings(tmp_path / "a.zarr", recordings(), {"simulated": {"seed": 1}}, simulation=seed)
+    export(load(tmp_path / "a.zarr"), tmp_path / "out", kind)
+    report = import_source(tmp_path / "out", tmp_path / "back.zarr", kind).report
+    assert "but for labels and the table of the simulation." in report.remarks[0]
+    assert "3 recordings of 3 simulated trials" in card(load(tmp_path / "back.zarr"), "")
+
+
+def test_every_interval_of_every_track_is_an_event_in_mcap(tmp_path: Path) -> None:
+    """Only those of the first track were, and of several that begin together the last."""
+    rows = [(0, "phase", "push", 0.5, 1.0), (0, "contact", "touch", 0.5, 0.7), (0, "phase", "rest", 0.5, np.nan)]
+    wrench = np.random.default_rng(0).normal(size=(40, 6))
+    made = Recordings.from_arrays([wrench], 20.0, annotations=[*rows, (0, "phase", "late", 9.0, 9.5)])
+    export(DataSet.of(made), tmp_path / "out", "mcap")
+    with AnyReader([tmp_path / "out/000000.mcap"]) as bag:
+        found = [
+            (time / 1e9, json.loads(bag.deserialize(raw, connection.msgtype).json))
+            for connection, time, raw in bag.messages([c for c in bag.connections if c.topic == "/events"])
+        ]
+    assert {at for at, one in found if one["label"] != "late"} == {0.5}
+    marks = sorted((one["track"], one["label"], one["start"], one["end"]) for _, one in found)
+    assert marks == [
+        ("contact", "touch", 0.5, 0.7), ("phase", "late", 9.0, 9.5), ("phase", "push", 0.5, 1.0),
+        ("phase", "rest", 0.5, None),
+    ]  # fmt: skip
+    assert len(read_source(tmp_path / "out").recordings.annotations) == 4
