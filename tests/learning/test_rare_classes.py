@@ -102,6 +102,16 @@ def test_an_interval_of_a_rare_class_is_no_trial_left_out(rare: Path, capsys: py
         assert all(sentence.format(what, reason) in shown for what in ("1 trial", "1 interval"))
 
 
+def test_accuracy_on_training_data_counts_what_it_is_of(rare: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The interval of the class that the model does not know was counted with those of the same trial."""
+    store, model = str(rare / "a.zarr"), str(rare / "b.model")
+    assert main(["train", store, *ASKED, "-o", model]) == 0
+    capsys.readouterr()
+    assert main(["classify", store, "--model", model, "-o", str(rare / "classes.csv"), "--json"]) == 0
+    done = json.loads(capsys.readouterr().out)
+    assert (done["sentences"], done["trained_on"], done["known"]) == (10, 8, 0)
+
+
 def test_info_calls_no_column_a_task_whose_values_hardly_repeat(
     recordings: Recordings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
