@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import tyro
 
 from rcbht_jax._util.atomic import is_stream
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.left_out import reasons_of
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.errors import InputError
 
@@ -396,5 +396,5 @@ def belief_rate(chosen: float | None) -> float | Literal["auto"] | None:
 
 
 def left_out(dropped: dict[str, int]) -> list[str]:
-    """A line for each reason why trials were left out."""
-    return [f"left out: {plural(count, 'trial')}, {reason}" for reason, count in dropped.items()]
+    """A line for each reason why trials or intervals were left out."""
+    return [f"left out: {what}, {reason}" for what, reason in reasons_of(dropped)]

@@ -285,7 +285,7 @@ class Classify(Command):
             "dropped": classification.items.dropped,
             "known": int((classification.known & ~classification.seen).sum()),
             "accuracy": classification.accuracy(),
-            "trained_on": int(classification.seen.sum()),
+            "trained_on": int((classification.known & classification.seen).sum()),
             "accuracy_of_those": classification.accuracy(seen=True),
         }
 

@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.arms import arms_in, title_of
+from rcbht_jax._util.left_out import reasons_of
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_number
 from rcbht_jax.cli.command import Command, Flag, Folder, OutStore, Store, Stores, option, progress_bar
@@ -217,7 +218,7 @@ def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, An
         text = f"{several} of its {len(trials)} classes are in two trials or more; two such classes are needed."
         return {"classes": {}, "sentences": [text]}
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
-    left = [f"{count} left out: {reason}." for reason, count in items.dropped.items()]
+    left = [f"{what} left out: {reason}." for what, reason in reasons_of(items.dropped)]
     if len(arms := arms_in(recordings.arm.tolist())) > 1:
         left.append(f"Counted is the {title_of(arms[0])} alone.")
     sentences = [*confounds(items, facts), *left]

@@ -17,6 +17,17 @@ from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.svm import fit, grouped_folds
 
 FOLDS = 5
+CALIBRATIONS = ("cross", "split")  # each nominal trial is held out in turn, or a half of them from all training
+
+
+def check_calibration(calibration: object) -> None:
+    """Refuse what is none of the ``CALIBRATIONS``.
+
+    Raises:
+        InputError: lists them.
+    """
+    if calibration not in CALIBRATIONS:
+        raise InputError(f"calibration is {calibration!r}; expected one of {', '.join(CALIBRATIONS)}.")
 
 
 def sustained_peak(probability: Float[np.ndarray, " snapshot"], steps: int) -> float:

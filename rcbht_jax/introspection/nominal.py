@@ -34,7 +34,7 @@ from rcbht_jax._util.signals import (
 )
 from rcbht_jax._util.values import number
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.alarms import check_groups, conformal_threshold
+from rcbht_jax.introspection.alarms import check_calibration, check_groups, conformal_threshold
 from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest, unbiased
 from rcbht_jax.learning.estimators import keep_names
 
@@ -42,7 +42,6 @@ with needs_extra("learn"):
     from sklearn.base import BaseEstimator, clone
     from sklearn.utils.validation import check_is_fitted
 
-CALIBRATIONS = ("cross", "split")
 FREEDOM = 3.0  # degrees of freedom of the Student t whose negative logarithm is the surprise
 
 
@@ -95,8 +94,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         return self
 
     def _fitted(self, X: Any, groups: ArrayLike | None) -> Monitor:
-        if self.calibration not in CALIBRATIONS:
-            raise InputError(f"calibration is {self.calibration!r}; expected one of {', '.join(CALIBRATIONS)}.")
+        check_calibration(self.calibration)
         self._check()
         read, axes = read_parts(X, period(self.rate), dtype=np.float64)
         series = [whole_series(part) for part in read]

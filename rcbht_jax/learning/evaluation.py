@@ -78,7 +78,7 @@ class EvaluationResult:
     trials: int
     untrained: tuple[str, ...]  # classes that are tested where no training item, of sessions or of a fold, has them
     tested: int  # of the trials, or of the protocol's groups
-    dropped: dict[str, int]  # reason -> trials left out
+    dropped: dict[str, int]  # reason -> trials left out; intervals where it begins with "intervals, "
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
     duration_baseline: dict[str, Any]  # random forest on the length of the interval alone
     majority_baseline: dict[str, Any]

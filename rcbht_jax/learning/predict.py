@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import among
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.left_out import reasons_of
 from rcbht_jax._util.signals import check_axes
 from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax._util.values import expect
@@ -233,7 +233,7 @@ def classify(
     items = unlabelled_intervals(recordings, spec, whole=model.task.get("whole") is True)
     if not len(items.row):
         why = (
-            ", ".join(f"{plural(count, 'trial')}: {reason}" for reason, count in items.dropped.items())
+            ", ".join(f"{what}: {reason}" for what, reason in reasons_of(items.dropped))
             or "no trial passes the filters"
         )
         raise InputError(f"there is no sentence to classify ({why}).")

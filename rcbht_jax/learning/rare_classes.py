@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.left_out import INTERVALS
 from rcbht_jax.learning.class_groups import groups_of_classes
+from rcbht_jax.learning.task_items import leave_out
 from rcbht_jax.learning.tasks import LabelledIntervals
 
 
@@ -17,7 +20,8 @@ def learnable(
 ) -> tuple[LabelledIntervals, NDArray[np.bool_]]:
     """The items of classes that occur in two groups or more, as folds need them, and which these are.
 
-    The trials of other classes are counted as left out. If fewer than two classes remain, all items do.
+    Trials without any other class are counted as left out, elsewhere the intervals. If fewer than two classes remain,
+    all items do.
 
     Args:
         items: of a task.
@@ -40,5 +44,7 @@ def learnable(
     kept = (counts > 1)[items.y]
     few = [items.classes[code] for code in np.flatnonzero(counts < 2)]
     reason = f"class in one {group} only: {', '.join(few[:5])}" + (", ..." if len(few) > 5 else "")
-    dropped = {**items.dropped, reason: len(np.unique(items.trial[~kept]))}
-    return replace(items.take(kept), dropped=dropped), kept
+    gone, dropped = ~np.isin(items.trial, items.trial[kept]), Counter(items.dropped)
+    leave_out(dropped, reason, len(np.unique(items.trial[gone])))
+    leave_out(dropped, INTERVALS + reason, int((~kept & ~gone).sum()))
+    return replace(items.take(kept), dropped=dict(dropped)), kept

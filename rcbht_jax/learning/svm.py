@@ -278,7 +278,7 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         group: what a group is called where there are too few.
 
     Raises:
-        InputError: a class has fewer groups than there are folds, the splitter divides a group, or it is none.
+        InputError: a class has fewer groups than folds, or the splitter divides a group, has an empty side, or is none.
     """
     with needs_extra("learn"):
         from sklearn.model_selection import StratifiedGroupKFold
@@ -287,6 +287,8 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         if isinstance(folds, str) or not hasattr(folds, "split"):
             raise InputError(f"The folds are {type(folds).__name__}; expected a number, or a scikit-learn splitter.")
         splits = [(np.asarray(a, np.int64), np.asarray(b, np.int64)) for a, b in folds.split(y, y, groups)]
+        if not splits or not all(len(side) for split in splits for side in split):
+            raise InputError(f"{folds} gives no split, or one with nothing to train on or to test; choose another.")
         number = group_numbers(groups)  # missing values are one group: NaN is not equal to NaN
         if any(np.intersect1d(number[train], number[test]).size for train, test in splits):
             raise InputError(f"{folds} puts items of one trial on both sides; use one for groups, such as GroupKFold.")
@@ -308,7 +310,7 @@ def _inner_folds(y: Ints, groups: NDArray[Any], most: int, seed: int) -> list[Sp
     if len(several) < 2:
         raise InputError(
             f"Kernel, cost and scaling are chosen on the training part, where {len(several) or 'no'} class has two "
-            "trials; it takes two such classes, or one kernel and one cost."
+            "trials; it takes two such classes, or a single kernel, cost, scaling and set of features."
         )
     rows = np.flatnonzero(np.isin(y, several))
     folds = grouped_folds(y[rows], groups[rows], min(most, fewest_groups(y[rows], groups[rows])), seed)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.left_out import INTERVALS
 from rcbht_jax.annotations import Annotations, nearest_samples
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Intervals
@@ -31,10 +32,10 @@ class Found:
         )
 
 
-def leave_out(dropped: Counter[str], reason: str, trials: int) -> None:
-    """Count what is left out, and why."""
-    if trials:
-        dropped[reason] += trials
+def leave_out(dropped: Counter[str], reason: str, count: int) -> None:
+    """Count what is left out, and why: trials, or intervals where the reason says so."""
+    if count:
+        dropped[reason] += count
 
 
 def trials_in(recordings: Recordings, chosen: NDArray[np.bool_]) -> int:
@@ -90,7 +91,7 @@ def track_items(
     items = np.array([item for arms in same for item in zip(*arms, strict=True)], np.int64).reshape(-1, rows.shape[1])
     left = np.isin(marks.recording, rows[:, 0]) & ~usable
     if not complete and not classes and left.any():
-        leave_out(dropped, "intervals that are empty, lie outside the record or have no known end", int(left.sum()))
+        leave_out(dropped, f"{INTERVALS}empty, outside the record or without a known end", int(left.sum()))
     return Found(
         marks.recording[items].astype(np.int64), labels[marks.code[items[:, 0]]],
         start[items].astype(np.int64), end[items].astype(np.int64),

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import chosen_arms
+from rcbht_jax._util.left_out import reasons_of
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.choices import make_plain
@@ -96,7 +97,7 @@ class LabelledIntervals:
     trial: NDArray[np.str_]  # [item] the group that no split may divide; with its source where others share the name
     session: NDArray[np.str_]  # [item]
     intervals: tuple[Intervals, ...]  # one per arm (right before left), each of all items
-    dropped: dict[str, int]  # reason -> trials left out
+    dropped: dict[str, int]  # reason -> trials left out; intervals where it begins with "intervals, "
 
     @property
     def seconds(self) -> NDArray[np.float64]:
@@ -118,7 +119,7 @@ class UnlabelledIntervals:
     row: NDArray[np.int64]  # [item] recording, of the first arm
     name: NDArray[np.str_]  # [item] class as the data set has it; "" = not known
     intervals: tuple[Intervals, ...]  # one per arm (right before left), each of all items
-    dropped: dict[str, int]  # reason -> trials left out
+    dropped: dict[str, int]  # reason -> trials left out; intervals where it begins with "intervals, "
 
 
 def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = False) -> UnlabelledIntervals:
@@ -306,7 +307,7 @@ def _listed(noun: str, names: Sequence[str]) -> str:
 
 
 def _reasons(dropped: Mapping[str, int]) -> str:
-    return f" Left out: {', '.join(f'{count} ({reason})' for reason, count in dropped.items())}." if dropped else ""
+    return f" Left out: {', '.join(f'{what} ({why})' for what, why in reasons_of(dropped))}." if dropped else ""
 
 
 def _outcomes(recordings: Recordings, spec: TaskSpec) -> tuple[str, ...]:

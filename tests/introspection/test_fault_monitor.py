@@ -14,6 +14,7 @@ from rcbht_jax.introspection.fault_monitor import (
     FaultMonitor,
     FaultMonitorConfig,
     SubtaskSnapshots,
+    _held_half,
     schedule_snapshots,
 )
 
@@ -71,6 +72,46 @@ def test_a_hold_between_two_snapshots_takes_the_later_one() -> None:
         FaultMonitor.fit(lessons, cause, config=replace(CONFIG, holds=(hold,))).levels for hold in (0.25, 0.3)
     )
     assert between == after
+
+
+def test_the_split_keeps_its_rate_where_features_outnumber_trials() -> None:
+    """The final classifier of "cross" has seen more trials than those of the folds, and its values are spread wider."""
+    share, fits, new = 0.05, 40, 60
+    cause = np.concatenate([causes(39, 19), [NOMINAL] * new])
+    trial, subtask, begin, now = schedule_snapshots(np.zeros((len(cause), 1), int), np.full(len(cause), 8), 1)
+    row, rng = np.arange(len(cause)), np.random.default_rng(0)
+    lessons = {"cross": (row >= 20) & (row < 58), "split": row < 58}  # levels of 19 nominal trials each
+    alarms = dict.fromkeys(lessons, 0.0)
+    for _ in range(fits):
+        x = rng.normal(size=(len(cause), 300))[trial] + 0.5 * rng.normal(size=(len(trial), 300))
+        x[:, 0] += (cause != NOMINAL)[trial]
+        drawn = SubtaskSnapshots(trial, subtask, begin, now, x, DT)
+        for calibration, inside in lessons.items():
+            config = FaultMonitorConfig(false_alarms=share, holds=(0.2, 0.3, 0.5), snapshots=3, calibration=calibration)
+            monitor = FaultMonitor.fit(drawn.of_trials(inside), cause, config=config)
+            first = monitor.alarms(drawn.of_trials(row >= 58), len(cause))["words"]
+            alarms[calibration] += np.isfinite(first[58:]).mean() / fits
+    # Alarms of one fit are beta-binomial, since the level is the largest of 19 peaks.
+    deviation = np.sqrt(share * (1 - share) / fits * (1 / new + (1 - 1 / new) / 21))
+    assert alarms["split"] < share + 3 * deviation < alarms["cross"]
+
+
+def test_the_split_trains_on_every_trial_but_half_of_the_nominal_ones() -> None:
+    """What the held-out half is like moves the levels, and neither the classifiers nor the choice of the hold."""
+    lessons, cause = streams(200, 20, 6.0), causes(200, 20)
+    config = replace(CONFIG, calibration="split")
+    held = _held_half(cause == NOMINAL, 0)
+    assert (held.sum(), held[200:].any()) == (100, False)
+    moved = replace(lessons, features=lessons.features + 1.5 * held[lessons.trial][:, None])
+    monitor, other = (FaultMonitor.fit(one, cause, subtasks=[1], config=config) for one in (lessons, moved))
+    assert monitor.hold == other.hold
+    np.testing.assert_array_equal(monitor.predict(lessons), other.predict(lessons))
+    assert other.levels[1] > monitor.levels[1]
+    assert monitor.detected > 0.9
+    with pytest.raises(InputError, match="13 nominal trials cannot promise"):
+        FaultMonitor.fit(streams(25, 20, 6.0), causes(25, 20), config=config)
+    with pytest.raises(InputError, match="calibration is 'half'; expected one of cross, split"):
+        FaultMonitorConfig(calibration="half")
 
 
 def test_the_clock_raises_the_alarm_when_a_sub_task_lasts_too_long() -> None:

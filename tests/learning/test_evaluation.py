@@ -147,7 +147,7 @@ def test_a_trial_that_lacks_a_mark_keeps_its_other_intervals(recordings):
     items = labelled_intervals(marked(recordings, onset), TaskSpec(boundaries="recorded"))
     of = items.intervals[0].recording == 0
     assert [items.classes[y] for y in items.y[of]] == ["insertion", "mating"]
-    why = "intervals that are empty, lie outside the record or have no known end"
+    why = "intervals, empty, outside the record or without a known end"
     assert items.dropped == {"outcome not success": 4, why: 1}
 
 

@@ -15,16 +15,18 @@ from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.introspection.training import HeadSpec, train_head
-from rcbht_jax.io.store import write_recordings
+from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
 from rcbht_jax.learning.fitting import train
+from rcbht_jax.learning.rare_classes import learnable
 from rcbht_jax.learning.svm import Grid, select
-from rcbht_jax.learning.tasks import TaskSpec
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 from tests.support.snaps import with_columns
 
 SPEC = FeatureSpec(("histogram",))
 GRID = Grid(("linear",), (0.1, 1.0))
+ASKED = ("--task", "phase", "--kernels", "linear", "--costs", "1")
 PARTS = ["peg"] * 6 + ["clip"] * 6 + ["plug"] * 2 + ["ring"]
 
 
@@ -69,6 +71,47 @@ def test_a_class_of_one_trial_is_not_learned(recordings: Recordings, tracks: Lab
     assert head.classes == ("clip", "peg", "plug")
 
 
+@pytest.fixture(scope="module")
+def rare(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four trials of two phases, the last with a third one of its own, and one trial of a fourth phase alone."""
+    phases = [("free", 0.0, 0.4), ("push", 0.5, 0.9)]
+    marks = [(row, "phase", *phase) for row in range(4) for phase in phases]
+    marks += [(3, "phase", "odd", 0.9, 1.0), (4, "phase", "one", 0.0, 1.0)]
+    wrench = np.random.default_rng(0).normal(size=(5, 200, 6))
+    made, store = Recordings.from_arrays(wrench, 200, annotations=marks, outcome=["success"] * 5), "a.zarr"
+    folder = tmp_path_factory.mktemp("rare")
+    write_recordings(folder / store, made, {})
+    assert main(["encode", str(folder / store)]) == 0
+    return folder
+
+
+def test_an_interval_of_a_rare_class_is_no_trial_left_out(rare: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The trial is used, since its other intervals remain; it was counted as left out."""
+    items, kept = learnable(labelled_intervals(read_recordings(rare / "a.zarr"), TaskSpec("phase")))
+    reason = "class in one trial only: one, odd"
+    assert (len(np.unique(items.trial)), int(kept.sum())) == (4, 8)
+    assert items.dropped == {reason: 1, f"intervals, {reason}": 1}
+    commands = {
+        "info": ("{} left out: {}.", ()),
+        "train": ("left out: {}, {}\n", (*ASKED, "-o", str(rare / "a.model"))),
+    }
+    for command, (sentence, options) in commands.items():
+        capsys.readouterr()
+        assert main([command, str(rare / "a.zarr"), *options]) == 0
+        shown = capsys.readouterr().out + "\n"
+        assert all(sentence.format(what, reason) in shown for what in ("1 trial", "1 interval"))
+
+
+def test_accuracy_on_training_data_counts_what_it_is_of(rare: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The interval of the class that the model does not know was counted with those of the same trial."""
+    store, model = str(rare / "a.zarr"), str(rare / "b.model")
+    assert main(["train", store, *ASKED, "-o", model]) == 0
+    capsys.readouterr()
+    assert main(["classify", store, "--model", model, "-o", str(rare / "classes.csv"), "--json"]) == 0
+    done = json.loads(capsys.readouterr().out)
+    assert (done["sentences"], done["trained_on"], done["known"]) == (10, 8, 0)
+
+
 def test_info_calls_no_column_a_task_whose_values_hardly_repeat(
     recordings: Recordings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -77,7 +120,7 @@ def test_info_calls_no_column_a_task_whose_values_hardly_repeat(
     assert main(["info", str(tmp_path / "a.zarr"), "--json"]) == 0
     tasks = json.loads(capsys.readouterr().out)["tasks"]
     assert tasks["part"]["classes"] == {"clip": 6, "peg": 6, "plug": 2}
-    assert "1 left out: class in one trial only: ring." in tasks["part"]["sentences"]
+    assert "1 trial left out: class in one trial only: ring." in tasks["part"]["sentences"]
     sentence = "1 of its 14 classes are in two trials or more; two such classes are needed."
     assert tasks["onset"] == {"classes": {}, "sentences": [sentence]}
 
@@ -104,5 +147,5 @@ def test_a_class_of_one_trial_has_no_part_in_the_choice_of_parameters() -> None:
     x[:, 0] += 5 * y
     rare = select({"noise": x[:, 1:], "signal": x[:, :1]}, y, np.arange(21), GRID, 0)
     assert rare.features == "signal"
-    with pytest.raises(InputError, match="where 1 class has two trials; it takes two such classes"):
+    with pytest.raises(InputError, match=r"1 class has two trials; it takes two such classes, or .* cost, scaling and"):
         select({"": x[:11]}, y[:11], np.arange(11), GRID, 0)

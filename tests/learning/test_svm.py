@@ -140,6 +140,14 @@ def test_a_splitter_that_divides_a_group_is_refused(missing: float):
         grouped_folds(np.arange(8) % 2, groups, PredefinedSplit([0, 1, 0, 1, 0, 0, 1, 1]), 0)
 
 
+@pytest.mark.filterwarnings("ignore:The groups parameter is ignored")
+@pytest.mark.parametrize("fold", [0, -1])
+def test_a_splitter_that_leaves_a_side_empty_is_refused(fold: int):
+    """The error was about the choice of kernel and cost, even where there was nothing to choose."""
+    with pytest.raises(InputError, match="gives no split, or one with nothing to train on or to test"):
+        grouped_folds(np.arange(8) % 2, np.arange(8), PredefinedSplit([fold] * 8), 0)
+
+
 def test_selection_finds_the_matrix_that_knows_the_class():
     x, y = blobs(1, 3, spread=0.5)
     noise = np.random.default_rng(2).normal(size=x.shape)

@@ -19,7 +19,7 @@ def test_an_interval_that_begins_before_the_record_is_cut_at_its_first_sample() 
     (only,) = items.intervals
     assert [items.classes[k] for k in items.y] == ["reach", "push", "push"]
     assert (only.start.tolist(), only.end.tolist()) == ([0, 200, 100], [200, 400, 400])
-    assert items.dropped == {"intervals that are empty, lie outside the record or have no known end": 1}
+    assert items.dropped == {"intervals, empty, outside the record or without a known end": 1}
 
 
 def _two_sources(outcome: list[str], tracks: list[str]) -> Recordings:
@@ -42,7 +42,7 @@ def test_recordings_that_nobody_judged_are_no_failures() -> None:
 
 def test_a_source_that_nobody_judged_teaches_nothing_and_the_error_says_why() -> None:
     data = _two_sources(["unknown", "unknown", "success", "failure"], ["phase"] * 4)
-    with pytest.raises(InputError, match=r"no class in 0 trials that passed.* Left out: 2 \(outcome unknown"):
+    with pytest.raises(InputError, match=r"no class in 0 trials that passed.* Left out: 2 trials \(outcome unknown"):
         labelled_intervals(data, TaskSpec("phase", sources=("own",)))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 import rcbht_jax
 from rcbht_jax._util.columns import measured
+from rcbht_jax._util.left_out import reasons_of
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export.dataset import DataSet
@@ -105,8 +106,7 @@ def confounds(data: DataSet) -> Sequence[str]:
         with suppress(InputError):  # the data has no two classes of this task
             items = labelled_intervals(recordings, task)
             sentences += [f"Task {task.task}: {sentence}" for sentence in learning.confounds(items)]
-            left = ((plural(count, "trial"), why) for why, count in items.dropped.items())
-            sentences += [f"Task {task.task}: {trials} left out: {why}." for trials, why in left]
+            sentences += [f"Task {task.task}: {what} left out: {why}." for what, why in reasons_of(items.dropped)]
     if copies := learning.copies(data.digests):
         sentences.append(copies)
     return sentences or ["None was detected; that does not mean that there is none."]
