@@ -14,10 +14,16 @@ from numpy.typing import NDArray
 from rcbht_jax.errors import InputError
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s per unit of time
-FORCES = ("N", "mN", "cN", "daN", "kN", "gf", "kgf", "ozf", "lbf")
-MOMENTS = (
-    "Nm", "mNm", "cNm", "Nmm", "Ncm", "kNm", "gf cm", "kgf m", "kgf cm", "kgf mm", "ozf in", "lbf in", "lbf ft",
-)  # fmt: skip
+_KGF, _LBF, _INCH = 9.80665, 4.4482216152605, 0.0254  # N, N, m
+FORCES = {  # N per unit
+    "N": 1.0, "mN": 1e-3, "cN": 1e-2, "daN": 10.0, "kN": 1e3,
+    "gf": 1e-3 * _KGF, "kgf": _KGF, "ozf": _LBF / 16, "lbf": _LBF,
+}  # fmt: skip
+MOMENTS = {  # Nm per unit
+    "Nm": 1.0, "mNm": 1e-3, "cNm": 1e-2, "Nmm": 1e-3, "Ncm": 1e-2, "kNm": 1e3,
+    "gf cm": 1e-5 * _KGF, "kgf m": _KGF, "kgf cm": 1e-2 * _KGF, "kgf mm": 1e-3 * _KGF,
+    "ozf in": _LBF / 16 * _INCH, "lbf in": _LBF * _INCH, "lbf ft": _LBF * 12 * _INCH,
+}  # fmt: skip
 UNITS = {
     **{unit.lower().replace(" ", ""): unit for unit in (*FORCES, *MOMENTS)},
     "lb": "lbf", "lbs": "lbf", "inlbf": "lbf in", "lbin": "lbf in", "inlb": "lbf in", "inlbs": "lbf in",
@@ -88,6 +94,20 @@ def split_unit(name: str) -> tuple[str, str]:
 def _unit(text: str) -> str:
     """The unit that a text names; "" = none that is known."""
     return "" if _MEGA.match(text) else UNITS.get(_PRODUCT.sub("", text.lower()), "")
+
+
+def unit_factor(unit: str, other: str) -> float:
+    """How many of the other unit one unit is; 1 = they are the same, or one is not stated; 0 = no factor is known.
+
+    >>> unit_factor("Nm", "Nmm"), unit_factor("kgf", "N"), unit_factor("N·m", "Nm"), unit_factor("N", "Nm")
+    (1000.0, 9.80665, 1.0, 0.0)
+    >>> unit_factor("A", "A"), unit_factor("A", "mA"), unit_factor("", "Nm")
+    (1.0, 0.0, 1.0)
+    """
+    here, there = _unit(unit) or unit, _unit(other) or other
+    if not (here and there) or here == there:
+        return 1.0
+    return next((kind[here] / kind[there] for kind in (FORCES, MOMENTS) if here in kind and there in kind), 0.0)
 
 
 def base_and_unit(name: str) -> tuple[str, str]:

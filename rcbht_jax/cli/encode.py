@@ -195,11 +195,15 @@ class Encode(RuleCommand):
 
         return _Run(encode, how, bar, training, rows)
 
-    def limits_in_file(self, file: Path, axes: tuple[str, ...]) -> tuple[AnyLimits, dict[str, Any]]:
+    def limits_in_file(
+        self, file: Path, axes: tuple[str, ...], units: tuple[str, ...]
+    ) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.learning.model_io import load
         from rcbht_jax.learning.predict import limits_in
 
-        return limits_in(load(file), self.window, axes) if is_zipfile(file) else super().limits_in_file(file, axes)
+        if is_zipfile(file):
+            return limits_in(load(file), self.window, axes)
+        return super().limits_in_file(file, axes, units)
 
     def config(self, dt: float) -> AnyConfig:
         from rcbht_jax.encoding.encoder import EncoderConfig
