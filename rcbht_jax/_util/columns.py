@@ -120,14 +120,21 @@ def base_and_unit(name: str) -> tuple[str, str]:
     return base.lower(), unit
 
 
-def unit_of_time(name: str) -> float:
+def unit_of_time(name: str, grows: bool = False) -> float:
     """Seconds per unit of a column that is a time by its name; 0 = it is none.
 
-    >>> unit_of_time("Time [ms]"), unit_of_time("stamp"), unit_of_time("T [Nm]")
-    (0.001, 1.0, 0.0)
+    Args:
+        name: of the column.
+        grows: its values do: then a unit of time is enough, or a name in another language, which may be a temperature.
+
+    >>> unit_of_time("Time [ms]"), unit_of_time("stamp"), unit_of_time("T [Nm]"), unit_of_time("Zeit [s]")
+    (0.001, 1.0, 0.0, 1.0)
+    >>> unit_of_time("Zeit"), unit_of_time("Zeit", grows=True), unit_of_time("x [ms]", grows=True)
+    (0.0, 1.0, 0.001)
     """
     base, unit = base_and_unit(name)
-    return SECONDS.get(unit or "s", 0.0) if base in TIMES else 0.0
+    known = base in TIMES or (base in TIMES_ABROAD and (grows or unit != "")) or (grows and unit != "")
+    return SECONDS.get(unit or "s", 0.0) if known else 0.0
 
 
 def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_] | None = None) -> NDArray[Any]:
