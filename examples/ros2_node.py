@@ -33,7 +33,7 @@ from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Message, Reset, Silence, sample_of
-from rcbht_jax.labels import AXES
+from rcbht_jax.labels import AXES, UNITS
 
 PARAMETERS: dict[str, Any] = {
     "topic": "/wrench",  # geometry_msgs/WrenchStamped
@@ -131,7 +131,7 @@ class Bridge:
         recordings = opening.recordings(rate, AXES)
         thresholds: AnyLimits
         if self._parameters["thresholds"]:
-            thresholds, _ = read_limits(Path(self._parameters["thresholds"]), AXES)
+            thresholds, _ = read_limits(Path(self._parameters["thresholds"]), AXES, UNITS)
         elif self._parameters["robot"] == "auto":
             thresholds = auto_thresholds(recordings, window)
         else:

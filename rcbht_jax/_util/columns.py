@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from rcbht_jax.errors import InputError
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s per unit of time
-_GF, _LBF, _INCH = 9.80665e-3, 4.4482216152605, 0.0254  # N, N, m
+_KGF, _LBF, _INCH = 9.80665, 4.4482216152605, 0.0254  # N, N, m
 FORCES = {  # N per unit
-    "N": 1.0, "mN": 1e-3, "cN": 1e-2, "daN": 10.0, "kN": 1e3, "gf": _GF, "kgf": 1e3 * _GF, "ozf": _LBF / 16,
-    "lbf": _LBF,
+    "N": 1.0, "mN": 1e-3, "cN": 1e-2, "daN": 10.0, "kN": 1e3,
+    "gf": 1e-3 * _KGF, "kgf": _KGF, "ozf": _LBF / 16, "lbf": _LBF,
 }  # fmt: skip
 MOMENTS = {  # Nm per unit
-    "Nm": 1.0, "mNm": 1e-3, "cNm": 1e-2, "Nmm": 1e-3, "Ncm": 1e-2, "kNm": 1e3, "gf cm": 1e-2 * _GF,
-    "kgf m": 1e3 * _GF, "kgf cm": 10 * _GF, "kgf mm": _GF, "ozf in": _LBF / 16 * _INCH, "lbf in": _LBF * _INCH,
-    "lbf ft": _LBF * 12 * _INCH,
+    "Nm": 1.0, "mNm": 1e-3, "cNm": 1e-2, "Nmm": 1e-3, "Ncm": 1e-2, "kNm": 1e3,
+    "gf cm": 1e-5 * _KGF, "kgf m": _KGF, "kgf cm": 1e-2 * _KGF, "kgf mm": 1e-3 * _KGF,
+    "ozf in": _LBF / 16 * _INCH, "lbf in": _LBF * _INCH, "lbf ft": _LBF * 12 * _INCH,
 }  # fmt: skip
 UNITS = {
     **{unit.lower().replace(" ", ""): unit for unit in (*FORCES, *MOMENTS)},
@@ -62,16 +62,6 @@ _MEGA = re.compile(r"[MМ][NН]")  # no milli
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<（［【]\s*([^\])}>）］】]*?)\s*[\])}>）］】]$")
 
 
-def ratio_of(unit: str, other: str) -> float | None:
-    """How many of another unit one unit is; None = not known, or of another quantity.
-
-    >>> ratio_of("Nmm", "Nm"), ratio_of("lbf", "N"), ratio_of("N", "Nm"), ratio_of("V", "mV")
-    (0.001, 4.4482216152605, None, None)
-    """
-    sizes = next((sizes for sizes in (FORCES, MOMENTS, SECONDS) if {unit, other} <= sizes.keys()), None)
-    return None if sizes is None else sizes[unit] / sizes[other]
-
-
 def split_unit(name: str) -> tuple[str, str]:
     """Name of a column without its unit, and the unit that it states, "" = none.
 
@@ -106,6 +96,22 @@ def _unit(text: str) -> str:
     return "" if _MEGA.match(text) else UNITS.get(_PRODUCT.sub("", text.lower()), "")
 
 
+def unit_factor(unit: str, other: str) -> float:
+    """How many of the other unit one unit is; 1 = they are the same, or one is not stated; 0 = no factor is known.
+
+    >>> unit_factor("Nm", "Nmm"), unit_factor("kgf", "N"), unit_factor("N·m", "Nm"), unit_factor("N", "Nm")
+    (1000.0, 9.80665, 1.0, 0.0)
+    >>> unit_factor("A", "A"), unit_factor("A", "mA"), unit_factor("", "Nm")
+    (1.0, 0.0, 1.0)
+    """
+    here, there = _unit(unit) or unit, _unit(other) or other
+    if not (here and there) or here == there:
+        return 1.0
+    return next(
+        (kind[here] / kind[there] for kind in (FORCES, MOMENTS, SECONDS) if here in kind and there in kind), 0.0
+    )
+
+
 def base_and_unit(name: str) -> tuple[str, str]:
     """As :func:`split_unit`, the name in lower case.
 
@@ -116,14 +122,21 @@ def base_and_unit(name: str) -> tuple[str, str]:
     return base.lower(), unit
 
 
-def unit_of_time(name: str) -> float:
+def unit_of_time(name: str, grows: bool = False) -> float:
     """Seconds per unit of a column that is a time by its name; 0 = it is none.
 
-    >>> unit_of_time("Time [ms]"), unit_of_time("stamp"), unit_of_time("T [Nm]")
-    (0.001, 1.0, 0.0)
+    Args:
+        name: of the column.
+        grows: its values do: then a unit of time is enough, or a name in another language, which may be a temperature.
+
+    >>> unit_of_time("Time [ms]"), unit_of_time("stamp"), unit_of_time("T [Nm]"), unit_of_time("Zeit [s]")
+    (0.001, 1.0, 0.0, 1.0)
+    >>> unit_of_time("Zeit"), unit_of_time("Zeit", grows=True), unit_of_time("x [ms]", grows=True)
+    (0.0, 1.0, 0.001)
     """
     base, unit = base_and_unit(name)
-    return SECONDS.get(unit or "s", 0.0) if base in TIMES else 0.0
+    known = base in TIMES or (base in TIMES_ABROAD and (grows or unit != "")) or (grows and unit != "")
+    return SECONDS.get(unit or "s", 0.0) if known else 0.0
 
 
 def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_] | None = None) -> NDArray[Any]:

@@ -311,7 +311,8 @@ def _check_rows(index: Any, dt: float) -> None:
     """Raise an error for rows of a frame by a time of another rate, or with a gap: an index, or a level of one."""
     for level in range(getattr(index, "nlevels", 0)):
         values = index.get_level_values(level)
-        unit = next(iter(_times([values.name]).values()), 0.0)
+        grows = values.dtype.kind in "fiu" and bool((np.diff(values.to_numpy(np.float64)) > 0).all())
+        unit = unit_of_time(values.name, grows) if isinstance(values.name, str) else 0.0
         if unit or values.dtype.kind in "mM":
             _check_time(values, dt, unit or 1.0)
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from rcbht_jax._util.columns import unit_factor
 from rcbht_jax._util.values import check_usable, expect
 from rcbht_jax.encoding.choices import check_choices
 from rcbht_jax.encoding.fit import FitConfig
@@ -79,7 +80,7 @@ def rest_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper"
     fit = isinstance(config_of(rule, window, recordings.dt), FitConfig)
     activity = _deviations(recordings, window, used, per_block) if fit else _block_means(steep, used, per_block)
     moving = changing(recordings) & steep[used].any(0)  # rounding is no slope
-    limits, rest = np.array(preset(axes=recordings.axes).limits), used[..., None] & ~moving
+    limits, rest = np.array(_preset(recordings).limits), used[..., None] & ~moving
     for axis in np.flatnonzero(moving).tolist():
         rest[used, axis] = activity[used, axis] <= _border(activity[used, axis])
     windows = _Lines(steep, used, rest)
@@ -196,8 +197,14 @@ def auto_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper"
     """
     longest = int(recordings.length.max())
     if longest < 2 * window:
-        return preset(axes=recordings.axes)
+        return _preset(recordings)
     return rest_thresholds(recordings, window, rule).thresholds
+
+
+def _preset(recordings: Recordings) -> GradientThresholds:
+    """HIRO's limits in the units of the axes; for what is no force and no moment, the numbers alone."""
+    units = [unit if unit_factor(unit, "N") or unit_factor(unit, "Nm") else "" for unit in recordings.units]
+    return preset(axes=recordings.axes, units=units)
 
 
 def window_slopes(

@@ -192,7 +192,7 @@ class Calibrate(RuleCommand):
             "data_hash": sample.data_hash,
             "trial_names": data.trial.tolist(),
         }
-        write_limits(self.out, found.limits, provenance, recordings.axes)
+        write_limits(self.out, found.limits, provenance, recordings.axes, recordings.units)
         if self.plot is not None:
             self._draw(self.plot, given, found)
         return self._summary(found.limits, recordings, seconds) | result
@@ -311,7 +311,7 @@ class Calibrate(RuleCommand):
         else:
             limits = rest_thresholds(some, self.window).thresholds
         provenance = {**result, "window": self.window, "data_hash": sample.data_hash}
-        write_limits(self.out, limits, provenance, recordings.axes)
+        write_limits(self.out, limits, provenance, recordings.axes, recordings.units)
         return self._summary(limits, recordings, time.perf_counter() - start) | result
 
     def _rest_of(self, training: Recordings, config: AnyConfig) -> RestSlopes | RestRuns | None:

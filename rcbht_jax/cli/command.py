@@ -12,7 +12,7 @@ import os
 import sys
 import typing
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -52,41 +52,6 @@ def option(text: str, default: str | None = None, **more: Any) -> Any:
 def unset(**more: Any) -> Any:
     """An option described by the docstring of its field, which shows no default: it has no value."""
     return tyro.conf.arg(help_behavior_hint="", **more)
-
-
-RULES = tyro.constructors.ConstructorRegistry()
-
-
-@RULES.primitive_rule
-def _path(info: tyro.constructors.PrimitiveTypeInfo) -> Any:
-    """A file, a folder or a URL, which Path would fold."""
-    if info.type is not Path:
-        return None
-    return tyro.constructors.PrimitiveConstructorSpec[Path](
-        nargs=1,
-        metavar="PATH",
-        instance_from_str=lambda words: as_path(words[0]),
-        is_instance=lambda value: isinstance(value, Path),
-        str_from_instance=lambda path: [str(path)],
-    )
-
-
-@RULES.primitive_rule
-def _optional(info: tyro.constructors.PrimitiveTypeInfo) -> Any:
-    """An option that may be None is shown as what it takes, and is None only if it is left out."""
-    kinds = [kind for kind in typing.get_args(info.type) if kind is not type(None)]
-    if len(kinds) != 1 or type(None) not in typing.get_args(info.type):
-        return None
-    inner = tyro.constructors.PrimitiveTypeInfo.make(kinds[0], info.markers)
-    spec = tyro.constructors.ConstructorRegistry.get_primitive_spec(inner)
-    if isinstance(spec, tyro.constructors.UnsupportedTypeAnnotationError):
-        return spec
-    words = spec.str_from_instance
-    return replace(
-        spec,
-        is_instance=lambda value: value is None or spec.is_instance(value),
-        str_from_instance=lambda value: [] if value is None else words(value),
-    )
 
 
 # Options that several commands have; one without a text is described by the docstring of its field.
@@ -317,25 +282,20 @@ class RuleCommand(Command):
             gradient thresholds, or FitLimits of a file for the fit rule.
 
         Raises:
-            InputError: the file is missing or damaged, or has no limits for an axis.
+            InputError: the file is missing or damaged, or has no limits for an axis, or for its unit.
         """
         from rcbht_jax.calibration.rest import auto_thresholds
+        from rcbht_jax.encoding.limit_files import read_limits
         from rcbht_jax.encoding.rules import scaled
         from rcbht_jax.encoding.thresholds import preset
 
         if self.thresholds:
-            thresholds, source = self.limits_in_file(self.thresholds, recordings.axes)
+            thresholds, source = read_limits(self.thresholds, recordings.axes, recordings.units)
         elif (robot := self.robot or _robot(recordings, store)) == "auto":
             thresholds, source = auto_thresholds(recordings, self.window, self.rule), {"method": "auto"}
         else:
-            thresholds, source = preset(robot, recordings.axes), {"method": "preset", "robot": robot}
+            thresholds, source = preset(robot, recordings.axes, recordings.units), {"method": "preset", "robot": robot}
         return (thresholds, source) if scale == 1 else (scaled(thresholds, scale), {**source, "scale": scale})
-
-    def limits_in_file(self, file: Path, axes: tuple[str, ...]) -> tuple[AnyLimits, dict[str, Any]]:
-        """Limits of a file of ``rcbht calibrate``; errors as of :meth:`read_limits`."""
-        from rcbht_jax.encoding.limit_files import read_limits
-
-        return read_limits(file, axes)
 
     def config(self, dt: float) -> AnyConfig:
         """The configuration of the rule for samples ``dt`` seconds apart."""

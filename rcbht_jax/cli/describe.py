@@ -18,7 +18,7 @@ class Describe(Command):
 
     Without --snap, a snap is a force that falls within 40 ms by at least the smallest reported change of the force that
     changes most; at 12.5 samples per second or less, none can be seen. Use "rcbht import --tare": a constant offset
-    counts as a load, and a brief contact can look like its release.
+    counts as a load, and a brief contact can look like its release. A fall by more than the load is marked as such.
 
     Example: rcbht describe hiro.zarr 20121127-HIROSA-S-05
     """

@@ -219,8 +219,8 @@ def parse(name: str, words: list[str]) -> Command | None:
     with needs_extra("all"):
         import tyro
 
-        from rcbht_jax.cli.command import RULES
         from rcbht_jax.cli.completion import COMMON, options_of
+        from rcbht_jax.cli.constructors import RULES
 
         described: Any = command_class(name)
     words = _current_spelling(words, described.FORMER)

@@ -317,7 +317,8 @@ class Source(RuleCommand):
                 raise InputError(
                     f"--axes names {plural(len(self.axes), 'axis', 'axes')}; the stream has {len(recordings.axes)}."
                 )
-            units = tuple(UNIT_OF.get(axis, "") for axis in self.axes)
+            stated = recordings.units if _is_store(path) else ("",) * len(self.axes)
+            units = tuple(unit or UNIT_OF.get(axis, "") for unit, axis in zip(stated, self.axes, strict=True))
             recordings = replace(recordings, axes=distinct(self.axes), units=units)
         if _is_store(path):
             thresholds, _ = self.read_limits(recordings, path)

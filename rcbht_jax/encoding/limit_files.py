@@ -27,7 +27,11 @@ from rcbht_jax.labels import AXES
 
 
 def write_limits(
-    path: Path | str, limits: AnyLimits, provenance: Mapping[str, Any], axes: Sequence[str] = AXES
+    path: Path | str,
+    limits: AnyLimits,
+    provenance: Mapping[str, Any],
+    axes: Sequence[str] = AXES,
+    units: Sequence[str] = (),
 ) -> None:
     """Write limits ``[axis, 4]``, and the tolerances ``[axis]`` of the fit rule, as a whole file or not at all.
 
@@ -36,9 +40,10 @@ def write_limits(
         limits: of either rule.
         provenance: how they were found; JSON values.
         axes: their names.
+        units: of the axes, such as Nmm; "" = not stated, () = none is.
 
     Raises:
-        InputError: wrong shape, not in order, not positive, or the folder does not exist.
+        InputError: wrong shape, not in order, not positive, another number of units, or the folder does not exist.
 
     Example:
         >>> import tempfile
@@ -48,23 +53,35 @@ def write_limits(
         ...     found, provenance = read_limits(Path(folder) / "fit.json", ["Fz"])
         >>> found.tolerance.tolist(), provenance
         ([0.5], {'method': 'rest'})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_limits(Path(folder) / "fit.json", limits, {}, ["My"], ["Nmm"])
+        ...     read_limits(Path(folder) / "fit.json", ["My"], ["Nm"])[0].tolerance.tolist()
+        [0.0005]
     """
     if not isinstance(limits, FitLimits):
-        write_thresholds(path, GradientThresholds(limits_of(limits)), provenance, axes)
+        write_thresholds(path, GradientThresholds(limits_of(limits)), provenance, axes, units)
         return
     gradients = np.asarray(limits.gradients, np.float64)
     check_rows(gradients, path, axes)
     columns = dict(zip((*LIMITS, TOLERANCE), limits.stacked().T, strict=True))
-    write_rows(path, FIT_VERSION, axes, columns, provenance, rule="fit")
+    write_rows(path, FIT_VERSION, axes, columns, provenance, units, rule="fit")
 
 
-def read_limits(path: Path | str, axes: Sequence[str] = AXES) -> tuple[AnyLimits, dict[str, Any]]:
+def read_limits(
+    path: Path | str, axes: Sequence[str] = AXES, units: Sequence[str] = ()
+) -> tuple[AnyLimits, dict[str, Any]]:
     """Limits of some axes, by name, and their provenance: GradientThresholds, or FitLimits of a file of the fit rule.
 
+    Args:
+        path: the file.
+        axes: names of those to read.
+        units: of the axes; what the file has in other units is converted. "" = as in the file, () = all are.
+
     Raises:
-        InputError: not such a file, or its numbers are not positive and in order for each of the axes.
+        InputError: not such a file, its numbers are not positive and in order for each of the axes, or a unit that
+            cannot be converted.
     """
-    version, columns, provenance = read_rows(path, axes)
+    version, columns, provenance = read_rows(path, axes, units)
     limits = np.stack([columns[name] for name in LIMITS], axis=-1)
     check_rows(limits, path, axes)
     if version == FORMAT_VERSION:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.columns import unit_factor
 from rcbht_jax._util.signals import distinct, numbers_of, texts
 from rcbht_jax._util.untrusted import checked_number, load_json
 from rcbht_jax._util.url_path import as_path
@@ -131,28 +132,52 @@ def validate(limits: NDArray[np.floating]) -> None:
         )
 
 
-def preset(robot: str = "hiro", axes: Sequence[str] = AXES) -> GradientThresholds:
+def preset(robot: str = "hiro", axes: Sequence[str] = AXES, units: Sequence[str] = ()) -> GradientThresholds:
     """Hand-set thresholds of the authors for a robot, ``[axis, 4]``; moments are a tenth of the forces.
 
     Args:
         robot: one of ``ROBOTS``.
         axes: their names; those that begin with M or T, and names such as ``mx`` and ``torque_z``, are moments, all
             others forces.
+        units: of the axes, to which the limits are converted; "" = N or Nm, by the name; () = none is stated.
 
     Raises:
-        InputError: unknown robot, no axes, or axes that are not names.
+        InputError: unknown robot, no axes, axes that are not names, or a unit that is of no force and no moment.
 
     Example:
         >>> preset("hiro", ["Fz", "My"]).limits.tolist()
         [[70.0, 46.0, 23.0, 1.0], [7.0, 4.6, 2.3, 0.1]]
         >>> preset("hiro", ["mx", "wrist.torque.z", "mass"]).limits[:, 0].tolist()
         [7.0, 7.0, 70.0]
+        >>> preset("hiro", ["Fz", "My"], ["N", "Nmm"]).limits.tolist()
+        [[70.0, 46.0, 23.0, 1.0], [7000.0, 4600.0, 2300.0, 100.0]]
     """
     if robot not in ROBOTS:
         raise InputError(f"Robot {robot!r} has no thresholds; expected one of {', '.join(ROBOTS)}.")
-    force = np.array(_FORCE_LIMITS[robot])
     names = texts(axes)
-    return GradientThresholds(np.stack([force / MOMENT_SCALE if _MOMENT.match(axis) else force for axis in names]))
+    pairs = zip(names, units_of(names, units), strict=True)
+    return GradientThresholds(np.stack([_preset_of(robot, axis, unit) for axis, unit in pairs]))
+
+
+def _preset_of(robot: str, axis: str, unit: str) -> NDArray[np.float64]:
+    moment = bool(unit_factor(unit, "Nm") if unit else _MOMENT.match(axis))
+    if not (factor := unit_factor("Nm" if moment else "N", unit)):
+        raise InputError(
+            f"The thresholds of {robot} are for forces and moments, and {axis} is in {unit}; choose thresholds from "
+            "recordings or a file."
+        )
+    return np.array(_FORCE_LIMITS[robot]) / (MOMENT_SCALE if moment else 1.0) * factor
+
+
+def units_of(axes: Sequence[str], units: Sequence[str]) -> Sequence[str]:
+    """The unit of each axis, "" = not stated, which all are where none are given.
+
+    Raises:
+        InputError: another number of units than of axes.
+    """
+    if units and len(units) != len(axes):
+        raise InputError(f"There are {len(units)} units for {len(axes)} axes; expected one for each.")
+    return units or ("",) * len(axes)
 
 
 def from_free(free: Array) -> GradientThresholds:
@@ -179,7 +204,11 @@ COLUMNS = {FORMAT_VERSION: LIMITS, FIT_VERSION: (*LIMITS, TOLERANCE)}
 
 
 def write_thresholds(
-    path: Path | str, thresholds: Any, provenance: Mapping[str, Any], axes: Sequence[str] = AXES
+    path: Path | str,
+    thresholds: Any,
+    provenance: Mapping[str, Any],
+    axes: Sequence[str] = AXES,
+    units: Sequence[str] = (),
 ) -> None:
     """Write thresholds ``[axis, 4]``, in units of the axes per second, to a file, atomically.
 
@@ -188,10 +217,11 @@ def write_thresholds(
         thresholds: GradientThresholds, or limits ``[axis, 4]``.
         provenance: how they were found; JSON values.
         axes: their names.
+        units: of the axes, such as Nmm; "" = not stated, () = none is.
 
     Raises:
-        InputError: wrong shape, not in order, limits of the fit rule, axes that are not different names, provenance
-            that is not JSON, or the folder does not exist.
+        InputError: wrong shape, not in order, limits of the fit rule, axes that are not different names, another
+            number of units, provenance that is not JSON, or the folder does not exist.
 
     Example:
         >>> import tempfile
@@ -204,7 +234,7 @@ def write_thresholds(
         raise InputError("These limits have tolerances; write them with rcbht_jax.encoding.limit_files.write_limits.")
     limits = host_limits(thresholds).astype(np.float64)
     check_rows(limits, path, axes)
-    write_rows(path, FORMAT_VERSION, axes, dict(zip(LIMITS, limits.T, strict=True)), provenance)
+    write_rows(path, FORMAT_VERSION, axes, dict(zip(LIMITS, limits.T, strict=True)), provenance, units)
 
 
 def write_rows(
@@ -213,24 +243,28 @@ def write_rows(
     axes: Sequence[str],
     columns: Mapping[str, NDArray[np.float64]],
     provenance: Mapping[str, Any],
+    units: Sequence[str] = (),
     **more: Any,
 ) -> None:
     """Write numbers ``[axis]`` by name as a file of thresholds; ``more`` are entries at its top.
 
     Raises:
-        InputError: the folder does not exist, two axes have the same name, or ``provenance`` is not JSON.
+        InputError: the folder does not exist, two axes have the same name, there is another number of units, or
+            ``provenance`` is not JSON.
     """
     path, axes = as_path(path), distinct(axes)
     expect("The provenance", provenance, Mapping)
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder; make it, or choose another file.")
     lists = {name: values.tolist() for name, values in columns.items()}
-    rows = {axis: {name: values[row] for name, values in lists.items()} for row, axis in enumerate(axes)}
+    rows: dict[str, dict[str, Any]] = {}
+    for row, (axis, unit) in enumerate(zip(axes, units_of(axes, units), strict=True)):
+        rows[axis] = {name: values[row] for name, values in lists.items()} | ({"unit": unit} if unit else {})
     content = {
         "format": FORMAT,
         "format_version": version,
         **more,
-        "units": "unit of the axis per second; of a wrench N/s (forces), Nm/s (moments)",
+        "units": "limits: unit of the axis per second; tolerance: unit of the axis",
         "limits": rows,
         "rcbht_jax_version": rcbht_jax.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -244,13 +278,20 @@ def write_rows(
         draft.write_text(text + "\n")
 
 
-def read_thresholds(path: Path | str, axes: Sequence[str] = AXES) -> tuple[GradientThresholds, dict[str, Any]]:
+def read_thresholds(
+    path: Path | str, axes: Sequence[str] = AXES, units: Sequence[str] = ()
+) -> tuple[GradientThresholds, dict[str, Any]]:
     """Read thresholds ``[axis, 4]`` of the named axes, and their provenance.
+
+    Args:
+        path: the file.
+        axes: names of those to read.
+        units: of the axes; limits that the file has in other units are converted. "" = as in the file, () = all are.
 
     Raises:
         InputError: not a file of thresholds, one of the fit rule (see
-            :func:`rcbht_jax.encoding.limit_files.read_limits`), or its limits are not ordered positive numbers for
-            each of the axes.
+            :func:`rcbht_jax.encoding.limit_files.read_limits`), its limits are not ordered positive numbers for each
+            of the axes, or a unit that cannot be converted.
 
     Example:
         >>> import tempfile
@@ -259,7 +300,7 @@ def read_thresholds(path: Path | str, axes: Sequence[str] = AXES) -> tuple[Gradi
         ...     read_thresholds(Path(folder) / "hiro.json")[0].limits[0].tolist()
         [70.0, 46.0, 23.0, 1.0]
     """
-    version, columns, provenance = read_rows(path, axes)
+    version, columns, provenance = read_rows(path, axes, units)
     if version != FORMAT_VERSION:
         raise InputError(f"{path} holds limits of the fit rule, with tolerances; the paper's rule cannot use them.")
     limits = np.stack([columns[name] for name in LIMITS], axis=-1)
@@ -267,17 +308,23 @@ def read_thresholds(path: Path | str, axes: Sequence[str] = AXES) -> tuple[Gradi
     return GradientThresholds(limits), provenance
 
 
-def read_rows(path: Path | str, axes: Sequence[str]) -> tuple[int, dict[str, NDArray[np.float64]], dict[str, Any]]:
-    """Version, numbers ``[axis]`` by name, and provenance of a file of thresholds.
+def read_rows(
+    path: Path | str, axes: Sequence[str], units: Sequence[str] = ()
+) -> tuple[int, dict[str, NDArray[np.float64]], dict[str, Any]]:
+    """Version, numbers ``[axis]`` by name, converted to the units, and provenance of a file of thresholds.
 
     Raises:
-        InputError: not such a file, it has nothing for one of the axes, something that is no number, or no names.
+        InputError: not such a file, it has nothing for one of the axes, something that is no number, no names, or a
+            unit that cannot be converted.
     """
     axes = texts(axes) if axes else ()  # none: only the version is asked for
     with _file_of_thresholds(path) as (version, rows, provenance):
         if missing := [axis for axis in axes if axis not in rows]:
             raise InputError(f"{path} has no thresholds for {', '.join(missing)}; it has {', '.join(rows)}.")
-        columns = {name: np.array([_number(path, rows, axis, name) for axis in axes]) for name in COLUMNS[version]}
+        pairs = zip(axes, units_of(axes, units), strict=True)
+        factors = np.array([_factor(path, axis, rows[axis].get("unit", ""), unit) for axis, unit in pairs])
+        found = {name: np.array([_number(path, rows, axis, name) for axis in axes]) for name in COLUMNS[version]}
+        columns = {name: values * factors for name, values in found.items()}
     return version, columns, provenance
 
 
@@ -310,6 +357,13 @@ def _file_of_thresholds(path: Path | str) -> Iterator[tuple[int, Mapping[str, An
 
 def _number(path: Path | str, rows: Mapping[str, Any], axis: str, name: str) -> float:
     return checked_number(f"{path}: {name} of {axis}", rows[axis][name])
+
+
+def _factor(path: Path | str, axis: str, stated: Any, unit: str) -> float:
+    expect(f"{path}: unit of {axis}", stated, str)
+    if not (factor := unit_factor(stated, unit)):
+        raise InputError(f"{path} has thresholds for {axis} in {stated}; it is in {unit} here, and no factor is known.")
+    return factor
 
 
 def check_rows(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path | str, axes: Sequence[str]) -> None:

@@ -26,6 +26,7 @@ from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.types import LabelTrack, Recordings
 
 NOISE = 10.0  # standard deviations: the noise of a long recording spans less
+UNTARED = 1.1  # of the load before a snap: where the force falls by more, zero is hardly that of the sensor
 TOGETHER = 0.1  # s between onsets that are reported as one
 PLATEAU = 0.5  # s of a level stretch that divides one rise into two
 SLOWEST_HALF = 1.0  # s between turning points of a ringing at most
@@ -258,7 +259,8 @@ def describe_recording(
             one that changes most.
 
     Returns:
-        seconds and text, in order of time; durations as of :func:`sentences`.
+        seconds and text, in order of time; durations as of :func:`sentences`. A snap by clearly more than its load
+        says that the sensor looks untared: it may be a first contact.
 
     Raises:
         InputError: no such recording, a share that is not between 0 and 1, or snaps of other axes or of another rate.
@@ -314,5 +316,7 @@ def _snaps(
         end = "" if event.published is None else f", published at {event.published:.2f} s"
         force, load = (f"{_number(abs(size))}{unit and f' {unit}'}" for size in (event.fall, event.release))
         what = f"{event.axis} lets go {force} from {load}"
+        if abs(event.fall) > UNTARED * abs(event.release):
+            end += '; more than its load: the sensor looks untared, see "rcbht import --tare"'
         sentences.append((round(event.start, 3), f"snap: {what}; seen at {event.seen:.2f} s{end}"))
     return sentences

@@ -313,7 +313,7 @@ def train_model(
     if any(spec.false_alarms for spec in specs) and all(spec.task.task != OUTCOME for spec in specs):
         raise InputError(f"The rate of false alarms is for the task {OUTCOME}; add that task, or leave the rate out.")
     config = config or EncoderConfig(dt=recordings.dt)
-    limits = preset(axes=recordings.axes) if thresholds is None else thresholds
+    limits = preset(axes=recordings.axes, units=recordings.units) if thresholds is None else thresholds
     names = _names(specs)
     trained = (train_head(recordings, spec, config, limits, seed, progress) for spec in specs)
     heads = tuple(replace(head, name=name) for head, name in zip(trained, names, strict=True))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from rcbht_jax._util.columns import ratio_of
+from rcbht_jax._util.columns import unit_factor
 from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax.annotations import Annotations, corrected_variant
 from rcbht_jax.errors import InputError
@@ -103,7 +103,7 @@ def _same_units(path: Path, part: Recordings, first_path: Path, first: Recording
         return " State units in the names of columns, such as Fx [N], or in a map, and import again."
     channels = dict[str, list[str]]()
     for axis, unit, other in apart:
-        if (ratio := ratio_of(unit, other)) is None:
+        if not (ratio := unit_factor(unit, other)):
             return ""
         channels.setdefault(f'scale = {ratio:.10g} and unit = "{other}"', []).append(axis)
     needs = "; ".join(f"{content} for {', '.join(axes)}" for content, axes in channels.items())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,41 @@ def test_thresholds_come_from_the_recordings(store: Path, tmp_path: Path, capsys
     assert "the thresholds do not fit these recordings; try --robot auto." in capsys.readouterr().out
     assert main(["encode", str(store), "--scale", "0.001", "--name", "too-low-by-auto"]) == 0
     assert "the thresholds do not fit these recordings." in capsys.readouterr().out
+
+
+def test_thresholds_mean_the_same_in_other_units(
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file of a store in Nmm was applied to one in Nm as it is, and all words of the moments were lost."""
+    one, file, small = grasps(), tmp_path / "rest.json", tmp_path / "small.zarr"
+    write_recordings(small, replace(one, wrench=one.wrench * np.float32([1, 1000]), units=("N", "Nmm")), {})
+    made = run(capsys, "calibrate", small, "-o", file, "--method", "rest")
+    found = run(capsys, "encode", store, "--thresholds", file, "--name", "converted")
+    np.testing.assert_allclose(found["thresholds"], np.array([[1], [0.001]]) * made["limits"], rtol=1e-6)
+    said = said_by(capsys, small, "--axes", "Fz", "Mz", "--robot", "hiro")  # the store's units are known
+    assert said == said_by(capsys, store, "--axes", "Fz", "Mz", "--robot", "hiro")
+    write_recordings(tmp_path / "other.zarr", replace(one, units=("N", "A")), {})
+    assert main(["encode", str(tmp_path / "other.zarr"), "--thresholds", str(file)]) == 2
+    assert "has thresholds for twist in Nmm; it is in A here, and no factor is known." in capsys.readouterr().err
+
+
+def test_a_preset_is_converted_to_the_units_of_a_store(
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_recordings(tmp_path / "s.zarr", replace(grasps(), units=("kN", "Nmm")), {})
+    found = run(capsys, "encode", tmp_path / "s.zarr", "--robot", "hiro")
+    np.testing.assert_allclose(found["thresholds"], [[0.07, 0.046, 0.023, 0.001], [7000, 4600, 2300, 100]])
+    write_recordings(tmp_path / "s.zarr", replace(grasps(), units=("N", "A")), {}, overwrite=True)
+    assert main(["encode", str(tmp_path / "s.zarr"), "--robot", "hiro"]) == 2
+    assert "are for forces and moments, and twist is in A; choose thresholds from" in capsys.readouterr().err
+
+
+def said_by(capsys: pytest.CaptureFixture[str], store: Path, *words: str) -> list[tuple[str, str, int]]:
+    """Axis, label and first sample of each word of a stream."""
+    capsys.readouterr()
+    assert main(["stream", str(store), *words]) == 0
+    events = map(json.loads, capsys.readouterr().out.splitlines())
+    return [(event["axis"], event["label"], event["begin"]) for event in events if event["event"] == "Word"]
 
 
 def test_the_rule_of_merging_changes_no_thresholds(store: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -44,7 +44,16 @@ class Polars:
 @pytest.mark.parametrize("make", [pd.DataFrame, Polars])
 @pytest.mark.parametrize(
     ("name", "scale"),
-    [("time", 1), ("t", 1), ("Timestamp", 1), ("stamp", 1), ("Time [s]", 1), ("t_ms", 1e3), ("ts", 1)],
+    [
+        ("time", 1),
+        ("t", 1),
+        ("Timestamp", 1),
+        ("stamp", 1),
+        ("Time [s]", 1),
+        ("t_ms", 1e3),
+        ("ts", 1),
+        ("Zeit [ms]", 1e3),
+    ],
 )
 def test_a_column_of_time_is_no_axis(make: Any, name: str, scale: float) -> None:
     columns = dict(zip(NAMES, WRENCH.T, strict=True))
@@ -78,7 +87,9 @@ def test_two_axes_of_one_name_are_refused() -> None:
         rj.Recordings.from_arrays(np.zeros((1, 50, 2)), rate=100, axes=["grip", "grip"])
 
 
-@pytest.mark.parametrize(("name", "scale"), [("time", 1), ("t", 1), ("Timestamp", 1), ("t_ms", 1e3)])
+@pytest.mark.parametrize(
+    ("name", "scale"), [("time", 1), ("t", 1), ("Timestamp", 1), ("t_ms", 1e3), ("Zeit [s]", 1), ("Temps (ms)", 1e3)]
+)
 def test_rows_are_counted_by_a_time_of_any_name(name: str, scale: float) -> None:
     """An index, one of its levels, and in xarray a dimension wherever it stands, or another coordinate along it."""
 
@@ -94,6 +105,16 @@ def test_rows_are_counted_by_a_time_of_any_name(name: str, scale: float) -> None
         assert rj.encode(right).words("Fz") == rj.encode(WRENCH).words("Fz")
         with pytest.raises(InputError, match="the time has 100 samples per second"):
             rj.encode(wrong)
+
+
+@pytest.mark.parametrize("name", ["Zeit", "时间", "elapsed time [s]", "x [s]"])
+def test_an_index_that_grows_is_a_time_by_its_unit_or_in_another_language(name: str) -> None:
+    """As for an import: the rate was compared with English names alone."""
+    rj.encode(pd.DataFrame(WRENCH, pd.Index(SECONDS, name=name), NAMES))
+    with pytest.raises(InputError, match="the time has 100 samples per second"):
+        rj.encode(pd.DataFrame(WRENCH, pd.Index(SECONDS * 2, name=name), NAMES))
+    still = pd.Index(np.full(300, 7.0), name=name)  # as of a temperature
+    assert rj.encode(pd.DataFrame(WRENCH, still, NAMES)).info.axes == NAMES
 
 
 def test_recordings_under_each_other_are_not_taken_for_one() -> None:

@@ -158,3 +158,16 @@ def test_a_recording_is_chosen_as_everywhere() -> None:
 def test_a_number_is_rounded_before_its_form_is_chosen(rise: float, said: str) -> None:
     """99.7 N was 1e+02 N."""
     assert sentences([Change("Fz", 0.0, 0.5, rise)], {"Fz": "N"}) == [(0.0, f"Fz rises {said} N in 0.5 s")]
+
+
+def test_a_snap_by_more_than_its_load_is_marked_as_of_an_untared_sensor() -> None:
+    """A first contact on a sensor with an offset of 2.4 N was called the release of a load, by an impossible size."""
+    time = np.arange(600) / 200
+    said = {}
+    for offset in (0.0, 2.4, 4.0):
+        force = offset + np.interp(time, [1.5, 1.53], [0.0, -3.5])
+        recordings = Recordings.from_arrays([force[:, None]], 200.0, axes=["Fz"], units=["N"])
+        said[offset] = [text for _, text in describe_recording(recordings, 0) if text.startswith("snap")]
+    assert said[0.0] == []  # tared, a contact is none
+    assert said[2.4][0].endswith('more than its load: the sensor looks untared, see "rcbht import --tare"')
+    assert "untared" not in said[4.0][0]  # a release as large as most of its load may be one

@@ -138,7 +138,7 @@ def _made_now(store: Path, window: int, rule: str, tolerance: Sequence[float], t
     learns = rule == "fit" and not tolerance
     training = read_sample(store)[0] if learns else read_table(store)
     config = config_of(rule, window, training.dt)
-    gradients = preset("hiro", training.axes) if thresholds is None else thresholds
+    gradients = preset("hiro", training.axes, training.units) if thresholds is None else thresholds
     limits = limits_for(config, gradients, tolerance or None, training.wrench, training.length)
 
     def encode(recordings: Recordings) -> LabelTracks:
