@@ -20,7 +20,16 @@ from rcbht_jax._util.columns import measured
 from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, name
-from rcbht_jax.plots.canvas import check_rows, cut, label_legend, new_figure, plain, stacked, text_color
+from rcbht_jax.plots.canvas import (
+    check_rows,
+    cut,
+    label_legend,
+    new_figure,
+    plain,
+    scale_in_margin,
+    stacked,
+    text_color,
+)
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 100  # inches, 1600 pixels; six axes are 2000 pixels high
@@ -193,6 +202,7 @@ def _canvas(axes: tuple[str, ...], head: float, bands: bool) -> tuple[Figure, li
         signal = figure.add_subplot(rows[0], sharex=panels[0][0] if panels else None)
         signal.set_gid(f"signal-{printable(title)}")
         signal.tick_params(labelsize=10)
+        scale_in_margin(signal)
         panel_axes: tuple[Axes, ...] = (signal,)
         if bands:
             band = figure.add_subplot(rows[1], sharex=signal)

@@ -1,0 +1,54 @@
+"""Values far from one: factor and offset of an axis are legible, and nothing covers them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+
+from rcbht_jax.plots import trial_figure
+from rcbht_jax.types import Recordings
+
+RAMP = np.linspace(0.0, 1.0, 400)
+
+
+def figure_of(values: np.ndarray, axis: str = "p") -> Figure:
+    """Of one axis ``[sample]`` whose first state starts at 0."""
+    recordings = Recordings.from_arrays(
+        values.astype(np.float32)[None, :, None], 200.0, axes=[axis], units=["Pa"],
+        annotations=[(0, "phase", "approach", 0.0, 1.0)],
+    )  # fmt: skip
+    figure = trial_figure(recordings, None, 0)
+    figure.canvas.draw()
+    return figure
+
+
+def inside(figure: Figure, text: Text) -> bool:
+    box: Bbox = text.get_window_extent()
+    return bool(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1)
+
+
+@pytest.mark.parametrize(
+    ("values", "written"),
+    [
+        (101_325 + 0.125 * RAMP, "+1.01325e5"),
+        (4e-7 * RAMP, "×1e−7"),
+        (-1.25e6 * RAMP, "×1e6"),
+        (0.1234 + 1e-6 * RAMP, "×1e−6\n+1.234e−1"),
+    ],
+)
+def test_factor_and_offset_stand_beside_the_names_of_states(values: np.ndarray, written: str) -> None:
+    figure = figure_of(values)
+    (panel,) = figure.axes
+    scale, (state,) = panel.yaxis.get_offset_text(), panel.texts
+    assert scale.get_text() == written
+    assert not scale.get_window_extent().overlaps(state.get_window_extent())
+    assert inside(figure, scale)
+
+
+@pytest.mark.parametrize("size", [1.2e-4, 6e-4, 9e5])
+def test_numbers_leave_room_for_the_name_of_the_axis(size: float) -> None:
+    figure = figure_of(size * (2 * RAMP - 1), axis="torque")
+    assert inside(figure, figure.axes[0].yaxis.label)
