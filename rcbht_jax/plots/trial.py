@@ -223,19 +223,21 @@ def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, view: 
     visible = values[(times >= view.start) & (times <= view.stop)]
     visible = visible[np.isfinite(visible)]  # of a gap there is nothing to see
     low, high = (float(visible.min()), float(visible.max())) if len(visible) else (0.0, 0.0)
-    margin = 0.08 * (high - low) or max(1e-3, 0.05 * abs(high))  # of a constant
+    margin = 0.08 * (high - low) or 0.05 * abs(high) or 1e-3  # of a constant
     ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
-    _name_axis(ax, ", ".join(filter(None, (recordings.axes[axis], recordings.units[axis]))))
+    _name_axis(ax, recordings.axes[axis], recordings.units[axis])
     ax.grid(axis="y", color="0.9", linewidth=0.8)
     ax.set_axisbelow(True)
 
 
-def _name_axis(ax: Axes, text: str) -> None:
-    """Name and unit beside a panel; long ones in two lines, not beyond the panel's height."""
+def _name_axis(ax: Axes, name: str, unit: str) -> None:
+    """Name and unit beside a panel; long ones in two lines, not beyond the panel's height, the unit whole."""
+    end = f", {cut(unit, LONG[1] - 4)}" if unit else ""
+    text = name + end
     short = len(text) <= LONG[0]
     lines = [text] if short else [line.replace("_ ", "_") for line in wrap(text.replace("_", "_ "), LONG[1])]
     if len(lines) > 2:
-        lines = [lines[0], cut(lines[1] + lines[2], LONG[1])]
+        lines = [lines[0], cut(name[len(lines[0]) :].lstrip(), LONG[1] - len(end)) + end]
     small: dict[str, Any] = {} if short else {"labelpad": 1.0, "linespacing": 1.0}
     ax.set_ylabel(plain("\n".join(lines)), fontsize=12 if short else 8, **small)
 

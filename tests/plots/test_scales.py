@@ -52,3 +52,20 @@ def test_factor_and_offset_stand_beside_the_names_of_states(values: np.ndarray, 
 def test_numbers_leave_room_for_the_name_of_the_axis(size: float) -> None:
     figure = figure_of(size * (2 * RAMP - 1), axis="torque")
     assert inside(figure, figure.axes[0].yaxis.label)
+
+
+@pytest.mark.parametrize("value", [1e-7, -1e-7, 1e6])
+def test_a_constant_is_read_at_its_value(value: float) -> None:
+    low, high = figure_of(np.full(400, value)).axes[0].get_ylim()
+    assert (low, high) == pytest.approx(sorted((0.95 * value, 1.05 * value)))
+
+
+@pytest.mark.parametrize(
+    "axis", ["Barometric_pressure_of_gripper_chamber_left_finger", "x" * 60, "pressure of the " * 4]
+)
+def test_the_unit_of_a_long_name_is_whole(axis: str) -> None:
+    figure = figure_of(RAMP, axis=axis)
+    label = figure.axes[0].yaxis.label
+    assert label.get_text().endswith("…, Pa")
+    assert inside(figure, label)
+    assert max(map(len, label.get_text().split("\n"))) <= 22
