@@ -120,6 +120,7 @@ def trial_figure(
             used[layer].update(int(code) for code in lane.label)
     _name_marks(panels[0][0], names)
     panels[-1][-1].set_xlabel("time, s", fontsize=11)
+    panels[-1][-1].ticklabel_format(axis="x", useOffset=False)  # there is room for whole numbers
     top, title = 1 - MARGIN / figure.get_figheight(), plain(_title(recordings, index, window, rule))
     figure.suptitle(title, x=LEFT, y=top, ha="left", va="top", fontsize=14)
     _legends(figure, used)

@@ -69,3 +69,11 @@ def test_the_unit_of_a_long_name_is_whole(axis: str) -> None:
     assert label.get_text().endswith("…, Pa")
     assert inside(figure, label)
     assert max(map(len, label.get_text().split("\n"))) <= 22
+
+
+def test_late_moments_are_written_in_whole() -> None:
+    recordings = Recordings.from_arrays(np.zeros((1, 11_000, 1)), 1.0, axes=["Fz"], units=["N"])
+    figure = trial_figure(recordings, None, 0, seconds=(10_000.0, 10_001.0))
+    figure.canvas.draw()
+    assert figure.axes[0].xaxis.get_offset_text().get_text() == ""
+    assert {"10000.0", "10001.0"} <= {text.get_text() for text in figure.axes[0].get_xticklabels()}
