@@ -33,7 +33,7 @@ from rcbht_jax.plots.canvas import (
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 100  # inches, 1600 pixels; six axes are 2000 pixels high
-LEFT, RIGHT = 0.062, 0.985  # figure coordinates
+LEFT, RIGHT = 0.062, 0.98  # figure coordinates
 HEAD, FOOT, PANEL, GAP = 1.24, 2.1, 2.505, 0.326  # inches: title and two rows of names, legends, an axis, between two
 SIGNAL, BARE_FOOT = 2.5, 0.7  # height of a signal in heights of its bands; foot in inches where there are no labels
 CLEAR = 0.05  # of the height of a signal, without a value above the bands

@@ -77,3 +77,4 @@ def test_late_moments_are_written_in_whole() -> None:
     figure.canvas.draw()
     assert figure.axes[0].xaxis.get_offset_text().get_text() == ""
     assert {"10000.0", "10001.0"} <= {text.get_text() for text in figure.axes[0].get_xticklabels()}
+    assert all(inside(figure, text) for text in figure.axes[0].get_xticklabels() if text.get_text() == "10001.0")
