@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Event, SubtaskStarted
-from rcbht_jax.plots.canvas import new_figure, plain, stacked
+from rcbht_jax.plots.canvas import cut, new_figure, plain, stacked
 
 LETTERS = 150  # of a name of a sub-task, in the width of a panel
 MOST_ROWS = 3  # of names
+WIDE = 110  # letters that fit into the title
 ABOVE, LINE = 17.0, 9.0  # points: of the first row of names above the panel, below which its title is; of one row
 
 
@@ -57,7 +58,7 @@ def belief_map(events: Sequence[Event], title: str = "") -> Figure:
         bar.ax.tick_params(labelsize=7)
     _mark_starts(figure, len(heads), events)
     panels[-1].set_xlabel("time, s", fontsize=9)
-    figure.suptitle(plain(title), fontsize=10)
+    figure.suptitle(plain(cut(title, WIDE)), fontsize=10)
     figure.set_layout_engine("tight")
     return figure
 

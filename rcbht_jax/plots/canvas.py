@@ -9,12 +9,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 from matplotlib.patches import Patch
 from matplotlib.text import Text
+from matplotlib.ticker import ScalarFormatter
 
 from rcbht_jax._util.atomic import DISK_FULL, atomic_write
 from rcbht_jax._util.printable import printable
@@ -40,6 +42,22 @@ def new_figure(inches: tuple[float, float], dpi: int) -> Figure:
     figure = Figure(figsize=inches, dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
+
+
+class _Scale(ScalarFormatter):
+    """Numbers of an axis; their common factor, and what is to be added, in a line each."""
+
+    def get_offset(self) -> str:
+        factor, offset = re.fullmatch(r"(1e\D?\d+)?(.*)", super().get_offset()).groups("")  # type: ignore[union-attr]
+        return "\n".join(filter(None, (f"×{factor}" if factor else "", offset)))
+
+
+def scale_in_margin(ax: Axes) -> None:
+    """Write factor and offset of the vertical axis above its numbers, where nothing above the panel covers them."""
+    scale = _Scale()
+    scale.set_powerlimits((-3, 6))  # longer numbers would push the axis's name out of the figure
+    ax.yaxis.set_major_formatter(scale)
+    ax.yaxis.get_offset_text().set(x=-0.004, ha="right", va="bottom", fontsize=8, linespacing=1.0)
 
 
 def plain(text: str) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
@@ -10,12 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
+from matplotlib.ticker import MaxNLocator
 
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.selection import rows_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS
-from rcbht_jax.plots.canvas import LAYER_TITLES, check_rows, label_legend, new_figure, plain
+from rcbht_jax.plots.canvas import LAYER_TITLES, check_rows, cut, label_legend, new_figure, plain, stacked
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 125  # inches, 2000 pixels
@@ -23,7 +25,9 @@ HEAD, FOOT, GAP = 1.1, 1.3, 0.4  # inches: title, legend and tick labels, betwee
 POINTS_PER_STATE = 100  # columns of a state when time is normalised
 _LEFT, RIGHT = 0.115, 0.985  # figure coordinates
 LETTER = 0.095  # inches of one letter of a state's name, at most
-LONG = 24  # letters beside a panel
+LONG = 22  # letters beside a panel
+LONG_STATE = 40  # letters of a state's name
+LINE = 0.19  # inches of a line of names
 _CAPTIONS = {
     "word": "rows: recordings by session and outcome (number of recordings); columns: labels in order; white: after "
     "the last label",
@@ -32,8 +36,6 @@ _CAPTIONS = {
 }
 Rows = Int[np.ndarray, " row"]
 Codes = Int8[np.ndarray, "row axis _column"]
-# A white rim separates lines from dark labels.
-_RIM = [Stroke(linewidth=2.2, foreground="white"), Normal()]
 
 
 def label_map(
@@ -87,14 +89,16 @@ def label_map(
         codes, caption = _cut(codes, words, caption)
     # Up to a thousand labels need one wide panel per axis; states are short and fit in two columns.
     columns = 1 if by == "word" or len(recordings.axes) == 1 else 2
+    states = tuple(cut(state, LONG_STATE) for state in states)
     leaning = LETTER * max(map(len, states), default=0)  # inches below the panels, for names wider than their state
     leaning *= leaning * len(states) > WIDTH * (RIGHT - _LEFT) / columns
-    figure, panels = _panels(recordings.axes, columns, len(rows), FOOT + leaning)
+    groups = _groups(recordings, rows)
+    figure, panels = _panels(recordings.axes, columns, len(rows), len(groups), FOOT + leaning)
     per_column = -(-len(panels) // columns)
     for axis, ax in enumerate(panels):
         _draw(ax, codes[:, axis], layer)
         ax.set_title(plain(recordings.axes[axis]), fontsize=12, loc="left", pad=4)
-        _separate_sessions(ax, recordings, rows, named=axis < per_column)
+        _separate_sessions(ax, groups, named=axis < per_column)
         _label_columns(ax, states, axis % per_column == per_column - 1, 90.0 if leaning else 0.0)
     facts = f"{LAYER_TITLES[layer]} of {plural(len(rows), 'recording')}"
     text = f"{title}: {facts.lower()}\n{caption}" if title else f"{facts}\n{caption}"
@@ -106,10 +110,10 @@ def label_map(
     return figure
 
 
-def _panels(axes: tuple[str, ...], columns: int, rows: int, foot: float) -> tuple[Figure, list[Axes]]:
-    """A panel for each of ``axes``, column by column, tall enough for ``rows``, above so many inches."""
+def _panels(axes: tuple[str, ...], columns: int, rows: int, groups: int, foot: float) -> tuple[Figure, list[Axes]]:
+    """A panel for each of ``axes``, column by column, tall enough for rows and groups, above so many inches."""
     per_column = -(-len(axes) // columns)
-    panel = min(max(0.05 * rows * columns, 1.6), 3.6 * columns)  # inches
+    panel = min(max(0.05 * rows * columns, LINE * groups, 1.6), 3.6 * columns)  # inches
     height = HEAD + foot + per_column * panel + (per_column - 1) * GAP
     figure = new_figure((WIDTH, height), DPI)
     grid = figure.add_gridspec(
@@ -193,18 +197,37 @@ def _draw(ax: Axes, codes: Int8[np.ndarray, "row column"], layer: str) -> None:
     ax.tick_params(labelsize=10)
 
 
-def _separate_sessions(ax: Axes, recordings: Recordings, rows: Rows, named: bool) -> None:
-    """A line between groups of rows with one session, outcome and data set; names beside the left column."""
+def _groups(recordings: Recordings, rows: Rows) -> list[tuple[int, int, str]]:
+    """First row, row after the last, and name of each group with one session, outcome and data set."""
     keys = [(str(recordings.session[row]), str(recordings.outcome[row]), str(recordings.source[row])) for row in rows]
     starts = [row for row in range(len(rows)) if row == 0 or keys[row] != keys[row - 1]]
-    stops = [*starts[1:], len(rows)]
-    for start in starts[1:]:
-        ax.axhline(start - 0.5, color="black", linewidth=0.9, gid="session", path_effects=_RIM)
-    middles = [(start + stop - 1) / 2 for start, stop in zip(starts, stops, strict=True)]
-    names = [(keys[start][0], f"{keys[start][1]} ({stop - start})") for start, stop in zip(starts, stops, strict=True)]
-    texts = [(",\n" if len(", ".join(pair)) > LONG else ", ").join(map(plain, pair)) for pair in names]
-    ax.set_yticks(middles, [text if named else "" for text in texts])
-    ax.tick_params(axis="y", length=0)
+    groups = []
+    for start, stop in zip(starts, [*starts[1:], len(rows)], strict=True):
+        session, (outcome, count) = keys[start][0], (keys[start][1], f" ({stop - start})")
+        pair = cut(session, LONG), cut(outcome, LONG - len(count)) + count
+        groups.append((start, stop, (",\n" if len(", ".join(pair)) > LONG + 2 else ", ").join(map(plain, pair))))
+    return groups
+
+
+def _line_between(inches: float) -> dict[str, Any]:
+    """Style of a line between groups, the smallest of so many inches, which it must not hide."""
+    width = min(1.0, 6 * inches)
+    rim = [Stroke(linewidth=2.2 * width, foreground="white"), Normal()]  # separates the line from dark labels
+    return {"color": "black", "linewidth": 0.9 * width, "path_effects": rim}
+
+
+def _separate_sessions(ax: Axes, groups: list[tuple[int, int, str]], named: bool) -> None:
+    """A line between groups; names beside the left column, where there is room, at a tick if some have none."""
+    inches = ax.get_window_extent().height / DPI / groups[-1][1]  # of a row
+    style = _line_between(inches * min(stop - start for start, stop, _ in groups))
+    for start, _, _ in groups[1:]:
+        ax.axhline(start - 0.5, gid="session", **style)
+    middles = [(start + stop - 1) / 2 for start, stop, _ in groups]
+    halves = [LINE / 2 * (1 + text.count("\n")) / inches for *_, text in groups]
+    places = stacked([(middle - half, middle + half) for middle, half in zip(middles, halves, strict=True)], 1)
+    shown = [(middle, text) for middle, (*_, text), place in zip(middles, groups, places, strict=True) if place == 0]
+    ax.set_yticks([middle for middle, _ in shown], [text if named else "" for _, text in shown])
+    ax.tick_params(axis="y", length=0 if len(shown) == len(groups) or not named else 3)
 
 
 def _label_columns(ax: Axes, states: tuple[str, ...], last: bool, rotation: float) -> None:
@@ -212,9 +235,17 @@ def _label_columns(ax: Axes, states: tuple[str, ...], last: bool, rotation: floa
     if not states:
         if last:
             ax.set_xlabel("number of the label, from 1", fontsize=11)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         return
+    inches = ax.get_window_extent().width / DPI / len(states)  # of a state
+    style = _line_between(inches)
     for state in range(1, len(states)):
-        ax.axvline(state * POINTS_PER_STATE + 0.5, color="black", linewidth=0.9, gid="state", path_effects=_RIM)
-    middles = [(state + 0.5) * POINTS_PER_STATE for state in range(len(states))]
-    ax.set_xticks(middles, list(map(plain, states)), rotation=rotation)
-    ax.tick_params(axis="x", length=0)
+        ax.axvline(state * POINTS_PER_STATE + 0.5, gid="state", **style)
+    apart = max(1, math.ceil(LINE / inches)) if rotation else 1  # states from one name to the next, for lack of room
+    shown = range(0, len(states), apart)
+    ax.set_xticks(
+        [(state + 0.5) * POINTS_PER_STATE for state in shown],
+        [plain(states[state]) for state in shown],
+        rotation=rotation,
+    )
+    ax.tick_params(axis="x", length=0 if apart == 1 else 3)

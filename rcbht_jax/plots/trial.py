@@ -20,11 +20,20 @@ from rcbht_jax._util.columns import measured
 from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, name
-from rcbht_jax.plots.canvas import check_rows, cut, label_legend, new_figure, plain, stacked, text_color
+from rcbht_jax.plots.canvas import (
+    check_rows,
+    cut,
+    label_legend,
+    new_figure,
+    plain,
+    scale_in_margin,
+    stacked,
+    text_color,
+)
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 100  # inches, 1600 pixels; six axes are 2000 pixels high
-LEFT, RIGHT = 0.062, 0.985  # figure coordinates
+LEFT, RIGHT = 0.062, 0.98  # figure coordinates
 HEAD, FOOT, PANEL, GAP = 1.24, 2.1, 2.505, 0.326  # inches: title and two rows of names, legends, an axis, between two
 SIGNAL, BARE_FOOT = 2.5, 0.7  # height of a signal in heights of its bands; foot in inches where there are no labels
 CLEAR = 0.05  # of the height of a signal, without a value above the bands
@@ -111,6 +120,7 @@ def trial_figure(
             used[layer].update(int(code) for code in lane.label)
     _name_marks(panels[0][0], names)
     panels[-1][-1].set_xlabel("time, s", fontsize=11)
+    panels[-1][-1].ticklabel_format(axis="x", useOffset=False)  # there is room for whole numbers
     top, title = 1 - MARGIN / figure.get_figheight(), plain(_title(recordings, index, window, rule))
     figure.suptitle(title, x=LEFT, y=top, ha="left", va="top", fontsize=14)
     _legends(figure, used)
@@ -193,6 +203,7 @@ def _canvas(axes: tuple[str, ...], head: float, bands: bool) -> tuple[Figure, li
         signal = figure.add_subplot(rows[0], sharex=panels[0][0] if panels else None)
         signal.set_gid(f"signal-{printable(title)}")
         signal.tick_params(labelsize=10)
+        scale_in_margin(signal)
         panel_axes: tuple[Axes, ...] = (signal,)
         if bands:
             band = figure.add_subplot(rows[1], sharex=signal)
@@ -213,19 +224,21 @@ def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, view: 
     visible = values[(times >= view.start) & (times <= view.stop)]
     visible = visible[np.isfinite(visible)]  # of a gap there is nothing to see
     low, high = (float(visible.min()), float(visible.max())) if len(visible) else (0.0, 0.0)
-    margin = 0.08 * (high - low) or max(1e-3, 0.05 * abs(high))  # of a constant
+    margin = 0.08 * (high - low) or 0.05 * abs(high) or 1e-3  # of a constant
     ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
-    _name_axis(ax, ", ".join(filter(None, (recordings.axes[axis], recordings.units[axis]))))
+    _name_axis(ax, recordings.axes[axis], recordings.units[axis])
     ax.grid(axis="y", color="0.9", linewidth=0.8)
     ax.set_axisbelow(True)
 
 
-def _name_axis(ax: Axes, text: str) -> None:
-    """Name and unit beside a panel; long ones in two lines, not beyond the panel's height."""
+def _name_axis(ax: Axes, name: str, unit: str) -> None:
+    """Name and unit beside a panel; long ones in two lines, not beyond the panel's height, the unit whole."""
+    end = f", {cut(unit, LONG[1] - 4)}" if unit else ""
+    text = name + end
     short = len(text) <= LONG[0]
     lines = [text] if short else [line.replace("_ ", "_") for line in wrap(text.replace("_", "_ "), LONG[1])]
     if len(lines) > 2:
-        lines = [lines[0], cut(lines[1] + lines[2], LONG[1])]
+        lines = [lines[0], cut(name[len(lines[0]) :].lstrip(), LONG[1] - len(end)) + end]
     small: dict[str, Any] = {} if short else {"labelpad": 1.0, "linespacing": 1.0}
     ax.set_ylabel(plain("\n".join(lines)), fontsize=12 if short else 8, **small)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from rcbht_jax.labels import AXES, COLORS
-from rcbht_jax.plots.canvas import label_legend, new_figure, plain
+from rcbht_jax.plots.canvas import label_legend, new_figure, plain, scale_in_margin
 from rcbht_jax.plots.trial import outcome_of
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTracks, Recordings
@@ -19,13 +21,16 @@ from sim_mjx.plots.projection import ABOVE, SEATED, SIDE, Drawing
 from sim_mjx.validation.replay import PASSES, Replay
 
 INCHES, DPI = (16.0, 14.5), 100
-FRAMES = 6  # moments shown, at most
+FRAMES = 7  # moments shown, at most
 CLOSE = 0.35  # s, moments within it share a frame
+SEEN = 0.05  # s, from which on moments of one frame state their own times
+ALONE = "before touch", "end"  # moments with frames of their own
+WIDE = 23  # letters beside a frame's edges
 SHADES = ("#f7f7f7", "#e8eef7", "#d9e6d8", "#fbeed5", "#efe3f0")  # background of the states, in turn
 XYZ = ("#1b6ca8", "#5aa469", "#d1495b")  # colours of the axes
 TAB_COLORS = ("#1b6ca8", "#6baed6", "#b2182b", "#f4a582")
 TAB_STYLES: tuple[Any, ...] = ("solid", (0, (4, 3)), "solid", (0, (4, 3)))  # right and left tabs often coincide
-LETTERS = "abcdef"
+LETTERS = "abcdefg"
 LETTER = 8.0  # pixels of one letter of a state's name
 PLATE = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.0}  # behind a name that a line may cross
 
@@ -48,13 +53,14 @@ def trial_overview(
     figure = new_figure(INCHES, DPI)
     frames = choose(moments)
     grid = figure.add_gridspec(
-        5, 1, left=0.06, right=0.985, top=0.91, bottom=0.078, height_ratios=(3.2, 1.0, 1.5, 1.2, 1.3), hspace=0.1
+        5, 1, left=0.06, right=0.985, top=0.9, bottom=0.078, height_ratios=(3.2, 1.0, 1.5, 1.2, 1.3), hspace=0.1
     )
     strip = grid[0].subgridspec(2, len(frames), hspace=0.04, wspace=0.06)
     for column, (name, seconds) in enumerate(frames.items()):
         pair = (figure.add_subplot(strip[0, column]), figure.add_subplot(strip[1, column]))
         still(pair, replay, seconds)
-        pair[0].set_title(f"{LETTERS[column]}   {seconds:.2f} s\n{plain(name)}", fontsize=11, loc="left", pad=4)
+        heading = f"{LETTERS[column]}   {seconds:.2f} s\n{plain(fill(name, WIDE, break_long_words=False))}"
+        pair[0].set_title(heading, fontsize=11, loc="left", pad=4)
     panels = [figure.add_subplot(grid[1])]
     panels += [figure.add_subplot(grid[i], sharex=panels[0]) for i in (2, 3, 4)]
     _tabs(panels[0], replay)
@@ -84,24 +90,32 @@ def _letter(ax: Axes, letter: str, seconds: float) -> None:
 
 
 def choose(moments: Mapping[str, float]) -> dict[str, float]:
-    """At most ``FRAMES`` moments: what happens at nearly the same time shares a frame, shown at its last moment."""
-    groups: list[list[tuple[str, float]]] = []
-    for name, seconds in moments.items():
-        if groups and seconds - groups[-1][0][1] < CLOSE:
-            groups[-1].append((name, seconds))
-        else:
-            groups.append([(name, seconds)])
-    while len(groups) > FRAMES:
-        gaps = np.diff([group[-1][1] for group in groups])
-        first = int(np.argmin(gaps[:-1]))  # the end keeps its own frame
+    """At most ``FRAMES`` moments: what happens at nearly the same time shares a frame, shown at its last moment.
+
+    Names of earlier moments of a frame carry their own times.
+    """
+    groups = [[moment] for moment in moments.items()]
+    while (first := _closest(groups, CLOSE if len(groups) <= FRAMES else np.inf)) is not None:
         groups[first : first + 2] = [groups[first] + groups[first + 1]]
-    return {_joined([name for name, _ in group]): group[-1][1] for group in groups}
+    return {_joined(group): group[-1][1] for group in groups}
 
 
-def _joined(names: list[str]) -> str:
+def _closest(groups: list[list[tuple[str, float]]], limit: float) -> int | None:
+    """First of the two neighbours that would span least in one frame, if less than ``limit``; none needs its own."""
+    spans = {
+        pair[1][-1][1] - pair[0][0][1]: first
+        for first, pair in reversed(list(enumerate(pairwise(groups))))
+        if not any(name in ALONE for group in pair for name, _ in group)
+    }
+    return spans[min(spans)] if spans and min(spans) < limit else None
+
+
+def _joined(group: list[tuple[str, float]]) -> str:
     """Several tabs that pass their lips are named together."""
-    tabs = [name.removesuffix(PASSES) for name in names if name.endswith(PASSES)]
-    rest = [name for name in names if not name.endswith(PASSES)]
+    shown = group[-1][1]
+    own = {name: f" ({seconds:.2f} s)" if shown - seconds > SEEN else "" for name, seconds in group}
+    tabs = [f"{name.removesuffix(PASSES)}{time}" for name, time in own.items() if name.endswith(PASSES)]
+    rest = [f"{name}{time}" for name, time in own.items() if not name.endswith(PASSES)]
     return ", ".join([*rest, f"{' '.join(tabs)}{PASSES}"] if tabs else rest)
 
 
@@ -117,7 +131,7 @@ def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Draw
         drawing.show(replay.qpos[index], replay.past[index])
     x, y = far.place("MOUNT")
     _look_at(pair[0], *((0.16, y + 0.22, 0.27) if one else (0.2, 0.0, 0.33)))
-    _look_closely(pair[1], close, *((x - 0.02, y + 0.018, 0.03) if one else (x - 0.02, y - 0.015, 0.035)))
+    _look_closely(pair[1], close, *((x - 0.02, y + 0.018, 0.034) if one else (x - 0.02, y - 0.015, 0.035)))
     for ax in pair:
         ax.set(xticks=[], yticks=[])
         for spine in ax.spines.values():
@@ -183,6 +197,7 @@ def _wrench(ax: Axes, recordings: Recordings, row: int, axes: range, title: str)
     for axis, color in zip(axes, XYZ, strict=True):
         ax.plot(times, values[:, axis], color=color, linewidth=1.2, label=AXES[axis])
     ax.set_ylabel(title, fontsize=11)
+    scale_in_margin(ax)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high + 0.2 * (high - low))  # the legend must not cover a force that lasts
     _legend(ax, 3, 1.0)

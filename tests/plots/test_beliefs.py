@@ -94,3 +94,12 @@ def test_names_of_sub_tasks_do_not_overlap() -> None:
     boxes = [text.get_window_extent() for text in (*panel.texts, panel._left_title)]
     assert not any(one.overlaps(two) for one, two in itertools.combinations(boxes, 2))
     assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1 for box in boxes)
+
+
+def test_a_long_title_is_inside_the_figure() -> None:
+    belief = Belief(200, 1.0, "state", "a", 0.9, "certain", 0.1, ("a", "b"), (0.9, 0.1))
+    figure = belief_map([belief], "a trial with a long name " * 9)
+    figure.canvas.draw()
+    [title] = [text for text in figure.texts if text.get_text() == figure.get_suptitle()]
+    assert title.get_text().endswith("…")
+    assert figure.bbox.x0 <= title.get_window_extent().x0
