@@ -137,13 +137,22 @@ def changes(axis: str, times: NDArray[np.floating], values: NDArray[np.floating]
 def _parts(
     points: list[int], times: NDArray[np.floating], values: NDArray[np.floating], least: float
 ) -> list[tuple[int, int]]:
-    """Pairs of knots that bound a change: turning points, and level stretches of half a second between them."""
+    """Pairs of knots that bound a change: turning points, and level stretches of half a second between them.
+
+    A smooth rise begins and ends slowly: level stretches at its ends that take no longer than the rest belong to it.
+    """
     level = (np.diff(times) >= PLATEAU) & (np.abs(np.diff(values)) < least / 2)
+    level[1::2] = False  # between two lines there is one sample, however long that is
     found = []
     for first, last in pairwise(points):
         cuts = [first, *(edge for k in range(first, last) if level[k] for edge in (k, k + 1)), last]
-        parts = [(a, b) for a, b in pairwise(cuts) if abs(values[b] - values[a]) >= least]
-        found += parts or [(first, last)]
+        parts = [(a, b) for a, b in pairwise(cuts) if abs(values[b] - values[a]) >= least] or [(first, last)]
+        (start, stop), (begin, end) = parts[0], parts[-1]
+        earliest, latest = times[start] - (times[stop] - times[start]), times[end] + (times[end] - times[begin])
+        within = [cut for cut in cuts if earliest <= times[cut] <= latest]
+        parts[0] = within[0], stop
+        parts[-1] = parts[-1][0], within[-1]
+        found += parts
     return found
 
 

@@ -171,3 +171,16 @@ def test_a_snap_by_more_than_its_load_is_marked_as_of_an_untared_sensor() -> Non
     assert said[0.0] == []  # tared, a contact is none
     assert said[2.4][0].endswith('more than its load: the sensor looks untared, see "rcbht import --tare"')
     assert "untared" not in said[4.0][0]  # a release as large as most of its load may be one
+
+
+@pytest.mark.parametrize("rate", [200.0, 20.0, 4.0, 2.0, 1.0])
+def test_a_smooth_rise_is_given_in_full_at_any_rate(rate: float) -> None:
+    """At 2 Hz every gap between two lines was a level stretch of half a second, and 60 N became 32 N."""
+    time = np.arange(int(60 * rate)) / rate
+    noise = np.random.default_rng(0).normal(size=len(time)) * 0.05
+    smooth = 60 * (1 - np.cos(np.pi * np.clip((time - 20) / 20, 0, 1))) / 2
+    for force, whole in ((smooth, 60.0), (40 * (1 - np.exp(-np.clip(time - 10, 0, None) / 6)), 40.0)):
+        recordings = Recordings.from_arrays([(force + noise)[:, None]], rate, axes=["Fz"], units=["N"])
+        [(_, text)] = describe_recording(recordings, 0)
+        rise = float(text.split()[2])
+        assert abs(rise - whole) <= 0.1 * whole
