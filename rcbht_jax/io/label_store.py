@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -88,8 +89,7 @@ def write_batches(
     # The draft is outside the store: readers list every folder inside it.
     with atomic_folder(folder, near=path) as draft:
         _write_draft(draft, rows, layout, batches, attrs, created)
-        if not (path / LABELS / "zarr.json").exists():
-            zarr.create_group(path / LABELS, zarr_format=3)
+        _require_group(path)
     zarr_io.consolidate(path)
 
 
@@ -113,9 +113,14 @@ def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs
         _write_draft(draft, rows, layout, batches, own, attrs["created"])
         if HASH in attrs and zarr_io.open_group(draft).attrs[HASH] != attrs[HASH]:
             raise InputError(f"{folder} cannot be made again: the installed versions encode otherwise.")
-        if not (path / LABELS / "zarr.json").exists():
-            zarr.create_group(path / LABELS, zarr_format=3)
+        _require_group(path)
     zarr_io.consolidate(path)
+
+
+def _require_group(path: Path) -> None:
+    """Create the group of all label tracks, if there is none."""
+    if not (path / LABELS / zarr_io.META).exists():
+        zarr.create_group(path / LABELS, zarr_format=3)
 
 
 def _write_draft(
@@ -211,13 +216,35 @@ def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
 
 
 def verify_tracks(path: Path, name: str) -> None:
-    """Read a set of label tracks, part by part, and compare it with its checksums.
+    """Read a set of label tracks, part by part, and compare it with its checksums and the collected metadata.
 
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     for _ in read_batches(path, name, part_sizes(count_recordings(path))):
         pass
+    if "part_rows" in read_tracks_attrs(path, name):
+        zarr_io.check_collected(path, lambda member: f"{member}/".startswith(f"{LABELS}/{name}/"))
+
+
+def copy_tracks(source: Path, target: Path, name: str) -> None:
+    """Copy a set of label tracks as it is, damaged or not, to another store of the same recordings, replacing its own.
+
+    Args:
+        source: store that has the label tracks.
+        target: store of the same recordings in the same parts.
+        name: of the label tracks.
+
+    Raises:
+        InputError: the stores have other recordings, by their digests.
+    """
+    if open_store(source).attrs[HASH] != open_store(target).attrs[HASH]:
+        raise InputError(f"{target} has other recordings than {source}, so that label tracks {name} are not theirs.")
+    folder = _folder(target, name)
+    with atomic_folder(folder, near=target, replace=folder.exists()) as draft:
+        shutil.copytree(_folder(source, name), draft, symlinks=True)
+        _require_group(target)
+    zarr_io.consolidate(target)
 
 
 def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:

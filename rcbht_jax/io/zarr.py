@@ -6,7 +6,7 @@ import json
 import os
 import stat
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -26,6 +26,7 @@ with needs_extra("store"):
     from zarr.abc.store import ByteRequest
     from zarr.codecs import Crc32cCodec, ZstdCodec
     from zarr.core.buffer import Buffer, BufferPrototype
+    from zarr.core.group import GroupMetadata
     from zarr.core.metadata import ArrayV3Metadata
     from zarr.storage import LocalStore
 
@@ -186,6 +187,23 @@ class _Files(LocalStore):
             raise ValueError(f"{key} is not a regular file of at most {most} bytes")
 
 
+class _Readable(_Files):
+    """The files of a store, without the groups and arrays whose metadata are damaged."""
+
+    async def get(
+        self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
+    ) -> Buffer | None:
+        if not key.endswith(f"/{META}"):
+            return await super().get(key, prototype, byte_range)
+        try:
+            if (found := await super().get(key, prototype, byte_range)) is not None:
+                content = json.loads(found.to_bytes())
+                (ArrayV3Metadata if content["node_type"] == "array" else GroupMetadata).from_dict(content)
+        except Exception:  # damaged metadata can fail in any way inside zarr
+            return None
+        return found
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn any exception of a damaged store into one InputError."""
@@ -296,15 +314,22 @@ def subgroup(group: zarr.Group, name: str) -> zarr.Group:
 
 @uninterrupted()
 def consolidate(path: Path) -> None:
-    """Collect the metadata of all members in the root group, which makes opening by xarray one read."""
+    """Collect the metadata of all members in the root group, which makes opening by xarray one read.
+
+    Members whose metadata are damaged, such as a damaged label track beside a new one, are left out.
+    """
     with warnings.catch_warnings():
         # Consolidated metadata is an extension of Zarr v3; readers without it ignore it.
         warnings.simplefilter("ignore")
-        zarr.consolidate_metadata(path, zarr_format=3)
+        zarr.consolidate_metadata(_Readable(path), zarr_format=3)
 
 
-def check_collected(path: Path) -> None:
-    """Compare the metadata of all members with what :func:`consolidate` collected of them, which xarray reads.
+def check_collected(path: Path, chosen: Callable[[str], bool]) -> None:
+    """Compare the metadata of members with what :func:`consolidate` collected of them, which xarray reads.
+
+    Args:
+        path: of the root group.
+        chosen: whether a member is compared, by its name in the group, such as "columns/mass".
 
     Raises:
         InputError: they differ. Of a URL, only what was collected is read.
@@ -312,10 +337,15 @@ def check_collected(path: Path) -> None:
     if url_of(path) is not None:
         return
     with reading(path):
-        collected = load_json(path / META).get("consolidated_metadata") or {"metadata": {}}
-        for name, found in collected["metadata"].items():
-            if not (path / name / META).exists():  # its readers miss it, or it is a label track that was deleted
+        for name, found in _collected(path).items():
+            # without a file its readers miss it, or it is a label track that was deleted
+            if not (chosen(name) and (path / name / META).exists()):
                 continue
             own = load_json(path / name / META)
             if {**found, "consolidated_metadata": None} != {**own, "consolidated_metadata": None}:
                 raise InputError(f"{path} is damaged: {name}/{META} is not as in {META}. Import or copy it again.")
+
+
+def _collected(path: Path) -> dict[str, Any]:
+    """What :func:`consolidate` collected in a root group: metadata by name of the member."""
+    return (load_json(path / META).get("consolidated_metadata") or {"metadata": {}})["metadata"]
