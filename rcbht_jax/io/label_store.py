@@ -21,7 +21,7 @@ from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store import count_recordings, open_store, read_table, recording_rows
-from rcbht_jax.io.store_schema import HASH, LABELS
+from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.tasks import TrackBatches
 from rcbht_jax.types import LabelTrack, LabelTracks, TrackInfo
@@ -88,7 +88,7 @@ def write_batches(
     layout = Layout(int(rows[-1]) + 1, min(label_parts.PART, int(rows[-1]) + 1))
     # The draft is outside the store: readers list every folder inside it.
     with atomic_folder(folder, near=path) as draft:
-        _write_draft(draft, rows, layout, batches, attrs, created)
+        _write_draft(draft, path, rows, layout, batches, attrs, created)
         _require_group(path)
     zarr_io.consolidate(path)
 
@@ -108,9 +108,9 @@ def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs
     zarr_io.check_writable(path)
     rows, folder = recording_rows(path), _folder(path, name)
     layout = Layout(attrs["rows"], attrs["part_rows"])
-    own = {key: value for key, value in attrs.items() if key not in ("created", "rows", "part_rows", HASH)}
+    own = {key: value for key, value in attrs.items() if key not in ("created", "rows", "part_rows", HASH, LABELLED)}
     with atomic_folder(folder, near=path, replace=folder.exists()) as draft:
-        _write_draft(draft, rows, layout, batches, own, attrs["created"])
+        _write_draft(draft, path, rows, layout, batches, own, attrs["created"])
         if HASH in attrs and zarr_io.open_group(draft).attrs[HASH] != attrs[HASH]:
             raise InputError(f"{folder} cannot be made again: the installed versions encode otherwise.")
         _require_group(path)
@@ -126,6 +126,7 @@ def _require_group(path: Path) -> None:
 def _write_draft(
     draft: Path,
     rows: NDArray[np.int64],
+    path: Path,
     layout: Layout,
     batches: Iterable[LabelTracks],
     attrs: Mapping[str, Any],
@@ -140,7 +141,7 @@ def _write_draft(
         span = layout.span(number)
         places = rows[ends[number] - sizes[number] : ends[number]] - span.start
         label_parts.write_part(draft, number, label_parts.spread(batch, places, span.stop - span.start))
-    label_parts.finish(draft)
+    label_parts.finish(draft, path)
 
 
 def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any]]:
@@ -174,9 +175,8 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
-    folder = _folder(path, name)
-    attrs = read_tracks_attrs(path, name)
-    rows = recording_rows(path)
+    folder, rows = _folder(path, name), recording_rows(path)
+    attrs = _own_attrs(path, name)
     found = label_parts.read(folder, rows) if "part_rows" in attrs else iter([_read_old(folder, attrs, len(rows))])
     yield from label_parts.regroup(found, sizes)
 
@@ -187,7 +187,7 @@ def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
-    if "part_rows" in read_tracks_attrs(path, name):
+    if "part_rows" in _own_attrs(path, name):
         return label_parts.joined(list(label_parts.read(_folder(path, name), recording_rows(path)[numbers])))
     return label_parts.taken(_whole(path, name), numbers)
 
@@ -285,6 +285,20 @@ def choose_name(path: Path, name: str = "") -> str:
     """``name`` if the store has such label tracks; without a name, that of the only ones in the store.
 
     Raises:
+def _own_attrs(path: Path, name: str) -> dict[str, Any]:
+    """The attributes of label tracks that label the recordings of this store; those of earlier versions do not say.
+
+    Raises:
+        InputError: they label others.
+    """
+    attrs, own = read_tracks_attrs(path, name), open_store(path).attrs.get(HASH)
+    if attrs.get(LABELLED, own) != own:
+        raise InputError(
+            f"{_folder(path, name)} labels other recordings than those of {path}; delete it and encode again."
+        )
+    return attrs
+
+
         InputError: there are none, none of that name, or several and no name is given.
     """
     names = list_tracks(path)
