@@ -90,7 +90,7 @@ def write_batches(
     with atomic_folder(folder, near=path) as draft:
         _write_draft(draft, path, rows, layout, batches, attrs, created)
         _require_group(path)
-    zarr_io.consolidate(path)
+    collect(path)
 
 
 def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs: Mapping[str, Any]) -> None:
@@ -114,19 +114,20 @@ def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs
         if HASH in attrs and zarr_io.open_group(draft).attrs[HASH] != attrs[HASH]:
             raise InputError(f"{folder} cannot be made again: the installed versions encode otherwise.")
         _require_group(path)
-    zarr_io.consolidate(path)
+    collect(path)
 
 
 def _require_group(path: Path) -> None:
     """Create the group of all label tracks, if there is none."""
-    if not (path / LABELS / zarr_io.META).exists():
-        zarr.create_group(path / LABELS, zarr_format=3)
+    with zarr_io.locked(path):
+        if not (path / LABELS / zarr_io.META).exists():
+            zarr.create_group(path / LABELS, zarr_format=3)
 
 
 def _write_draft(
     draft: Path,
-    rows: NDArray[np.int64],
     path: Path,
+    rows: NDArray[np.int64],
     layout: Layout,
     batches: Iterable[LabelTracks],
     attrs: Mapping[str, Any],
@@ -227,6 +228,29 @@ def verify_tracks(path: Path, name: str) -> None:
         zarr_io.check_collected(path, lambda member: f"{member}/".startswith(f"{LABELS}/{name}/"))
 
 
+def uncollected_tracks(path: Path) -> list[str]:
+    """Names of the label tracks that xarray misses, since the process that wrote them was killed.
+
+    :func:`collect` mends that.
+
+    Raises:
+        InputError: ``path`` is not a store, or is damaged.
+    """
+    return [name for name in list_tracks(path) if zarr_io.uncollected(path, f"{LABELS}/{name}")]
+
+
+def collect(path: Path) -> None:
+    """Collect the metadata of all label tracks that are there, so that xarray finds them.
+
+    Raises:
+        InputError: ``path`` cannot be changed.
+    """
+    zarr_io.check_writable(path)
+    _require_group(path)
+    with zarr_io.locked(path):  # of two that write at the same time, the later one finds the tracks of both
+        zarr_io.consolidate(path)
+
+
 def copy_tracks(source: Path, target: Path, name: str) -> None:
     """Copy a set of label tracks as it is, damaged or not, to another store of the same recordings, replacing its own.
 
@@ -244,7 +268,7 @@ def copy_tracks(source: Path, target: Path, name: str) -> None:
     with atomic_folder(folder, near=target, replace=folder.exists()) as draft:
         shutil.copytree(_folder(source, name), draft, symlinks=True)
         _require_group(target)
-    zarr_io.consolidate(target)
+    collect(target)
 
 
 def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
@@ -259,6 +283,20 @@ def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
         names = ", ".join(list_tracks(path)) or "none"
         raise InputError(f"{path} has no label tracks {name}; it has: {names}.")
     return dict(zarr_io.open_group(folder).attrs)
+
+
+def _own_attrs(path: Path, name: str) -> dict[str, Any]:
+    """The attributes of label tracks that label the recordings of this store; those of earlier versions do not say.
+
+    Raises:
+        InputError: they label others.
+    """
+    attrs, own = read_tracks_attrs(path, name), open_store(path).attrs.get(HASH)
+    if attrs.get(LABELLED, own) != own:
+        raise InputError(
+            f"{_folder(path, name)} labels other recordings than those of {path}; delete it and encode again."
+        )
+    return attrs
 
 
 def part_sizes(count: int) -> list[int]:
@@ -285,20 +323,6 @@ def choose_name(path: Path, name: str = "") -> str:
     """``name`` if the store has such label tracks; without a name, that of the only ones in the store.
 
     Raises:
-def _own_attrs(path: Path, name: str) -> dict[str, Any]:
-    """The attributes of label tracks that label the recordings of this store; those of earlier versions do not say.
-
-    Raises:
-        InputError: they label others.
-    """
-    attrs, own = read_tracks_attrs(path, name), open_store(path).attrs.get(HASH)
-    if attrs.get(LABELLED, own) != own:
-        raise InputError(
-            f"{_folder(path, name)} labels other recordings than those of {path}; delete it and encode again."
-        )
-    return attrs
-
-
         InputError: there are none, none of that name, or several and no name is given.
     """
     names = list_tracks(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import stat
@@ -153,6 +154,17 @@ def _fsspec(path: Path) -> Any:
         return require("fsspec.core", "cloud")
     except MissingPackage as error:
         raise InputError(f"{path} is a URL, and {error}") from error
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder, which one process has at a time; the kernel releases it however the process ends."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 class _Files(LocalStore):
@@ -344,6 +356,22 @@ def check_collected(path: Path, chosen: Callable[[str], bool]) -> None:
             own = load_json(path / name / META)
             if {**found, "consolidated_metadata": None} != {**own, "consolidated_metadata": None}:
                 raise InputError(f"{path} is damaged: {name}/{META} is not as in {META}. Import or copy it again.")
+
+
+def uncollected(path: Path, folder: str) -> list[str]:
+    """Members in a folder of a root group whose metadata :func:`consolidate` has not collected: xarray misses them.
+
+    Where nothing is collected, xarray finds everything: none. Neither are there any below a URL.
+
+    Raises:
+        InputError: the metadata of the root group are damaged.
+    """
+    if url_of(path) is not None:
+        return []
+    with reading(path):
+        there = [file.parent.relative_to(path).as_posix() for file in (path / folder).rglob(META)]
+        collected = _collected(path)
+    return sorted(set(there) - set(collected)) if collected else []
 
 
 def _collected(path: Path) -> dict[str, Any]:

@@ -69,6 +69,7 @@ class Doctor(Command):
         return {**found, "benchmark": speed, "problems": health.problems(found) + _slow(found["devices"], ratio)}
 
     def _store(self, path: Path) -> dict[str, Any]:
+        from rcbht_jax.io.label_store import collect
         from sim_mjx.validation import health
 
         found = health.check_store(path)
@@ -76,11 +77,16 @@ class Doctor(Command):
         if again:
             _simulate_again(path)
             found = health.check_store(path)
+        collected = found.uncollected if self.repair else []
+        if collected:
+            collect(path)
         if self.repair and found.tracks:
             encoded = _encode_again(path, found.tracks)
+        if collected or encoded:
             found = health.check_store(path)
         facts = {**asdict(found), "tracks": list(found.tracks)}
-        done = {"repaired": again or bool(encoded), "simulated_again": again, "encoded_tracks": encoded}
+        repaired = again or bool(encoded or collected)
+        done = {"repaired": repaired, "simulated_again": again, "encoded_tracks": encoded, "collected": collected}
         return {"store": str(path), **facts, **done}
 
     def exit_status(self, result: dict[str, Any]) -> int:
@@ -159,13 +165,15 @@ def _store_text(result: dict[str, Any]) -> str:
         lines.append("it was damaged and has been simulated again")
     if result["encoded_tracks"]:
         lines.append(f"label tracks were damaged and have been encoded again: {', '.join(result['encoded_tracks'])}")
+    if result["collected"]:
+        lines.append(f"metadata of label tracks were not collected and now are: {', '.join(result['collected'])}")
     repair = f'"rcbht doctor {result["store"]} --repair"'
     if not result["intact"] and result["repairable"]:
         lines.append(f"{repair} simulates it again from its seed, and keeps the label tracks")
     elif result["intact"] and result["tracks"]:
         lines.append(f"{repair} encodes the labels again from the stored wrenches: {', '.join(result['tracks'])}")
+    if result["uncollected"]:
+        lines.append(f"{repair} collects the metadata of {', '.join(result['uncollected'])}")
     if result["unknown"]:
-        lines.append(
-            f"label tracks that do not say how they were made cannot be repaired: {', '.join(result['unknown'])}"
-        )
+        lines.append(f"label tracks that cannot be made again as they were: {', '.join(result['unknown'])}")
     return "\n".join([*lines, *result["notes"]])

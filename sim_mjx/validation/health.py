@@ -19,7 +19,7 @@ from rcbht_jax._util import compile_cache
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.label_store import list_tracks, verify_tracks
+from rcbht_jax.io.label_store import list_tracks, uncollected_tracks, verify_tracks
 from sim_mjx import engines
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import shards
@@ -44,6 +44,7 @@ class StoreHealth:
     tracks: dict[str, dict[str, Any]]  # how the damaged label tracks are made, of those whose attributes say so
     intact: bool  # the recordings and their simulation are not damaged
     unknown: list[str]  # damaged label tracks of which it is not known how they are made
+    uncollected: list[str]  # label tracks that are whole, but that xarray misses
 
 
 def machine(folder: Path) -> dict[str, Any]:
@@ -116,13 +117,18 @@ def check_store(path: Path) -> StoreHealth:
             damage.append(f"{path} has {plural(count, 'recording')}; its simulation made {expected}.")
     intact = not damage
     tracks = _damaged_tracks(path, job, not difference, damage)
+    uncollected = [name for name in _read(partial(uncollected_tracks, path), []) or [] if name not in tracks]
+    if uncollected:
+        damage.append(
+            f"{path} lacks the metadata of {', '.join(uncollected)} among those it has collected: xarray misses them."
+        )
     if (folder := shards.folder_of(path)).is_dir():
         notes.append(f"{folder} {_state(folder)}")
     if difference:
         notes.append(difference)
     known = {name: how for name, how in tracks.items() if how is not None}
     unknown = [name for name in tracks if name not in known]
-    return StoreHealth(count, damage, notes, job is not None and not difference, known, intact, unknown)
+    return StoreHealth(count, damage, notes, job is not None and not difference, known, intact, unknown, uncollected)
 
 
 def _state(folder: Path) -> str:

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from rcbht_jax.cli.main import main
+from rcbht_jax.io import store
+from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.label_store import list_tracks, read_tracks, write_tracks
 from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.pipeline import synthesise
@@ -50,7 +52,7 @@ def test_only_damaged_tracks_are_made_again_whatever_other_tracks_have(
     said = capsys.readouterr().out
     assert "--repair" in said
     assert "encodes the labels again from the stored wrenches: mine, online-W5\n" in said
-    cannot = "label tracks that do not say how they were made cannot be repaired: by-hand\n"
+    cannot = "label tracks that cannot be made again as they were: by-hand\n"
     assert cannot in said
     found = doctor(capsys, 2, str(copy), "--repair")
     assert (found["encoded_tracks"], found["simulated_again"], found["unknown"]) == (
@@ -104,3 +106,33 @@ def test_a_store_whose_recordings_come_out_otherwise_keeps_its_tracks(
     assert "label tracks by-hand, by-hand-2, mine would be lost" in capsys.readouterr().err
     assert tree(copy) == before
     assert list_tracks(copy) == ["by-hand", "by-hand-2", "mine", "online-W5"]
+
+
+@pytest.mark.usefixtures("no_simulation")
+def test_labels_of_other_recordings_are_named_and_those_of_the_simulation_made_again(
+    copy: Path, labelled: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong, digest = "0" * 64, store.read_attrs(copy)["content_sha256"]
+    for name in ("mine", "online-W5"):
+        for file in (copy / "labels" / name / "zarr.json", copy / "zarr.json"):  # which holds a copy
+            file.write_text(file.read_text().replace(f'recordings_sha256": "{digest}', f'recordings_sha256": "{wrong}'))
+    assert main(["train", str(copy), "--tracks", "mine", "-o", str(copy.parent / "x.model")]) == 2
+    assert "labels other recordings than those of" in capsys.readouterr().err
+    found = doctor(capsys, 2, str(copy), "--repair")
+    assert (found["encoded_tracks"], found["unknown"]) == (["online-W5"], ["mine"])
+    assert tree(copy / "labels/online-W5") == tree(labelled / "labels/online-W5")
+
+
+@pytest.mark.usefixtures("no_simulation")
+def test_metadata_that_were_not_collected_are_collected(
+    copy: Path, labelled: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copy / "labels/by-hand").rename(copy.parent / "by-hand")
+    zarr_io.consolidate(copy)
+    (copy.parent / "by-hand").rename(copy / "labels/by-hand")  # whose process was killed after that
+    assert "xarray misses them" in doctor(capsys, 2, str(copy))["damage"][0]
+    assert main(["doctor", str(copy)]) == 2
+    assert '--repair" collects the metadata of by-hand\n' in capsys.readouterr().out
+    found = doctor(capsys, 0, str(copy), "--repair")
+    assert (found["collected"], found["encoded_tracks"]) == (["by-hand"], [])
+    assert tree(copy) == tree(labelled)
