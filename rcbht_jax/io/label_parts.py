@@ -19,7 +19,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Field, Layout, Part
-from rcbht_jax.io.store_schema import HASH, LABELS
+from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS, open_store, schema_in
 from rcbht_jax.io.store_writer import seal_whole
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
@@ -93,14 +93,18 @@ def part_of(folder: Path, number: int, tracks: LabelTracks) -> Part:
     return Part(folder, layout, number, made, values, tuple(made))
 
 
-def finish(folder: Path) -> None:
+def finish(folder: Path, store: Path) -> None:
     """Complete label tracks, all of whose parts are written.
 
+    Args:
+        folder: of the label tracks.
+        store: whose recordings they label, all of whose parts are written.
+
     Raises:
-        InputError: a part is missing.
+        InputError: a part is missing, or ``store`` is not a store.
     """
     group = zarr_io.open_group(folder, "r+")
-    seal_whole(group, _header(group))
+    seal_whole(group, _header(group), {LABELLED: _digest_of(store)})
 
 
 def check_part(folder: Path, number: int) -> None:
@@ -225,6 +229,14 @@ def _fields_in(group: zarr.Group) -> dict[str, Field]:
 
 def _header(group: zarr.Group) -> list[str]:
     return sorted(f"{name} {made.dtype}" for name, made in _fields_in(group).items())
+
+
+def _digest_of(store: Path) -> str:
+    """The digest that a store has, or will have when it is finished."""
+    group = open_store(store)
+    if HASH in group.attrs:
+        return str(group.attrs[HASH])
+    return parts.whole_digest(schema_in(group).header, [digest or "" for digest in parts.digests(group)])
 
 
 def _read_part(folder: Path, group: zarr.Group, number: int) -> LabelTracks:

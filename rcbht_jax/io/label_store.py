@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store import count_recordings, open_store, read_table, recording_rows
-from rcbht_jax.io.store_schema import HASH, LABELS
+from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.tasks import TrackBatches
 from rcbht_jax.types import LabelTrack, LabelTracks, TrackInfo
@@ -87,10 +88,9 @@ def write_batches(
     layout = Layout(int(rows[-1]) + 1, min(label_parts.PART, int(rows[-1]) + 1))
     # The draft is outside the store: readers list every folder inside it.
     with atomic_folder(folder, near=path) as draft:
-        _write_draft(draft, rows, layout, batches, attrs, created)
-        if not (path / LABELS / "zarr.json").exists():
-            zarr.create_group(path / LABELS, zarr_format=3)
-    zarr_io.consolidate(path)
+        _write_draft(draft, path, rows, layout, batches, attrs, created)
+        _require_group(path)
+    collect(path)
 
 
 def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs: Mapping[str, Any]) -> None:
@@ -108,18 +108,25 @@ def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs
     zarr_io.check_writable(path)
     rows, folder = recording_rows(path), _folder(path, name)
     layout = Layout(attrs["rows"], attrs["part_rows"])
-    own = {key: value for key, value in attrs.items() if key not in ("created", "rows", "part_rows", HASH)}
+    own = {key: value for key, value in attrs.items() if key not in ("created", "rows", "part_rows", HASH, LABELLED)}
     with atomic_folder(folder, near=path, replace=folder.exists()) as draft:
-        _write_draft(draft, rows, layout, batches, own, attrs["created"])
+        _write_draft(draft, path, rows, layout, batches, own, attrs["created"])
         if HASH in attrs and zarr_io.open_group(draft).attrs[HASH] != attrs[HASH]:
             raise InputError(f"{folder} cannot be made again: the installed versions encode otherwise.")
-        if not (path / LABELS / "zarr.json").exists():
+        _require_group(path)
+    collect(path)
+
+
+def _require_group(path: Path) -> None:
+    """Create the group of all label tracks, if there is none."""
+    with zarr_io.locked(path):
+        if not (path / LABELS / zarr_io.META).exists():
             zarr.create_group(path / LABELS, zarr_format=3)
-    zarr_io.consolidate(path)
 
 
 def _write_draft(
     draft: Path,
+    path: Path,
     rows: NDArray[np.int64],
     layout: Layout,
     batches: Iterable[LabelTracks],
@@ -135,7 +142,7 @@ def _write_draft(
         span = layout.span(number)
         places = rows[ends[number] - sizes[number] : ends[number]] - span.start
         label_parts.write_part(draft, number, label_parts.spread(batch, places, span.stop - span.start))
-    label_parts.finish(draft)
+    label_parts.finish(draft, path)
 
 
 def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any]]:
@@ -169,9 +176,8 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
-    folder = _folder(path, name)
-    attrs = read_tracks_attrs(path, name)
-    rows = recording_rows(path)
+    folder, rows = _folder(path, name), recording_rows(path)
+    attrs = _own_attrs(path, name)
     found = label_parts.read(folder, rows) if "part_rows" in attrs else iter([_read_old(folder, attrs, len(rows))])
     yield from label_parts.regroup(found, sizes)
 
@@ -182,7 +188,7 @@ def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
-    if "part_rows" in read_tracks_attrs(path, name):
+    if "part_rows" in _own_attrs(path, name):
         return label_parts.joined(list(label_parts.read(_folder(path, name), recording_rows(path)[numbers])))
     return label_parts.taken(_whole(path, name), numbers)
 
@@ -211,13 +217,58 @@ def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
 
 
 def verify_tracks(path: Path, name: str) -> None:
-    """Read a set of label tracks, part by part, and compare it with its checksums.
+    """Read a set of label tracks, part by part, and compare it with its checksums and the collected metadata.
 
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     for _ in read_batches(path, name, part_sizes(count_recordings(path))):
         pass
+    if "part_rows" in read_tracks_attrs(path, name):
+        zarr_io.check_collected(path, lambda member: f"{member}/".startswith(f"{LABELS}/{name}/"))
+
+
+def uncollected_tracks(path: Path) -> list[str]:
+    """Names of the label tracks that xarray misses, since the process that wrote them was killed.
+
+    :func:`collect` mends that.
+
+    Raises:
+        InputError: ``path`` is not a store, or is damaged.
+    """
+    return [name for name in list_tracks(path) if zarr_io.uncollected(path, f"{LABELS}/{name}")]
+
+
+def collect(path: Path) -> None:
+    """Collect the metadata of all label tracks that are there, so that xarray finds them.
+
+    Raises:
+        InputError: ``path`` cannot be changed.
+    """
+    zarr_io.check_writable(path)
+    _require_group(path)
+    with zarr_io.locked(path):  # of two that write at the same time, the later one finds the tracks of both
+        zarr_io.consolidate(path)
+
+
+def copy_tracks(source: Path, target: Path, name: str) -> None:
+    """Copy a set of label tracks as it is, damaged or not, to another store of the same recordings, replacing its own.
+
+    Args:
+        source: store that has the label tracks.
+        target: store of the same recordings in the same parts.
+        name: of the label tracks.
+
+    Raises:
+        InputError: the stores have other recordings, by their digests.
+    """
+    if open_store(source).attrs[HASH] != open_store(target).attrs[HASH]:
+        raise InputError(f"{target} has other recordings than {source}, so that label tracks {name} are not theirs.")
+    folder = _folder(target, name)
+    with atomic_folder(folder, near=target, replace=folder.exists()) as draft:
+        shutil.copytree(_folder(source, name), draft, symlinks=True)
+        _require_group(target)
+    collect(target)
 
 
 def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
@@ -232,6 +283,20 @@ def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
         names = ", ".join(list_tracks(path)) or "none"
         raise InputError(f"{path} has no label tracks {name}; it has: {names}.")
     return dict(zarr_io.open_group(folder).attrs)
+
+
+def _own_attrs(path: Path, name: str) -> dict[str, Any]:
+    """The attributes of label tracks that label the recordings of this store; those of earlier versions do not say.
+
+    Raises:
+        InputError: they label others.
+    """
+    attrs, own = read_tracks_attrs(path, name), open_store(path).attrs.get(HASH)
+    if attrs.get(LABELLED, own) != own:
+        raise InputError(
+            f"{_folder(path, name)} labels other recordings than those of {path}; delete it and encode again."
+        )
+    return attrs
 
 
 def part_sizes(count: int) -> list[int]:

@@ -9,14 +9,12 @@ whose writing was interrupted counts as missing.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -169,7 +167,7 @@ def write(part: Part) -> None:
     for name, made in part.fields.items():
         write_array(group, name, part.layout, part.number, made, np.asarray(part.values[name]))
     if any(made.grows for made in part.fields.values()):
-        with _locked(part.folder):  # others may be growing the same arrays
+        with zarr_io.locked(part.folder):  # others may be growing the same arrays
             for name, made in part.fields.items():
                 if (axis := made.grows) is not None:
                     _widen(part.folder / name / "zarr.json", axis, np.shape(part.values[name])[axis])
@@ -373,16 +371,6 @@ def _widen(metadata: Path, axis: int, width: int) -> None:
         content["shape"][axis] = width
         with atomic_write(metadata) as draft:
             draft.write_text(json.dumps(content, indent=2))
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
 
 
 def _trimmed(values: NDArray[Any], axis: int | None) -> NDArray[Any]:

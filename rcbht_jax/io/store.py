@@ -37,7 +37,7 @@ from rcbht_jax.io import parts, store_reader, store_v1, store_v2, store_writer
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import VARIABLES, validate
 from rcbht_jax.io.store_reader import Stored
-from rcbht_jax.io.store_schema import FORMAT, FORMAT_VERSION, HASH, SIMULATION, open_store, schema_of
+from rcbht_jax.io.store_schema import FORMAT, FORMAT_VERSION, HASH, LABELS, SIMULATION, open_store, schema_of
 from rcbht_jax.io.summary import Summary, summary_of
 from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.types import Recordings
@@ -275,7 +275,7 @@ def verify(path: Path | str) -> None:
     if stored.schema.simulation:
         store_reader.check_simulation(stored)
     parts.each(partial(store_reader.check_part, stored), range(len(stored.schema.layout)))
-    zarr_io.check_collected(path)
+    zarr_io.check_collected(path, lambda name: name.split("/")[0] != LABELS)
 
 
 def is_finished(path: Path) -> bool:

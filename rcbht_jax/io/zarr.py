@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import stat
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -26,6 +27,7 @@ with needs_extra("store"):
     from zarr.abc.store import ByteRequest
     from zarr.codecs import Crc32cCodec, ZstdCodec
     from zarr.core.buffer import Buffer, BufferPrototype
+    from zarr.core.group import GroupMetadata
     from zarr.core.metadata import ArrayV3Metadata
     from zarr.storage import LocalStore
 
@@ -154,6 +156,17 @@ def _fsspec(path: Path) -> Any:
         raise InputError(f"{path} is a URL, and {error}") from error
 
 
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder, which one process has at a time; the kernel releases it however the process ends."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
 class _Files(LocalStore):
     """The files of a store, which may be pipes, devices or links in an untrusted store."""
 
@@ -184,6 +197,23 @@ class _Files(LocalStore):
         most = MAX_JSON_BYTES if key.endswith(".json") else MAX_BYTES
         if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)) or status.st_size > most:
             raise ValueError(f"{key} is not a regular file of at most {most} bytes")
+
+
+class _Readable(_Files):
+    """The files of a store, without the groups and arrays whose metadata are damaged."""
+
+    async def get(
+        self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
+    ) -> Buffer | None:
+        if not key.endswith(f"/{META}"):
+            return await super().get(key, prototype, byte_range)
+        try:
+            if (found := await super().get(key, prototype, byte_range)) is not None:
+                content = json.loads(found.to_bytes())
+                (ArrayV3Metadata if content["node_type"] == "array" else GroupMetadata).from_dict(content)
+        except Exception:  # damaged metadata can fail in any way inside zarr
+            return None
+        return found
 
 
 @contextmanager
@@ -296,15 +326,22 @@ def subgroup(group: zarr.Group, name: str) -> zarr.Group:
 
 @uninterrupted()
 def consolidate(path: Path) -> None:
-    """Collect the metadata of all members in the root group, which makes opening by xarray one read."""
+    """Collect the metadata of all members in the root group, which makes opening by xarray one read.
+
+    Members whose metadata are damaged, such as a damaged label track beside a new one, are left out.
+    """
     with warnings.catch_warnings():
         # Consolidated metadata is an extension of Zarr v3; readers without it ignore it.
         warnings.simplefilter("ignore")
-        zarr.consolidate_metadata(path, zarr_format=3)
+        zarr.consolidate_metadata(_Readable(path), zarr_format=3)
 
 
-def check_collected(path: Path) -> None:
-    """Compare the metadata of all members with what :func:`consolidate` collected of them, which xarray reads.
+def check_collected(path: Path, chosen: Callable[[str], bool]) -> None:
+    """Compare the metadata of members with what :func:`consolidate` collected of them, which xarray reads.
+
+    Args:
+        path: of the root group.
+        chosen: whether a member is compared, by its name in the group, such as "columns/mass".
 
     Raises:
         InputError: they differ. Of a URL, only what was collected is read.
@@ -312,10 +349,31 @@ def check_collected(path: Path) -> None:
     if url_of(path) is not None:
         return
     with reading(path):
-        collected = load_json(path / META).get("consolidated_metadata") or {"metadata": {}}
-        for name, found in collected["metadata"].items():
-            if not (path / name / META).exists():  # its readers miss it, or it is a label track that was deleted
+        for name, found in _collected(path).items():
+            # without a file its readers miss it, or it is a label track that was deleted
+            if not (chosen(name) and (path / name / META).exists()):
                 continue
             own = load_json(path / name / META)
             if {**found, "consolidated_metadata": None} != {**own, "consolidated_metadata": None}:
                 raise InputError(f"{path} is damaged: {name}/{META} is not as in {META}. Import or copy it again.")
+
+
+def uncollected(path: Path, folder: str) -> list[str]:
+    """Members in a folder of a root group whose metadata :func:`consolidate` has not collected: xarray misses them.
+
+    Where nothing is collected, xarray finds everything: none. Neither are there any below a URL.
+
+    Raises:
+        InputError: the metadata of the root group are damaged.
+    """
+    if url_of(path) is not None:
+        return []
+    with reading(path):
+        there = [file.parent.relative_to(path).as_posix() for file in (path / folder).rglob(META)]
+        collected = _collected(path)
+    return sorted(set(there) - set(collected)) if collected else []
+
+
+def _collected(path: Path) -> dict[str, Any]:
+    """What :func:`consolidate` collected in a root group: metadata by name of the member."""
+    return (load_json(path / META).get("consolidated_metadata") or {"metadata": {}})["metadata"]

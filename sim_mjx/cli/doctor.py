@@ -36,9 +36,9 @@ class Doctor(Command):
     repair: Annotated[
         Flag,
         option(
-            "Encode damaged label tracks again from the stored wrenches; if more is damaged, simulate the store again "
-            'from its seed, if the installed versions are those that made it: label tracks of "rcbht encode" are lost '
-            "then, and the result lists them."
+            "Encode damaged label tracks again from the stored wrenches, if they say how they were made. If the "
+            "recordings or their simulation are damaged, simulate them again from their seed, if the installed "
+            "versions are those that made them. All other label tracks are kept as they are."
         ),
     ] = False
 
@@ -69,19 +69,25 @@ class Doctor(Command):
         return {**found, "benchmark": speed, "problems": health.problems(found) + _slow(found["devices"], ratio)}
 
     def _store(self, path: Path) -> dict[str, Any]:
+        from rcbht_jax.io.label_store import collect
         from sim_mjx.validation import health
 
         found = health.check_store(path)
-        encoded, lost = list[str](), list[str]()
-        repaired = self.repair and bool(found.damage)
-        if repaired and found.tracks:
+        encoded, again = list[str](), self.repair and not found.intact
+        if again:
+            _simulate_again(path)
+            found = health.check_store(path)
+        collected = found.uncollected if self.repair else []
+        if collected:
+            collect(path)
+        if self.repair and found.tracks:
             encoded = _encode_again(path, found.tracks)
-        elif repaired:
-            lost = _simulate_again(path)
-        if repaired:
+        if collected or encoded:
             found = health.check_store(path)
         facts = {**asdict(found), "tracks": list(found.tracks)}
-        return {"store": str(path), **facts, "repaired": repaired, "encoded_tracks": encoded, "lost_tracks": lost}
+        repaired = again or bool(encoded or collected)
+        done = {"repaired": repaired, "simulated_again": again, "encoded_tracks": encoded, "collected": collected}
+        return {"store": str(path), **facts, **done}
 
     def exit_status(self, result: dict[str, Any]) -> int:
         return 2 if result.get("damage") else 0
@@ -91,27 +97,36 @@ class Doctor(Command):
 
 
 def _encode_again(path: Path, tracks: dict[str, dict[str, Any]]) -> list[str]:
-    """Make damaged label tracks again; their names."""
+    """Make damaged label tracks again; their names.
+
+    Raises:
+        InputError: some come out otherwise, and are left as they are; the others have been made.
+    """
     from rcbht_jax.io.store import read_lengths
     from sim_mjx.validation.label_repair import encode_again
 
+    refused = list[str]()
     with progress_bar("encode", "samples", len(tracks) * int(read_lengths(path).sum()), unit_scale=True) as bar:
         for name, how in tracks.items():
-            encode_again(path, name, how, bar.update)
+            try:
+                encode_again(path, name, how, bar.update)
+            except InputError as error:
+                refused.append(str(error))
+    if refused:
+        raise InputError(" ".join(refused))
     return list(tracks)
 
 
-def _simulate_again(path: Path) -> list[str]:
-    """Make a store again; the names of the label tracks that are lost."""
+def _simulate_again(path: Path) -> None:
+    """Make the recordings of a store and their simulation again; its label tracks are kept."""
     from sim_mjx.cli.simulate import show
     from sim_mjx.synthesis.pipeline import synthesise
     from sim_mjx.validation import health
+    from sim_mjx.validation.label_repair import keep_tracks
 
     job = health.repair_job(path)
-    lost = health.other_tracks(path, job)
     with progress_bar("simulate", "trials", job.trials) as bar:
-        synthesise(path, job, overwrite=True, progress=partial(show, bar))
-    return lost
+        synthesise(path, job, overwrite=True, progress=partial(show, bar), ready=partial(keep_tracks, path))
 
 
 def _slow(devices: list[str], ratio: float) -> list[str]:
@@ -146,17 +161,19 @@ def _store_text(result: dict[str, Any]) -> str:
     lines += [f"damaged: {sentence}" for sentence in result["damage"]] or [
         "every checksum is right, nothing is missing"
     ]
+    if result["simulated_again"]:
+        lines.append("it was damaged and has been simulated again")
     if result["encoded_tracks"]:
         lines.append(f"label tracks were damaged and have been encoded again: {', '.join(result['encoded_tracks'])}")
-    elif result["repaired"]:
-        lines.append("it was damaged and has been simulated again")
-        if result["lost_tracks"]:
-            tracks = ", ".join(result["lost_tracks"])
-            lines.append(
-                f'label tracks that its simulation did not make are gone: {tracks}; make them with "rcbht encode"'
-            )
-    elif result["tracks"]:
-        lines.append(f'"rcbht doctor {result["store"]} --repair" encodes the labels again from the stored wrenches')
-    elif result["damage"] and result["repairable"]:
-        lines.append(f'"rcbht doctor {result["store"]} --repair" makes it again from its seed')
+    if result["collected"]:
+        lines.append(f"metadata of label tracks were not collected and now are: {', '.join(result['collected'])}")
+    repair = f'"rcbht doctor {result["store"]} --repair"'
+    if not result["intact"] and result["repairable"]:
+        lines.append(f"{repair} simulates it again from its seed, and keeps the label tracks")
+    elif result["intact"] and result["tracks"]:
+        lines.append(f"{repair} encodes the labels again from the stored wrenches: {', '.join(result['tracks'])}")
+    if result["uncollected"]:
+        lines.append(f"{repair} collects the metadata of {', '.join(result['uncollected'])}")
+    if result["unknown"]:
+        lines.append(f"label tracks that cannot be made again as they were: {', '.join(result['unknown'])}")
     return "\n".join([*lines, *result["notes"]])

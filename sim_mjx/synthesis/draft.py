@@ -102,7 +102,7 @@ class Draft:
                 "your own, what its controller commands."
             )
         if self.job.window is not None:
-            label_parts.finish(self._labels)
+            label_parts.finish(self._labels, self.path)
         store_writer.finish(self.path, {descriptions.DIVERGED: diverged})
         parts.flush_rest(self.path)  # parts were flushed as they were written
 

@@ -72,6 +72,7 @@ def synthesise(
     notice: Callable[[str], None] | None = None,
     helpers: Helpers | None = None,
     lanes: int | None = None,
+    ready: Callable[[Path], object] | None = None,
 ) -> SynthesisReport:
     """Simulate a set of trials into a store; an interrupted run resumes from its finished shards.
 
@@ -87,6 +88,7 @@ def synthesise(
         helpers: starts other workers of the same job and waits for them; this process does the remaining work.
         lanes: largest number of trials that a device steps together; the number of trials, the device's memory and
             ``LANES`` also limit it. Default: only these limits.
+        ready: called with the complete store before it takes its place; what it raises keeps the store that is there.
 
     Raises:
         InputError: impossible options, the target exists, the work folder belongs to other options, shards failed
@@ -115,7 +117,7 @@ def synthesise(
             if finished:
                 shards.remove(folder)
             else:
-                _complete(target, draft, overwrite)
+                _complete(target, draft, overwrite, ready)
     shards.close(folder)
     if not _is_made_by(target, manifest):
         raise InputError(f"{folder} was removed while its trials were simulated; run the same command again.")
@@ -185,10 +187,12 @@ def _check_lanes(lanes: int | None) -> None:
         raise InputError(f"The number of lanes is {lanes}; expected 1 or more.")
 
 
-def _complete(target: Path, draft: Draft, overwrite: bool) -> None:
+def _complete(target: Path, draft: Draft, overwrite: bool, ready: Callable[[Path], object] | None = None) -> None:
     """Have the store at its place, complete; the caller holds the claim "join"."""
     if overwrite or not _is_result(target, draft.manifest):  # which another has just made, and was killed
         draft.finish()
+        if ready is not None:
+            ready(draft.path)
         store.check_target(target, overwrite)  # again: something may have appeared there meanwhile
         if target.exists():
             target.rename(draft.folder / f"replaced-{time.time_ns()}.zarr")

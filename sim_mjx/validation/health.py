@@ -19,7 +19,7 @@ from rcbht_jax._util import compile_cache
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.label_store import list_tracks, verify_tracks
+from rcbht_jax.io.label_store import list_tracks, uncollected_tracks, verify_tracks
 from sim_mjx import engines
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import shards
@@ -41,7 +41,10 @@ class StoreHealth:
     damage: list[str]  # what is damaged or missing, in sentences
     notes: list[str]  # what is no damage, but good to know, in sentences
     repairable: bool  # the installed code makes the same trials from the seed
-    tracks: dict[str, dict[str, Any]]  # how the label tracks are made that alone are damaged; empty = more is damaged
+    tracks: dict[str, dict[str, Any]]  # how the damaged label tracks are made, of those whose attributes say so
+    intact: bool  # the recordings and their simulation are not damaged
+    unknown: list[str]  # damaged label tracks of which it is not known how they are made
+    uncollected: list[str]  # label tracks that are whole, but that xarray misses
 
 
 def machine(folder: Path) -> dict[str, Any]:
@@ -104,32 +107,28 @@ def check_store(path: Path) -> StoreHealth:
     damage: list[str] = []
     notes: list[str] = []
     _read(partial(store.verify, path), damage)
-    count = _read(partial(store.count_recordings, path), []) or 0  # damage of the lengths is already reported
-    names = _read(partial(list_tracks, path), damage) or []
-    alone, tracks = not damage, dict[str, dict[str, Any] | None]()
-    for name in names:
-        before = len(damage)
-        _read(partial(verify_tracks, path, name), damage)
-        if len(damage) > before:
-            tracks[name] = made_how(path, name)
-    if (folder := shards.folder_of(path)).is_dir():
-        notes.append(f"{folder} {_state(folder)}")
+    # damage of the lengths is already reported
+    count = _read(partial(store.count_recordings, path), [] if damage else damage) or 0
     simulated = attrs.get("simulated")
-    if simulated is None:
-        return StoreHealth(count, damage, notes, False, _known(tracks, alone))
-    job, difference = _made_by(simulated)
+    job, difference = (None, "") if simulated is None else _made_by(simulated)
     if job is not None and not damage:
         expected = (job.trials - len(attrs.get("diverged", []))) * len(get_scenario(job.preset).arms)
         if count != expected:
             damage.append(f"{path} has {plural(count, 'recording')}; its simulation made {expected}.")
-            alone = False
-        name = f"online-W{job.window}"
-        if job.window is not None and name not in names:
-            damage.append(f"{path} lacks its labels {name}.")
-            tracks[name] = None if difference else simulated_how(path, job)
+    intact = not damage
+    tracks = _damaged_tracks(path, job, not difference, damage)
+    uncollected = [name for name in _read(partial(uncollected_tracks, path), []) or [] if name not in tracks]
+    if uncollected:
+        damage.append(
+            f"{path} lacks the metadata of {', '.join(uncollected)} among those it has collected: xarray misses them."
+        )
+    if (folder := shards.folder_of(path)).is_dir():
+        notes.append(f"{folder} {_state(folder)}")
     if difference:
         notes.append(difference)
-    return StoreHealth(count, damage, notes, job is not None and not difference, _known(tracks, alone))
+    known = {name: how for name, how in tracks.items() if how is not None}
+    unknown = [name for name in tracks if name not in known]
+    return StoreHealth(count, damage, notes, job is not None and not difference, known, intact, unknown, uncollected)
 
 
 def _state(folder: Path) -> str:
@@ -139,10 +138,33 @@ def _state(folder: Path) -> str:
     return "is a leftover, not of a simulation that goes on or can be resumed; it may be deleted."
 
 
-def _known(tracks: dict[str, dict[str, Any] | None], alone: bool) -> dict[str, dict[str, Any]]:
-    """How the damaged label tracks are made, if nothing else is damaged and all of it is known."""
-    known = {name: how for name, how in tracks.items() if how is not None}
-    return known if alone and len(known) == len(tracks) else {}
+def _damaged_tracks(
+    path: Path, job: SynthesisConfig | None, same: bool, damage: list[str]
+) -> dict[str, dict[str, Any] | None]:
+    """Label tracks that are damaged, or missing though the job makes them, and how they are made; None = not known.
+
+    Args:
+        path: of the store.
+        job: that made the store.
+        same: the installed code makes what the job made.
+        damage: gets a sentence for each.
+    """
+    found = dict[str, dict[str, Any] | None]()
+    names = _read(partial(list_tracks, path), damage) or []
+    for name in names:
+        reasons = list[str]()
+        _read(partial(verify_tracks, path, name), reasons)
+        if reasons:
+            found[name] = made_how(path, name)
+            damage += [reason for reason in reasons if reason not in damage]
+    if job is not None and job.window is not None:
+        own = f"online-W{job.window}"
+        if own not in names:
+            damage.append(f"{path} lacks its labels {own}.")
+            found[own] = None
+        if same and own in found and found[own] is None:
+            found[own] = simulated_how(path, job)
+    return found
 
 
 def repair_job(path: Path) -> SynthesisConfig:
@@ -160,11 +182,6 @@ def repair_job(path: Path) -> SynthesisConfig:
         raise InputError(f"{path} cannot be made again: {difference}")
     rows = attrs.get("part_rows")  # recordings; stores of earlier versions have no parts
     return replace(job, shard=max(1, rows // len(get_scenario(job.preset).arms))) if isinstance(rows, int) else job
-
-
-def other_tracks(path: Path, job: SynthesisConfig) -> list[str]:
-    """Label tracks of a store that its simulation did not make, and would not make again."""
-    return [name for name in _read(partial(list_tracks, path), []) or [] if name != f"online-W{job.window}"]
 
 
 def _made_by(simulated: dict[str, Any]) -> tuple[SynthesisConfig | None, str]:

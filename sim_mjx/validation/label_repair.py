@@ -11,8 +11,8 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import encoder_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.label_store import read_tracks_attrs, replace_batches
-from rcbht_jax.io.store_schema import HASH
+from rcbht_jax.io.label_store import copy_tracks, list_tracks, read_tracks_attrs, replace_batches, verify_tracks
+from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS
 from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.synthesis.draft import CREATED
@@ -22,9 +22,11 @@ from sim_mjx.synthesis.plan import SynthesisConfig, label_attrs
 def made_how(path: Path, name: str) -> dict[str, Any] | None:
     """The attributes of damaged label tracks, if they say how to make them again and by which checksum to know them."""
     try:
-        attrs = read_tracks_attrs(path, name)
+        attrs, own = read_tracks_attrs(path, name), store.read_attrs(path).get(HASH)
         _encoder(attrs)
     except (InputError, KeyError, TypeError, ValueError):
+        return None
+    if attrs.get(LABELLED, own) != own:  # their checksum is that of the labels of other recordings
         return None
     return attrs if {HASH, "rows", "part_rows", "created"} <= set(attrs) else None
 
@@ -57,6 +59,38 @@ def encode_again(path: Path, name: str, attrs: dict[str, Any], progress: Callabl
             progress(int(part.length.sum()))
 
     replace_batches(path, name, tracks(), attrs)
+
+
+def keep_tracks(path: Path, again: Path) -> None:
+    """Copy the label tracks of a damaged store to its recordings that were simulated again.
+
+    Damaged ones are copied too, unless the simulation has made them again.
+
+    Args:
+        path: of the damaged store.
+        again: its recordings, simulated again.
+
+    Raises:
+        InputError: the recordings have come out otherwise, so that the label tracks would be lost.
+    """
+    names, made = list_tracks(path), list_tracks(again)
+    if store.read_attrs(path)[HASH] == store.read_attrs(again)[HASH]:
+        for name in names:
+            if name not in made or _is_whole(path, name):
+                copy_tracks(path, again, name)
+    elif lost := [name for name in names if name not in made]:
+        raise InputError(
+            f"{path} is left as it is: its recordings come out otherwise when they are simulated again, and label "
+            f"tracks {', '.join(lost)} would be lost; move these out of {path / LABELS} to have it made without them."
+        )
+
+
+def _is_whole(path: Path, name: str) -> bool:
+    try:
+        verify_tracks(path, name)
+    except InputError:
+        return False
+    return True
 
 
 def _encoder(attrs: dict[str, Any]) -> Callable[[Recordings], LabelTracks]:

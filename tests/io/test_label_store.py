@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import shutil
 import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +19,7 @@ from hypothesis import given, settings
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_store, parts, store
+from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.types import LabelTrack, LabelTracks, TrackInfo
 from tests.support.store_cases import files, folder_is_clean, same, simple
 
@@ -136,3 +141,62 @@ def test_interrupted_tracks_leave_the_store_as_it_was(path: Path, monkeypatch: p
     assert label_store.list_tracks(path) == []
     folder_is_clean(path.parent, "trials.zarr")
     same(store.read_recordings(path), simple())
+
+
+def test_labels_of_other_recordings_are_refused(path: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.zarr"
+    store.write_recordings(other, dataclasses.replace(simple(), wrench=2 * simple().wrench), {})
+    label_store.write_tracks(other, "x", label_tracks(), {"recordings_sha256": "any"})
+    assert label_store.read_tracks(other, "x")[1]["recordings_sha256"] == store.read_attrs(other)["content_sha256"]
+    shutil.copytree(other / "labels", path / "labels")
+    for use in (
+        lambda: label_store.read_tracks(path, "x"),
+        lambda: label_store.read_rows(path, "x", np.array([1])),
+        lambda: label_store.verify_tracks(path, "x"),
+    ):
+        with pytest.raises(InputError, match="labels/x labels other recordings than those of"):
+            use()
+    content = json.loads((path / "labels/x/zarr.json").read_text())
+    del content["attributes"]["recordings_sha256"]  # as of earlier versions
+    (path / "labels/x/zarr.json").write_text(json.dumps(content))
+    same_tracks(label_store.read_tracks(path, "x")[0], label_tracks())
+
+
+def test_tracks_whose_metadata_are_not_collected_are_found(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def killed(_: Path) -> None:
+        raise KeyboardInterrupt
+
+    label_store.write_tracks(path, "first", label_tracks(), {})
+    with monkeypatch.context() as patch:
+        patch.setattr("rcbht_jax.io.zarr.consolidate", killed)
+        with pytest.raises(KeyboardInterrupt):
+            label_store.write_tracks(path, "second", label_tracks(), {})
+    assert label_store.uncollected_tracks(path) == ["second"]
+    shutil.copytree(path, again := path.with_name("again.zarr"))
+    label_store.collect(path)
+    label_store.write_tracks(again, "third", label_tracks(), {})
+    for repaired in (path, again):
+        assert label_store.uncollected_tracks(repaired) == []
+        assert xr.open_zarr(repaired, group="labels/second/llb")["label"].shape == (3, 6, 1)
+        collected = json.loads((repaired / "zarr.json").read_text())["consolidated_metadata"]["metadata"]
+        assert "labels/second/llb/label" in collected
+
+
+def test_of_two_that_write_at_the_same_time_the_later_one_collects_both(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While one process collects, which may miss a new track, the other one waits."""
+    real, inside, most = zarr_io.consolidate, list[int](), list[int]()
+
+    def slow(where: Path) -> None:
+        inside.append(1)
+        most.append(len(inside))
+        time.sleep(0.1)
+        real(where)
+        inside.pop()
+
+    monkeypatch.setattr(zarr_io, "consolidate", slow)
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda name: label_store.write_tracks(path, name, label_tracks(), {}), ["a", "b"]))
+    assert most == [1, 1]
+    assert label_store.uncollected_tracks(path) == []

@@ -88,7 +88,7 @@ def trimmed(part: Recordings) -> Recordings:
 
 
 def finish(path: Path) -> Path:
-    label_parts.finish(path / "labels" / "x")
+    label_parts.finish(path / "labels" / "x", path)
     store_writer.finish(path)
     return path
 
