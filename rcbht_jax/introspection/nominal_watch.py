@@ -25,7 +25,8 @@ class NominalWatch:
 
     Args:
         file: a fitted monitor, and the axes that it reads.
-        false_alarms: share of nominal recordings that may raise an alarm.
+        false_alarms: share of nominal recordings that may raise an alarm, if they last no longer than those that set
+            the threshold; call :meth:`reset` when the skill ends.
 
     Raises:
         InputError: too few recordings set the threshold for this share.
