@@ -177,6 +177,7 @@ class EventHub:
         self._callbacks: list[tuple[Callback, tuple[type[Event], ...]]] = []
         self._queues: list[tuple[asyncio.Queue[Event | None], tuple[type[Event], ...]]] = []
         self._backlog = backlog
+        self._closed = False
         self.dropped = 0  # events that a slow iterator lost, oldest first
 
     def subscribe(self, callback: Callback, *kinds: type[Event]) -> Callable[[], None]:
@@ -198,26 +199,28 @@ class EventHub:
                     callback(event)
             for queue, kinds in self._queues:
                 if isinstance(event, kinds):
-                    self._put(queue, event)
-
-    def _put(self, queue: asyncio.Queue[Event | None], event: Event | None) -> None:
-        if queue.full():  # a reader that sleeps must not make the robot's memory grow
-            queue.get_nowait()
-            self.dropped += 1
-        queue.put_nowait(event)
+                    if queue.qsize() >= self._backlog:  # a reader that sleeps must not make the robot's memory grow
+                        queue.get_nowait()
+                        self.dropped += 1
+                    queue.put_nowait(event)
 
     def close(self) -> None:
-        """End all iterators once they have read what is left."""
+        """End all iterators once they have read what is left, and later ones at once; callbacks are still called."""
+        self._closed = True
         for queue, _ in self._queues:
-            self._put(queue, None)
+            queue.put_nowait(None)
+        self._queues = []  # nothing comes after the end
 
     def events(self, *kinds: type[Event]) -> AsyncIterator[Event]:
         """Events of these types (none = all) from now on; ends with :meth:`close`."""
         if self._backlog < 1:
             raise InputError(f"a backlog of {self._backlog} events cannot be iterated; at least one is needed.")
-        queue: asyncio.Queue[Event | None] = asyncio.Queue(self._backlog)
+        queue: asyncio.Queue[Event | None] = asyncio.Queue()  # of backlog events at most, and the end
         entry = (queue, kinds or (Event,))
-        self._queues.append(entry)
+        if self._closed:
+            queue.put_nowait(None)
+        else:
+            self._queues.append(entry)
         return self._iterate(entry)
 
     async def _iterate(
@@ -227,4 +230,5 @@ class EventHub:
             while (event := await entry[0].get()) is not None:
                 yield event
         finally:
-            self._queues.remove(entry)
+            if entry in self._queues:
+                self._queues.remove(entry)

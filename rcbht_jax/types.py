@@ -67,7 +67,7 @@ class LabelTrack(ByValue):
     emit: Int[Array, "*slots"]  # int32, number of samples received when the label was published; -1 = not online
     vmax: Float[Array, "*slots"]  # largest value of the fitted lines, N or Nm
     vmin: Float[Array, "*slots"]  # smallest value of the fitted lines, N or Nm
-    avg: Float[Array, "*slots"]  # duration-weighted mean, N or Nm
+    avg: Float[Array, "*slots"]  # duration-weighted mean, N or Nm, from vmin to vmax
     grad: Float[Array, "*slots"]  # duration-weighted slope, N/s or Nm/s
 
 

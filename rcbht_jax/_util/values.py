@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,3 +115,19 @@ class ByValue:
 
     def __eq__(self, other: object) -> bool:
         return same(self, other)
+
+
+class Copyable:
+    """Base of streams: ``copy.copy`` and ``copy.deepcopy`` give one that goes on from here without the original."""
+
+    _fixed: ClassVar[tuple[str, ...]] = ()  # attributes whose values never change; copies share them
+
+    def __copy__(self) -> Any:
+        return copy.deepcopy(self)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
+        own = memo[id(self)] = object.__new__(type(self))
+        fixed = (getattr(self, name) for name in self._fixed)
+        memo.update((id(value), value) for value in fixed)
+        own.__dict__.update((name, copy.deepcopy(value, memo)) for name, value in vars(self).items())
+        return own

@@ -27,7 +27,10 @@ if TYPE_CHECKING:
 MONITOR = MadeBy('"rcbht monitor fit STORE.zarr -o {path}"')
 Where = Annotated[tuple[str, ...], option("Recordings to use: COLUMN=VALUE; if several, all must hold.", "all")]
 Group = Annotated[str, option("Column of the days or sessions between which recordings differ.")]
-FalseAlarms = Annotated[float, option("Share of nominal recordings that may raise an alarm.")]
+FalseAlarms = Annotated[
+    float,
+    option("Share of nominal recordings that may raise an alarm, if they last no longer than those of the monitor."),
+]
 USUAL_RATE = 20.0  # scores per second
 ScoreRate = Annotated[float | None, option("Scores per second.", f"{USUAL_RATE:g}, or the store's rate if it is lower")]
 AUTO, NONE = ("auto",), ("none",)

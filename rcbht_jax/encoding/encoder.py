@@ -386,8 +386,14 @@ def unpack_segments(ints: Array, reals: Array) -> list[Segment]:
 
 
 def track_of(x: Segment, emit: Array, divide: segments.Divide = division.quotient) -> LabelTrack:
-    """Published form of segments: means instead of sums, zeros where empty."""
+    """Published form of segments: means instead of sums, zeros where empty.
+
+    A mean beyond the extremes, as rounding makes of a very long word (:func:`rcbht_jax.encoding.pipe.merge`), becomes
+    the nearer of them; the slope has no such bound.
+    """
     samples = jnp.maximum(x.t1 - x.t0, 1).astype(x.area.dtype)
     avg, grad = divide(x.area, samples), divide(x.rise, samples)
+    # Not by minima and maxima: where they are equal, those halve derivatives.
+    avg = jnp.where(avg > x.vmax, x.vmax, jnp.where(avg < x.vmin, x.vmin, avg))
     track = LabelTrack(x.label.astype(jnp.int8), x.t0, x.t1, emit, x.vmax, x.vmin, avg, grad)
     return jax.tree.map(lambda leaf: jnp.where(x.label > 0, leaf, jnp.zeros_like(leaf)), track)

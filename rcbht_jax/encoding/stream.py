@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from rcbht_jax._util.compiling import host_device, jit
 from rcbht_jax._util.signals import in_precision, numbers_of, read_chunk
-from rcbht_jax._util.values import LARGEST, usable
+from rcbht_jax._util.values import LARGEST, Copyable, usable
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.fit import FitConfig, running, step
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
@@ -63,7 +63,7 @@ def _check_precision(dtype: np.dtype[Any]) -> None:
         raise InputError(f"The stream is of {dtype}, which needs JAX's 64-bit mode, and this is off; nothing changed.")
 
 
-class WindowBuffer:
+class WindowBuffer(Copyable):
     """Samples that do not fill a window yet, ``samples [window, axis]``; the first ``count`` of them are there."""
 
     def __init__(self, window: int, axes: int, dtype: type[np.floating]) -> None:
@@ -138,13 +138,14 @@ def held(
     return jax.tree.map(np.asarray, _held(labels, config, limits, state, buffer.samples.copy(), count))
 
 
-class Encoder:
+class Encoder(Copyable):
     """Streaming encoder of one wrench: samples in as they come, labels out.
 
     The encoder keeps a state of fixed size and less than one window of samples. Labels are LabelTracks ``[axis, slot]``
     of host arrays, with one slot per window or, at the end, 1 + 2, 1 + 5 and 1 + 8 slots (by the fit rule 1 + 5 each);
     label 0 marks a slot where nothing was published. They equal those of :func:`rcbht_jax.encode` bit for bit, however
     the samples are divided into chunks. The encoder runs on the processor, also where JAX has a GPU.
+    ``copy.copy`` gives an encoder that goes on from here, apart from this one.
 
     Args:
         config: static configuration; its type chooses the rule.
@@ -162,6 +163,8 @@ class Encoder:
         >>> encoder.received
         12
     """
+
+    _fixed = ("_config", "_limits", "_state")
 
     def __init__(self, config: AnyConfig, thresholds: AnyLimits, dtype: DTypeLike = np.float32) -> None:
         self._rule = rule_of(config)

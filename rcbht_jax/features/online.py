@@ -5,8 +5,9 @@ published yet (see ``peek``) are added for one snapshot and dropped again. The f
 that :func:`rcbht_jax.features.interval_features` makes of the recording cut off after n samples: nothing later is used,
 and a test compares the two. ``parts``, ``spread``, ``together``, ``order`` and ``levels`` only come close: a stream
 takes the nearest of the readings that it keeps (:mod:`rcbht_jax.features.online_signal`) in place of those at their own
-moments, and the test does so too. Sums of values are kept in two single-precision numbers each, so that they stay exact
-to 1e-7 over streams of any length; durations are whole samples.
+moments, and the test does so too. Sums over labels are kept in two single-precision numbers each, so that rounding
+takes no more than 1e-7 of what was added to them, over streams of any length; durations are whole samples. The mean and
+slope of a single label of millions of samples are only as good as :func:`rcbht_jax.encoding.pipe.merge` states.
 """
 
 from __future__ import annotations

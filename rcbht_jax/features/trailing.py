@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from rcbht_jax._util.values import Copyable
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
 
@@ -133,7 +134,7 @@ def running_totals(signal: Signal) -> Table:
     return RunningTotals().push(signal)
 
 
-class RunningTotals:
+class RunningTotals(Copyable):
     """:func:`running_totals` of a stream: pieces of any size give the rows of the whole, bit for bit."""
 
     def __init__(self) -> None:
@@ -207,7 +208,7 @@ def latest_words(track: LabelTrack, times: Int[np.ndarray, " moment"]) -> Float[
     return np.concatenate(columns, 1)
 
 
-class LatestWords:
+class LatestWords(Copyable):
     """:func:`latest_words` of a stream, of all layers.
 
     Args:

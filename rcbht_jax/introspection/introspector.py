@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.compiling import host_device, jit
 from rcbht_jax._util.signals import read_chunk
-from rcbht_jax._util.values import expect, finite, number
+from rcbht_jax._util.values import Copyable, expect, finite, number
 from rcbht_jax.encoding.encoder import PackedLabels
 from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.encoding.stream import WindowBuffer, held
@@ -118,7 +118,7 @@ _infer = jit(host=True, static_argnums=0)(infer)
 _begin = jit(static_argnums=(0, 1, 2))(begin_stream)  # one small program in place of one per field
 
 
-class Introspector:
+class Introspector(Copyable):
     """Beliefs about one stream of wrenches, with a state of fixed size, whatever the length of the stream.
 
     Args:
@@ -149,6 +149,8 @@ class Introspector:
     Raises:
         InputError: no model, a rate faster than the samples, levels out of range, or no classifier to detect with.
     """
+
+    _fixed = ("model", "_chain", "_limits", "_heads", "_state")
 
     def __init__(
         self,

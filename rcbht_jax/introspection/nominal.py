@@ -138,7 +138,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
 
         With ``calibration="split"`` this holds for any finite number of recordings, on average over fits, if the new
         recording and those of the held-out half are exchangeable. With ``"cross"`` it is not proved; simulations agree
-        (docs/howto/monitor.md). Recordings of a new day are not exchangeable with those seen: measure their alarms.
+        (docs/howto/monitor.md). Longer recordings and those of a new day are not exchangeable: measure their alarms.
 
         Raises:
             InputError: fewer than 1 / ``alpha`` - 1 recordings set the threshold.
@@ -295,8 +295,8 @@ class NominalMonitor(Monitor):
     nominal recordings at that time, and its surprise is that of a Student t: log(1 + z^2 / 3). A short burst in one
     channel counts little; a deviation that lasts, or that several channels show, counts much.
 
-    A recording that lasts longer than the nominal ones is compared with their ends: a long duration alone is no
-    anomaly, so recordings that were cut at a failure and those that were not are scored alike.
+    A recording that lasts longer than the nominal ones is compared with their ends: the score of a moment does not grow
+    with the duration. The largest of more scores does, so :meth:`threshold` promises nothing for longer recordings.
 
     Args:
         lags: time differences of the changes, s.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from rcbht_jax._util.signals import columns_for, read_chunk
-from rcbht_jax._util.values import finite
+from rcbht_jax._util.values import Copyable, finite
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_of
 from rcbht_jax.introspection.alarms import conformal_p
 from rcbht_jax.introspection.nominal_file import MonitorFile
@@ -15,7 +15,7 @@ from rcbht_jax.introspection.nominal_file import MonitorFile
 MONITOR = "monitor"  # name in the events of alarms
 
 
-class NominalWatch:
+class NominalWatch(Copyable):
     """The scores of a nominal monitor over a stream, and its alarms; chunks of any size give the same events.
 
     The stream must begin where recordings of the skill do; :meth:`reset` begins the next one. After a gap that is too
@@ -25,7 +25,8 @@ class NominalWatch:
 
     Args:
         file: a fitted monitor, and the axes that it reads.
-        false_alarms: share of nominal recordings that may raise an alarm.
+        false_alarms: share of nominal recordings that may raise an alarm, if they last no longer than those that set
+            the threshold; call :meth:`reset` when the skill ends.
 
     Raises:
         InputError: too few recordings set the threshold for this share.
@@ -43,6 +44,8 @@ class NominalWatch:
     """
 
     whole_trials = True  # nothing can be said of a trial whose beginning was missed
+
+    _fixed = ("_monitor",)
 
     def __init__(self, file: MonitorFile, false_alarms: float = 0.05) -> None:
         monitor = self._monitor = file.monitor

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from rcbht_jax._util.values import Copyable
 from rcbht_jax.features.trailing import Accumulated, TrailingStatistics, with_norms
 from rcbht_jax.labels import LAYERS
 
@@ -15,7 +16,7 @@ WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)  # s
 BELIEF_WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s
 
 
-class Course:
+class Course(Copyable):
     """Beliefs of the first ensemble until each decision, as the second one reads them; in pieces of any size."""
 
     def __init__(self) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from rcbht_jax._util.signals import columns_for, in_precision, numbers_of, read_chunk
-from rcbht_jax._util.values import finite, usable
+from rcbht_jax._util.values import Copyable, finite, usable
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, stamp_of
@@ -32,7 +32,7 @@ class SegmenterHead:
     alarm_level: float = 0.0
 
 
-class SegmenterStream:
+class SegmenterStream(Copyable):
     """Beliefs of a segmenter over a stream; chunks of any size give the same events.
 
     They equal :meth:`rcbht_jax.introspection.segmenter.WrenchSegmenter.predict_proba`, but for words that a
@@ -56,6 +56,8 @@ class SegmenterStream:
         >>> [stream.push(part)[-1].label for part in np.array_split(force[0], 4)]
         ['free', 'free', 'contact', 'contact']
     """
+
+    _fixed = ("_file",)
 
     def __init__(self, file: SegmenterFile, certainty: float = 0.7) -> None:
         self._file, self.dt = file, file.encoder.dt

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.printable import plural
+from rcbht_jax._util.values import Copyable
 from rcbht_jax.encoding.stream import MOST_SAMPLES
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, Notice, TrialStarted
@@ -28,7 +29,7 @@ LONGEST_TARE = 600.0  # s, which are held in memory
 LONGEST_PAUSE = 10.0  # s of waiting: beyond it the source's clock has jumped
 
 
-class Tare:
+class Tare(Copyable):
     """The tare of one trial: holds its first samples until their mean is known, and subtracts that from all.
 
     Args:
@@ -73,7 +74,7 @@ class Tare:
         return [part - self._mean for part in parts]
 
 
-class Session:
+class Session(Copyable):
     """Feeds one source into one introspector; irregularities of the source become a :class:`Notice`.
 
     Args:

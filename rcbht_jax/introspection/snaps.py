@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.signals import columns_for, distinct, numbers_of, period, read_chunk
-from rcbht_jax._util.values import expect, finite
+from rcbht_jax._util.values import Copyable, expect, finite
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
@@ -22,7 +22,7 @@ LOOK = 0.01  # s of each window, if it has two samples in this time
 TOLERANCES = 10.0  # of the words in the smallest fall
 
 
-class SnapDetector:
+class SnapDetector(Copyable):
     """Snaps in a stream of forces, found with words of the fit rule; chunks of any size give the same events.
 
     Only stamps that are dates may differ, by a microsecond, where samples are not whole microseconds apart.

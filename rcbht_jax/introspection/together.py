@@ -10,6 +10,7 @@ from jaxtyping import Int
 from numpy.typing import ArrayLike
 
 from rcbht_jax._util.signals import read_chunk
+from rcbht_jax._util.values import Copyable
 from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, Word
@@ -36,7 +37,7 @@ class Reader(Protocol):
         """Feed samples ``[time, axis]`` of these columns; returns the events that they cause."""
 
 
-class Together:
+class Together(Copyable):
     """An introspector, and other readers of the same stream.
 
     Args:

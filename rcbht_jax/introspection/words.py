@@ -10,7 +10,7 @@ from jaxtyping import Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.signals import distinct, read_chunk
-from rcbht_jax._util.values import finite
+from rcbht_jax._util.values import Copyable, finite
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
@@ -55,7 +55,7 @@ def _word(layer: str, axis: str, span: list[int], sample: int, time: float, dt: 
     return Word(sample, time, layer, axis, name(layer, code), code, begin, end, start, stop)
 
 
-class Revisions:
+class Revisions(Copyable):
     """Turns the provisional words after each window into events: new ones, and those whose label has changed.
 
     Example:
@@ -95,7 +95,7 @@ class Revisions:
         return events
 
 
-class WordIntrospector:
+class WordIntrospector(Copyable):
     """Words of one stream of wrenches with any axes; the counterpart of ``Introspector`` where there is no model.
 
     Args:

@@ -295,6 +295,23 @@ def test_callbacks_and_iterators():
     assert len(everything) == 4
 
 
+@pytest.mark.parametrize("unread", [0, 2, 3])
+def test_a_hub_that_is_closed_ends_every_iterator_after_what_is_unread(unread: int) -> None:
+    """A full backlog lost its oldest event to the end, the end was lost to later events, and new iterators waited."""
+    hub, notices = EventHub(backlog=3), [Notice(n, 0.0, "gap", str(n)) for n in range(9)]
+
+    async def read() -> list[list[object]]:
+        before = hub.events()
+        hub.publish(notices[:unread])
+        hub.close()
+        hub.close()
+        hub.publish(notices)
+        return [[event async for event in iterator] for iterator in (before, hub.events())]
+
+    assert asyncio.run(asyncio.wait_for(read(), 10)) == [notices[:unread], []]
+    assert hub.dropped == 0
+
+
 def test_a_sleeping_reader_loses_the_oldest():
     hub = EventHub(backlog=3)
     notices = [Notice(n, 0.0, "gap", str(n)) for n in range(10)]

@@ -162,6 +162,23 @@ def test_lasting_long_is_no_anomaly() -> None:
     assert monitor.scores(longer)[-1] < 1.5 * monitor.peaks_.max()
 
 
+def test_the_promise_covers_recordings_as_long_as_those_that_set_the_threshold() -> None:
+    """docs/howto/monitor.md states what longer ones do."""
+    rng, push = np.random.default_rng(0), np.clip(np.arange(80) - 30, 0, 20)[:, None] * [0.5, 0.02]
+
+    def successes(count: int, hold: int) -> list[NDArray[np.float64]]:
+        ideal = np.concatenate([push, np.tile(push[-1], (hold, 1))])
+        return [ideal + rng.normal(size=ideal.shape) * [0.1, 0.005] for _ in range(count)]
+
+    def alarms(trained: int, hold: int) -> int:
+        monitor = NominalMonitor(rate=20).fit(successes(40, trained))
+        return sum(np.isfinite(monitor.detect(one)) for one in successes(60, hold))
+
+    assert alarms(0, 0) <= 7
+    assert alarms(200, 200) <= 7
+    assert alarms(0, 1200) > 9
+
+
 @pytest.mark.parametrize("calibration", ["split", "cross"])
 def test_false_alarms_of_new_recordings_are_as_promised(calibration: str) -> None:
     """Exchangeable recordings: over many fits, the share of alarms is at most alpha, and not far below."""
