@@ -139,7 +139,7 @@ def _parts(
 ) -> list[tuple[int, int]]:
     """Pairs of knots that bound a change: turning points, and level stretches of half a second between them.
 
-    A smooth rise begins and ends slowly: level stretches at its ends that take no longer than the rest belong to it.
+    A smooth rise begins and ends slowly: level stretches at its ends belong to it up to twice the duration of the rest.
     """
     level = (np.diff(times) >= PLATEAU) & (np.abs(np.diff(values)) < least / 2)
     level[1::2] = False  # between two lines there is one sample, however long that is
@@ -148,7 +148,7 @@ def _parts(
         cuts = [first, *(edge for k in range(first, last) if level[k] for edge in (k, k + 1)), last]
         parts = [(a, b) for a, b in pairwise(cuts) if abs(values[b] - values[a]) >= least] or [(first, last)]
         (start, stop), (begin, end) = parts[0], parts[-1]
-        earliest, latest = times[start] - (times[stop] - times[start]), times[end] + (times[end] - times[begin])
+        earliest, latest = times[start] - 2 * (times[stop] - times[start]), times[end] + 2 * (times[end] - times[begin])
         within = [cut for cut in cuts if earliest <= times[cut] <= latest]
         parts[0] = within[0], stop
         parts[-1] = parts[-1][0], within[-1]
