@@ -251,7 +251,7 @@ def check_whole(stored: Stored) -> None:
         dt, time = (zarr_io.read_array(stored.group, name, "float64") for name in ("dt", "time"))
         if dt != stored.schema.dt or not np.array_equal(time, np.arange(len(time)) * stored.schema.dt):
             raise InputError(f"{stored.path} is damaged: its times are not those of its rate. Import or copy it again.")
-        used = np.flatnonzero(zarr_io.read_array(stored.group, "length", "int32"))
+        used = np.flatnonzero(parts.read(stored.group, "length", slice(None), stored.schema.fields["length"]))
     if not np.array_equal(used, stored.rows()):  # no digest covers the list
         raise stored.other_gaps()
 

@@ -333,7 +333,10 @@ def consolidate(path: Path) -> None:
     with warnings.catch_warnings():
         # Consolidated metadata is an extension of Zarr v3; readers without it ignore it.
         warnings.simplefilter("ignore")
-        zarr.consolidate_metadata(_Readable(path), zarr_format=3)
+        try:
+            zarr.consolidate_metadata(path, zarr_format=3)
+        except Exception:  # damaged metadata can fail in any way inside zarr; checking each member takes time
+            zarr.consolidate_metadata(_Readable(path), zarr_format=3)
 
 
 def check_collected(path: Path, chosen: Callable[[str], bool]) -> None:
