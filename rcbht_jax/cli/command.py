@@ -285,17 +285,22 @@ class RuleCommand(Command):
             InputError: the file is missing or damaged, or has no limits for an axis, or for its unit.
         """
         from rcbht_jax.calibration.rest import auto_thresholds
-        from rcbht_jax.encoding.limit_files import read_limits
         from rcbht_jax.encoding.rules import scaled
         from rcbht_jax.encoding.thresholds import preset
 
         if self.thresholds:
-            thresholds, source = read_limits(self.thresholds, recordings.axes, recordings.units)
+            thresholds, source = self.limits_in_file(self.thresholds, recordings, store)
         elif (robot := self.robot or _robot(recordings, store)) == "auto":
             thresholds, source = auto_thresholds(recordings, self.window, self.rule), {"method": "auto"}
         else:
             thresholds, source = preset(robot, recordings.axes, recordings.units), {"method": "preset", "robot": robot}
         return (thresholds, source) if scale == 1 else (scaled(thresholds, scale), {**source, "scale": scale})
+
+    def limits_in_file(self, file: Path, recordings: Recordings, store: Path) -> tuple[AnyLimits, dict[str, Any]]:
+        """Limits of a file of ``rcbht calibrate``; arguments and errors as of :meth:`read_limits`."""
+        from rcbht_jax.encoding.limit_files import read_limits
+
+        return read_limits(file, recordings.axes, recordings.units)
 
     def config(self, dt: float) -> AnyConfig:
         """The configuration of the rule for samples ``dt`` seconds apart."""

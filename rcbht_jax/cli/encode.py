@@ -195,16 +195,13 @@ class Encode(RuleCommand):
 
         return _Run(encode, how, bar, training, rows)
 
-    def read_limits(self, recordings: Recordings, store: Path, scale: float = 1.0) -> tuple[AnyLimits, dict[str, Any]]:
-        """As of all commands; the limits of a model, too."""
-        from rcbht_jax.encoding.rules import scaled
+    def limits_in_file(self, file: Path, recordings: Recordings, store: Path) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.learning.model_io import load
         from rcbht_jax.learning.predict import limits_in
 
-        if self.thresholds is None or not is_zipfile(self.thresholds):
-            return super().read_limits(recordings, store, scale)
-        limits, source = limits_in(load(self.thresholds), self.window, recordings, str(store))
-        return (limits, source) if scale == 1 else (scaled(limits, scale), {**source, "scale": scale})
+        if is_zipfile(file):
+            return limits_in(load(file), self.window, recordings, str(store))
+        return super().limits_in_file(file, recordings, store)
 
     def config(self, dt: float) -> AnyConfig:
         from rcbht_jax.encoding.encoder import EncoderConfig

@@ -177,7 +177,7 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     folder, rows = _folder(path, name), recording_rows(path)
-    attrs = _own_attrs(path, name)
+    attrs = own_attrs(path, name)
     found = label_parts.read(folder, rows) if "part_rows" in attrs else iter([_read_old(folder, attrs, len(rows))])
     yield from label_parts.regroup(found, sizes)
 
@@ -188,7 +188,7 @@ def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
-    if "part_rows" in _own_attrs(path, name):
+    if "part_rows" in own_attrs(path, name):
         return label_parts.joined(list(label_parts.read(_folder(path, name), recording_rows(path)[numbers])))
     return label_parts.taken(_whole(path, name), numbers)
 
@@ -285,7 +285,7 @@ def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
     return dict(zarr_io.open_group(folder).attrs)
 
 
-def _own_attrs(path: Path, name: str) -> dict[str, Any]:
+def own_attrs(path: Path, name: str) -> dict[str, Any]:
     """The attributes of label tracks that label the recordings of this store; those of earlier versions do not say.
 
     Raises:

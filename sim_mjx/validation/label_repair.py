@@ -11,8 +11,8 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import encoder_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.label_store import copy_tracks, list_tracks, read_tracks_attrs, replace_batches, verify_tracks
-from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS
+from rcbht_jax.io.label_store import copy_tracks, list_tracks, own_attrs, replace_batches, verify_tracks
+from rcbht_jax.io.store_schema import HASH, LABELS
 from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.synthesis.draft import CREATED
@@ -22,11 +22,9 @@ from sim_mjx.synthesis.plan import SynthesisConfig, label_attrs
 def made_how(path: Path, name: str) -> dict[str, Any] | None:
     """The attributes of damaged label tracks, if they say how to make them again and by which checksum to know them."""
     try:
-        attrs, own = read_tracks_attrs(path, name), store.read_attrs(path).get(HASH)
+        attrs = own_attrs(path, name)  # the checksum of labels of other recordings is of no use
         _encoder(attrs)
     except (InputError, KeyError, TypeError, ValueError):
-        return None
-    if attrs.get(LABELLED, own) != own:  # their checksum is that of the labels of other recordings
         return None
     return attrs if {HASH, "rows", "part_rows", "created"} <= set(attrs) else None
 
