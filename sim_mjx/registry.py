@@ -16,6 +16,7 @@ import jax
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies import ASSEMBLIES, Assembly, checks, draw, scene
+from sim_mjx.assemblies.assembly import Mount
 from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.parts import TABS
 from sim_mjx.assembly.scene import Scene
@@ -35,14 +36,14 @@ SNAP, HIRO = "camera-snap", "hiro"  # the recorded assembly and its robot, which
 # Stored parameters of a trial: their group ("" = none) and field.
 PARAMETERS = (
     ("task", "force_gain"), ("task", "moment_gain"), ("task", "force"), ("task", "moment"), ("task", "way_time"),
-    ("task", "way_position"), ("task", "way_rpy"), ("task", "timeout"), ("task", "stop"),
+    ("task", "way_position"), ("task", "way_rpy"), ("task", "mating_time"), ("task", "timeout"), ("task", "stop"),
     ("sensor", "noise"), ("sensor", "bias"), ("sensor", "tared"),
     ("parts", "tab_stiffness"), ("parts", "hook_overlap"), ("parts", "friction"), ("parts", "mount_stiffness"),
     ("parts", "position"), ("parts", "roll"),
 )  # fmt: skip
 HOOKED_PARAMETERS = (*PARAMETERS, ("parts", "hook_wear"), ("parts", "tab_cut"))
 TWO_ARM_PARAMETERS = (
-    *PARAMETERS, ("task", "mating_time"), ("", "offset"), ("", "chatter"), ("hold", "force"), ("hold", "moment"),
+    *PARAMETERS, ("", "offset"), ("", "chatter"), ("hold", "force"), ("hold", "moment"),
     ("hold", "force_gain"), ("hold", "moment_gain"),
 )  # fmt: skip
 
@@ -133,7 +134,7 @@ def pair(assembly: Assembly, robot: Robot) -> Scenario:
     checks.check_drawn(assembly, task, own)
     states = tuple(phase.name for phase in assembly.phases)
     names = [("task", field.name) for field in fields(task)] + [("parts.own", field.name) for field in fields(own)]
-    names += [("parts.mount", "position"), ("parts.mount", "stiffness"), ("parts.mount", "friction")]
+    names += [("parts.mount", field.name) for field in fields(Mount)]
     names += [("parts", "grip"), ("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]
     return Scenario(
         draw.Pairing(assembly, robot), ("R",), partial(scene.scene, assembly, robot), draw.sample_batch, tuple(names),

@@ -32,6 +32,8 @@ def column_names(recordings: Recordings) -> tuple[str, ...]:
 def chosen_task(task: str, recordings: Recordings) -> str:
     """The named task; where none is named the only track, else states, or the outcome if it is all there is.
 
+    A track of one label has no classes to distinguish, so it counts only where all tracks are such.
+
     >>> import numpy as np
     >>> recordings = Recordings.from_arrays(np.zeros((1, 400, 6)))
     >>> chosen_task("", recordings), chosen_task("type", recordings)
@@ -47,8 +49,9 @@ def chosen_task(task: str, recordings: Recordings) -> str:
     tracks, names = _tracks(recordings), task_names(recordings)
     if task:
         return task
-    if len(tracks) == 1:
-        return tracks[0]
+    several = [track for track in tracks if len(recordings.annotations.labels[track]) > 1] or tracks
+    if len(several) == 1:
+        return several[0]
     if USUAL_TASK in names or len(names) == 1:
         return USUAL_TASK if USUAL_TASK in names else names[0]
     raise InputError(f"No task is named, and several may be meant; choose one of {', '.join(names)} with --task.")

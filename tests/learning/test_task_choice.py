@@ -30,6 +30,12 @@ def test_the_task_that_is_plainly_meant_is_taken(
     assert chosen_task("anything", recordings) == "anything"
 
 
+def test_a_track_of_one_label_is_not_meant_where_another_has_several() -> None:
+    """A simulated clip has phases, and a track that says when its only tab is beneath its lip."""
+    rows = [(0, "phase", "push", 0.0, 1.0), (0, "phase", "rest", 1.0, 2.0), (0, "passing", "LATCH", 0.9, 2.0)]
+    assert chosen_task("", Recordings.from_arrays(np.zeros((1, 400, 6)), annotations=rows)) == "phase"
+
+
 @pytest.mark.parametrize(
     ("tracks", "columns", "names"),
     [(("phase", "op"), {}, "phase, op, outcome"), ((), {"tool": ["a"]}, "outcome, tool")],

@@ -54,6 +54,7 @@ def test_a_store_has_phases_faults_labels_and_numbers(clips: Path, capsys: pytes
         assert recordings.column("deviation_x")[row] == fault.deviation[0]
         assert known["own_clearance"][row] == params.parts.own.clearance
         assert known["task_press"][row] == params.task.press
+        assert known["mount_turn"][row] == params.parts.mount.turn
         np.testing.assert_array_equal(known["hand"][row], params.hand)
     failed = [name for name in known["failed_in"] if name]
     assert set(failed) <= set(scenario.states)
