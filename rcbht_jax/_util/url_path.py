@@ -13,7 +13,7 @@ from urllib.parse import unquote_to_bytes
 from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
 
-_SCHEME = re.compile(r"[a-z][a-z0-9+.-]+:")  # two letters and more: C: is a drive
+_SCHEME = re.compile(r"(?:[a-z]+::)*[a-z][a-z0-9+.-]+:")  # two letters and more: C: is a drive
 _FILE = re.compile("(?i:file):(?://(?P<host>[^/]*))?(?P<path>/.*)", re.DOTALL)  # Path leaves one slash of three
 
 
@@ -52,7 +52,13 @@ def url_of(path: Path) -> str | None:
 
     >>> url_of(Path("s3://bucket/trials.zarr")), url_of(Path("trials.zarr"))
     ('s3://bucket/trials.zarr', None)
+
+    Raises:
+        InputError: it is a chain of URLs, such as zip://trials.zarr::trials.zip.
     """
     first, *rest = path.parts or ("",)
-    slashes = "///" if first == "file:" else "//"
-    return f"{first}{slashes}{'/'.join(rest)}" if rest and _SCHEME.fullmatch(first) else None
+    if not rest or not _SCHEME.fullmatch(first):
+        return None
+    if "::" in str(path):
+        raise InputError(f"{path} is a chain of URLs; expected one URL. Unpack an archive first.")
+    return f"{first}{'///' if first == 'file:' else '//'}{'/'.join(rest)}"

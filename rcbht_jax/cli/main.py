@@ -55,7 +55,8 @@ def endings() -> Iterator[None]:
     """Make SIGTERM and SIGHUP act as Ctrl-C, so that recordings are finished, unless another handler is set.
 
     Python discards what is raised in a destructor or in a callback of the garbage collector, of which JAX has one: a
-    signal that came then is sent again.
+    signal that came then is sent again. An error after a signal is that of what it interrupted, such as the import of a
+    C extension, and becomes the signal's own.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -63,10 +64,11 @@ def endings() -> Iterator[None]:
     ctrl_c, other = signal.default_int_handler, signal.SIG_DFL
     defaults: dict[int, Any] = {signal.SIGINT: ctrl_c, signal.SIGTERM: other, signal.SIGHUP: other}
     ours = {number: default for number, default in defaults.items() if signal.getsignal(number) is default}
-    lost, main_thread, report = set[int](), threading.get_ident(), sys.unraisablehook
+    came, lost, main_thread, report = list[int](), set[int](), threading.get_ident(), sys.unraisablehook
 
     def end(number: int, _: FrameType | None) -> None:
         lost.clear()  # a second exception would interrupt what the first one finishes
+        came.append(number)
         raise Ended(number)
 
     def discarded(unraisable: sys.UnraisableHookArgs) -> None:
@@ -86,6 +88,10 @@ def endings() -> Iterator[None]:
     sys.unraisablehook = discarded
     try:
         yield
+    except Exception as error:
+        if came:
+            raise Ended(came[-1]) from error
+        raise
     finally:
         lost.clear()
         sys.unraisablehook = report

@@ -346,7 +346,10 @@ def _file_of_thresholds(path: Path | str) -> Iterator[tuple[int, Mapping[str, An
         version = content["format_version"]
         if content["format"] != FORMAT or version not in COLUMNS:
             raise InputError(f"{path} is not a file of thresholds of version {' or '.join(map(str, COLUMNS))}.")
-        yield version, content["limits"], dict(content["provenance"])
+        rows = dict(content["limits"])
+        for axis, row in rows.items():
+            expect(f"{path}: what it has for {axis}", row, dict)
+        yield version, rows, dict(content["provenance"])
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; expected a file of thresholds.") from None
     except (ValueError, KeyError, TypeError, UnicodeDecodeError, OverflowError) as error:

@@ -219,7 +219,7 @@ def load(path: Path | str) -> IntrospectionModel:
         check_objects(meta, "extra")
         checked_texts("its digest and version", [meta["data_hash"], meta["version"]])
         for name in ("axes", "units"):
-            checked_texts(f"its {name}", meta["extra"].get(name) or [])
+            checked_texts(f"its {name}", meta["extra"].get(name, []))
         rest = {k: meta[k] for k in ("data_hash", "version", "extra")}
         return IntrospectionModel(config, limits, heads, **rest, digests=read_digests(archive))
 

@@ -14,6 +14,7 @@ LEAST_SCALE = 0.05  # of the standard deviation of a feature over all nominal mo
 LEAST_REFERENCE = 0.5  # of the median nominal distance of a channel
 AROUND = 5  # moments before and after over which the usual distance is taken
 FEWEST_GROUPS = 3  # from which on differences between groups are known
+FARTHEST = 1e18  # of a scaled feature: single precision holds the squares
 READ = (3, 0, 2, 1)  # order in memory of a bank's axes: distances are quick along the recordings
 OFFSET = 0.5  # of the differences within groups: a larger one between groups is a bias
 
@@ -125,7 +126,8 @@ def distances(
         described: moments of a recording, not scaled.
         time: of each, in moments since the beginning.
     """
-    scaled = np.moveaxis((described / bank.scale).astype(np.float32), 2, 0)[..., None]  # [kind, time, channel, 1]
+    near = np.clip(described / bank.scale, -FARTHEST, FARTHEST)
+    scaled = np.moveaxis(near.astype(np.float32), 2, 0)[..., None]  # [kind, time, channel, 1]
     kinds = np.transpose(bank.described, READ)
     now = np.minimum(time, len(bank.reference) - 1) + bank.reach
     allowed = np.minimum(bank.slack + bank.drift * time, bank.reach)

@@ -336,7 +336,7 @@ class NominalMonitor(Monitor):
     def _check(self) -> None:
         super()._check()
         lags, levels = np.asarray(self.lags), np.asarray([] if self.levels is None else self.levels)
-        good = [one.dtype.kind in "iuf" and one.ndim == 1 and (one >= 0).all() for one in (lags, levels)]
+        good = [v.dtype.kind in "iuf" and v.ndim == 1 and ((v >= 0) & (v <= 1e9)).all() for v in (lags, levels)]
         if not all(good) or (levels % 1).any() or self.neighbours % 1:
             given = f"lags {self.lags!r}, levels {self.levels!r}, neighbours {self.neighbours!r}"
             raise InputError(f"There are {given}; expected times, numbers of axes, a whole number.")
@@ -349,7 +349,8 @@ class NominalMonitor(Monitor):
     def restore(
         self, axes: int, levels: tuple[int, ...], bank: Bank, peaks: Float[np.ndarray, " recording"]
     ) -> NominalMonitor:
-        """The fitted state from its parts, as a file holds them."""
+        """The fitted state from its parts, as a file holds them, if the parameters are good."""
+        self._check()
         self.n_features_in_, self.levels_, self._model, self.peaks_ = axes, levels, bank, peaks
         return self
 

@@ -139,8 +139,8 @@ def _new(path: Path, part: Recordings, seen: dict[tuple[str, ...], _Seen]) -> Bo
             raise InputError(f"{path} has another recording {name[1]!r} of {name[0]!r} than a store before it.")
         if _facts(part, row) != _facts(whole, place):
             raise InputError(
-                f"{path} and {other} have the same recording {name[1]!r} of {name[0]!r} with another outcome, other "
-                "columns or other annotations, some of which would be lost; leave one of the stores out."
+                f"{path} and {other} have the same recording {name[1]!r} of {name[0]!r} with another outcome or "
+                "session, other columns or other annotations, some of which would be lost; leave one of the stores out."
             )
     new = np.array([name not in seen for name in names], bool)
     for row, (name, digest) in enumerate(zip(names, digests, strict=True)):
@@ -155,7 +155,7 @@ def _facts(part: Recordings, row: int) -> str:
     marks = one.annotations
     tracks = np.array(marks.tracks, object)[marks.track].tolist()
     rows = zip(tracks, marks.names().tolist(), marks.start.tolist(), marks.end.tolist(), strict=True)
-    return repr((str(one.outcome[0]), sorted(known.items()), sorted(rows, key=repr)))
+    return repr((str(one.outcome[0]), str(one.session[0]), sorted(known.items()), sorted(rows, key=repr)))
 
 
 def _attrs(paths: Sequence[Path], taken: dict[str, int], tare_seconds: float) -> dict[str, Any]:

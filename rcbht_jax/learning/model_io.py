@@ -95,6 +95,10 @@ def load(path: Path | str) -> TrainedModel:
             raise InputError(f"it has {len(axes)} axes and {len(units)} units")
         spec, digests = FeatureSpec.from_dict(meta["feature_spec"]), read_digests(archive)
         model = TrainedModel(svm, spec, names, **rest, digests=digests, axes=axes, units=units)
+        several = "+" in svm.spec.features  # label tracks, each with how it was made
+        check_objects(model.encoder, *(model.encoder if several else ()))
+        for made in model.encoder.values() if several else [model.encoder]:
+            check_objects({"config": {}, "thresholds_from": {}} | made, "config", "thresholds_from")
     if not axes:
         warnings.warn(
             f"{path}, of an older version, does not state its axes; those of a store are not checked.", stacklevel=2

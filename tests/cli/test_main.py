@@ -166,9 +166,10 @@ def test_interruptions_end_in_a_sentence(
     assert sentence in capsys.readouterr().err
 
 
-LOSES = {  # Python discards what is raised there
+LOSES = {  # what is raised there is lost
     "collector": "gc.callbacks.append(lambda phase, info: hit())\nbody = gc.collect",
     "destructor": "Thing = type('Thing', (), {'__del__': lambda self: hit()})\nbody = lambda: [Thing()].clear()",
+    "import": "def body():\n    try:\n        hit()\n    finally:\n        raise ImportError('of a C extension')",
     "own code": "body = hit",
 }
 

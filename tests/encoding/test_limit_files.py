@@ -56,6 +56,10 @@ def test_a_file_states_the_units_that_are_known_and_no_others(tmp_path: Path) ->
     path.write_text(json.dumps(written))
     with pytest.raises(InputError, match="unit of My is '5', int; expected str"):
         read_limits(path, AXES)
+    written["limits"]["My"] = [[]]
+    path.write_text(json.dumps(written))
+    with pytest.raises(InputError, match=r"limits.json: what it has for My is '\[\[\]\]', list; expected dict"):
+        read_limits(path, AXES)
 
 
 def test_a_file_of_an_earlier_version_is_read_as_it_is(tmp_path: Path) -> None:

@@ -245,7 +245,8 @@ def test_model_files_that_do_not_fit(tmp_path):
         write_archive(path, meta, members | wrong)
         with pytest.raises(InputError):
             model_files.load(path)
-    for wrong in ({"format": "x"}, {"heads": []}, {"heads": 3}, {"encoder": {"window": 0}}, {"encoder": {"a": 1}}):
+    heads, encoder = [{"heads": []}, {"heads": 3}], [{"encoder": {"window": 0}}, {"encoder": {"a": 1}}]
+    for wrong in ({"format": "x"}, *heads, *encoder, {"extra": {"units": 0}}, {"extra": {"units": None}}):
         write_archive(path, meta | wrong, members)
         with pytest.raises(InputError):
             model_files.load(path)

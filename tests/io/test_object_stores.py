@@ -144,6 +144,15 @@ def test_a_url_of_no_file_of_this_computer_is_refused(url: str) -> None:
         as_path(url)
 
 
+@pytest.mark.parametrize("chain", ["zip://x.zarr::/data/a.zip", "simplecache::s3://bucket/x.zarr"])
+def test_a_chain_of_urls_is_refused(chain: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its store was called damaged."""
+    with pytest.raises(InputError, match="is a chain of URLs"):
+        store.read_recordings(Path(chain))
+    assert main(["info", chain]) == 2
+    assert capsys.readouterr().err.count(f"{chain} is a chain of URLs; expected one URL") == 1
+
+
 def test_stores_are_written_and_read_by_urls_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = tmp_path / "my trials %20.zarr"
     url = f"file://{quote(str(place))}"

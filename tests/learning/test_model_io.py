@@ -189,6 +189,17 @@ def test_a_task_that_is_none_is_one_sentence(task, model):
         task_of(replace(model, task=whole))
 
 
+@pytest.mark.parametrize("name", ["config", "thresholds_from"])
+@pytest.mark.parametrize("tracks", ["", "a+b"])
+def test_an_encoder_that_is_no_object_is_one_sentence(name, tracks, model, tmp_path):
+    made = {"window": 5, "thresholds": [[4.0, 3.0, 2.0, 1.0]], name: []}
+    svm = replace(model.svm, spec=replace(model.svm.spec, features=tracks)) if tracks else model.svm
+    for encoder in [{"a": made, "b": {}}, {"a": {}, "b": []}] if tracks else [made]:
+        save(tmp_path / "m", replace(model, svm=svm, encoder=encoder))
+        with pytest.raises(InputError, match=r"m is damaged: .* expected an object"):
+            load(tmp_path / "m")
+
+
 def test_damaged_options_of_an_encoder_are_one_sentence(model):
     for config in ([], {"rule": "fit"}, {"rule": "fit", "window": 5, "tolerance": 1.0}):
         with pytest.raises(InputError, match="made otherwise"):

@@ -25,6 +25,8 @@ from rcbht_jax.types import Recordings
 
 _OMITTED = ("import_report", "diverged", "format", "format_version", "dt")  # too long, or stated elsewhere
 
+OWN = "of the store, which has a column of this name; the computed one is left out"
+
 
 def write_card(data: DataSet, folder: Path, layout: str, front: str = "") -> None:
     """Write ``dataset.json`` and ``README.md``; the arguments are those of :func:`card`."""
@@ -45,7 +47,7 @@ def description(data: DataSet) -> dict[str, Any]:
             for column, values in data.recordings.columns.items()
         },
         "recordings": len(data.recordings),
-        "columns": COLUMNS,
+        "columns": COLUMNS | {column: OWN for column in ("samples", "seconds") if column in data.recordings.columns},
         "alphabets": {
             layer: {
                 name(layer, code): {"code": code, "meaning": meaning} for code, meaning in enumerate(MEANING[layer], 1)

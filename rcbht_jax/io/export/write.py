@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.cells import cell
@@ -24,6 +25,7 @@ from rcbht_jax.io.export.tables import Table
 from rcbht_jax.types import Recordings
 
 Progress = Callable[[int], None]  # called with the number of recordings done since the last call
+ROWS = 2**16  # of a table whose texts are in memory at the same time
 
 _TABLES = """* `trials.{0}`: one row per recording: names, outcome, further columns;
 * `annotations.{0}`: one row per annotated interval, where there are some;
@@ -110,17 +112,22 @@ def _write_csv(path: Path, table: Table) -> None:
 
     Numbers are the shortest text that reads back equal, NaN is empty; formulas are text (:mod:`rcbht_jax._util.cells`).
     """
-    columns = [
-        ["" if text == "nan" else text for text in values.astype(str).tolist()]
-        if values.dtype.kind == "f"
-        else [cell(value) for value in values.tolist()]
-        for values in table.values()
-    ]
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         if file.tell() == 0:
             writer.writerow(map(cell, table))
-        writer.writerows(zip(*columns, strict=True))
+        for part in _slices(len(next(iter(table.values())))):
+            writer.writerows(zip(*(_texts(values[part]) for values in table.values()), strict=True))
+
+
+def _texts(values: NDArray[Any]) -> list[Any]:
+    if values.dtype.kind == "f":
+        return ["" if text == "nan" else text for text in values.astype(str).tolist()]
+    return [cell(value) for value in values.tolist()]
+
+
+def _slices(rows: int) -> Iterator[slice]:
+    return (slice(first, first + ROWS) for first in range(0, rows, ROWS))
 
 
 def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
@@ -164,7 +171,10 @@ def _mcap_recording(block: Block, row: int, path: Path) -> None:
     codes = None if block.tracks is None else codes_at_samples(block.tracks, row, samples)
     begins = _intervals_at(recordings, row)
     with McapWriter(path, recordings.axes, recordings.units) as mcap:
-        for sample, values in enumerate(recordings.wrench[row, :samples].astype(float).tolist()):
+        wrench = recordings.wrench[row, :samples]
+        for sample, values in enumerate(
+            one for part in _slices(samples) for one in wrench[part].astype(float).tolist()
+        ):
             time = sample * recordings.dt
             for interval in begins.get(sample, ()):
                 mcap.interval(time, **interval)

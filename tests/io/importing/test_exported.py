@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.export import FORMATS, DataSet, export, load
+from rcbht_jax.io.export import FORMATS, DataSet, export, load, write
 from rcbht_jax.io.export.card import card
+from rcbht_jax.io.export.tables import COLUMNS
 from rcbht_jax.io.importing.importer import import_source, read_source
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.rosbags import McapWriter, topics_of
@@ -81,6 +83,29 @@ def test_a_column_that_would_take_the_place_of_another_is_refused(kind: str, nam
     with pytest.raises(InputError, match=f"column {name} would take the place of one that {kind} files have"):
         export(DataSet.of(made), tmp_path / "out", kind)
     assert not (tmp_path / "out").exists()
+
+
+def test_own_columns_are_not_described_as_the_computed_ones(exported: Path) -> None:
+    described = json.loads((exported / "dataset.json").read_text())["columns"]
+    assert described["seconds"] == described["samples"] != COLUMNS["samples"]
+
+
+@pytest.mark.parametrize("kind", ["csv", "mcap"])
+def test_a_long_recording_is_written_in_slices(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The texts of all samples were in memory at the same time."""
+    made = Recordings.from_arrays([np.random.default_rng(0).normal(size=(8000, 6))], 200.0)
+    peaks = []
+    for rows in (8000, 500):
+        monkeypatch.setattr(write, "ROWS", rows)
+        tracemalloc.start()
+        export(DataSet.of(made), tmp_path / str(rows), kind)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    whole, sliced = (
+        sorted(path for path in folder.rglob("*") if path.is_file()) for folder in sorted(tmp_path.iterdir())
+    )
+    assert [path.read_bytes() for path in whole] == [path.read_bytes() for path in sliced]
+    assert peaks[1] < 0.8 * peaks[0]
 
 
 @pytest.mark.parametrize(("kind", "axis"), [("csv", "time"), ("parquet", "recording"), ("parquet", "sample")])
