@@ -62,9 +62,9 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         rate: samples per second.
         window: samples per straight-line fit, at least 2.
         thresholds: gradient thresholds: a robot's name, :class:`GradientThresholds`, limits ``[axis, 4]``, or
-            limits ``[4]`` of every axis, N/s or Nm/s. A robot's name gives the limits of moments to axes whose names
-            begin with M or T or are like ``mx``, and those of forces to all others; six axes without names are Fx to
-            Mz. For the fit rule also :class:`FitLimits`, whose tolerance is used for "auto".
+            limits ``[4]`` of every axis, N/s or Nm/s. A robot's name gives limits of forces or moments by the names
+            of the axes, as :func:`rcbht_jax.preset` does; six axes without names are Fx to Mz. For the fit rule also
+            :class:`FitLimits`, whose tolerance is used for "auto".
         features: which features; None = ``FeatureSpec()``.
         config: other options of the encoder, whose ``window`` and ``dt`` are replaced: EncoderConfig, or FitConfig for
             the fit rule; None = its defaults.
