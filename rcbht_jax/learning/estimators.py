@@ -66,7 +66,8 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         thresholds: gradient thresholds: a robot's name, :class:`GradientThresholds`, limits ``[axis, 4]``, or
             limits ``[4]`` of every axis, N/s or Nm/s. A robot's name gives limits of forces or moments by the names
             of the axes, as :func:`rcbht_jax.preset` does; six axes without names are Fx to Mz. For the fit rule also
-            :class:`FitLimits`, whose tolerance is used for "auto".
+            :class:`FitLimits`, whose tolerance is used for "auto". Recordings are in N and Nm: units in names of
+            columns or in attributes of pandas and xarray convert nothing.
         features: which features; None = ``FeatureSpec()``.
         config: other options of the encoder, whose ``window`` and ``dt`` are replaced: EncoderConfig, or FitConfig for
             the fit rule; None = its defaults.
