@@ -52,10 +52,14 @@ TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
 
 _QUANTITIES = r"(?:[FMT]|(?:force|torque|moment|tau)[ _]?)"
 _WRENCH = re.compile(rf"(?:^[FMT][ _]|(?:^|[\W_]){_QUANTITIES})[xyz](?![a-z])", re.I)  # of a wrench, without a unit
-_OF_AXIS = re.compile(  # the last quantity of an axis in a name
-    r"(?:.*[\W\d_])?(?:(f|forces?|m|moments?|torques?|tau)\d*(?:_?ext)?[\W_]*(?:[xyz]|\d+)|(t)[\W_]*[xyz])(?![a-z])"
+_NAMED = tuple(  # how a name states a force or a moment, the clearest first; the last of those in a name
+    re.compile(rf"(?:.*[\W\d_])?{part}(?![a-z])")
+    for part in (
+        r"(f|m|t|tau|forces?|moments?|torques?)\d*(?:_?ext)?[\W_]*[xyz]",
+        r"(forces?|moments?|torques?|tau)",
+        r"(f|m)[\W_]*\d+",
+    )
 )
-_OF_WORD = re.compile(r"(?:.*[\W\d_])?(forces?|moments?|torques?|tau)(?![a-z])")
 _CAMEL, _ACRONYM = re.compile(r"(?<=[a-z])(?=[A-Z])"), re.compile(r"(?<=[A-Z])(?=[A-Z][a-z])")  # tcp|Fz, TCP|Fz
 _TAILS = ("N", "Nm", "mN", "mNm", "Nmm", "Ncm", "kN", "kNm", "kgf", "lbf")  # that end a name after "_"
 _AXIS = re.compile(r"(?:^|[\W_])(?:f|m|t|force|torque|moment|tau)[ _]?[xyz]$", re.IGNORECASE)  # before n, or nm
@@ -130,8 +134,8 @@ def is_moment(name: str, unit: str = "") -> bool:
     if unit and (unit_factor(unit, "N") or unit_factor(unit, "Nm")):
         return unit_factor(unit, "Nm") > 0
     spelled = snake(_ACRONYM.sub("_", name))
-    part = _OF_AXIS.match(spelled) or _OF_WORD.match(spelled)
-    return not (part[1] or "t").startswith("f") if part else name.startswith(("M", "T"))
+    stated = next((match[1] for form in _NAMED if (match := form.match(spelled))), "")
+    return not stated.startswith("f") if stated else name.startswith(("M", "T"))
 
 
 def snake(name: str) -> str:

@@ -135,7 +135,7 @@ def test_moments_get_their_limits_however_they_are_spelled(name: str) -> None:
     "name",
     [
         "Fx", "fz", "force_z", "mass", "motor_1", "tcp_x", "load", "axis0", "force_t0", "torque_sensor_fx",
-        "TCP_Fz", "Tool force z", "MeasuredFz", "measured_fz", "TCPFz", "Tool z force", "Total force", "M1_F2",
+        "TCP_Fz", "Tool force z", "MeasuredFz", "measured_fz", "TCPFz", "Tool z force", "Total force", "Fx_m1",
     ],
 )  # fmt: skip
 def test_all_other_axes_get_the_limits_of_forces(name: str) -> None:

@@ -133,7 +133,7 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
         return None
     if after[1:] in (*TIMES, *NANOSECONDS):  # of its samples
         return None
-    kind = "M" if is_moment(base, unit) else "F"
+    kind = "M" if is_moment(f"{word}{letter}", unit) else "F"
     return (f"{before}{number}", after), kind, letter, word in ("torque", "moment", "tau", "m")
 
 
