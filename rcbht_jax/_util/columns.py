@@ -1,4 +1,4 @@
-"""Columns: the unit that a name states, the names of a time, and the values of a column with one per recording."""
+"""Columns: the unit and the quantity that a name states, the names of a time, values with one per recording."""
 
 from __future__ import annotations
 
@@ -52,6 +52,15 @@ TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
 
 _QUANTITIES = r"(?:[FMT]|(?:force|torque|moment|tau)[ _]?)"
 _WRENCH = re.compile(rf"(?:^[FMT][ _]|(?:^|[\W_]){_QUANTITIES})[xyz](?![a-z])", re.I)  # of a wrench, without a unit
+_NAMED = tuple(  # how a name states a force or a moment, the clearest first; the last of those in a name
+    re.compile(rf"(?:.*[\W\d_])?{part}(?![a-z])")
+    for part in (
+        r"(f|m|t|tau|forces?|moments?|torques?)\d*(?:_?ext)?[\W_]*[xyz]",
+        r"(forces?|moments?|torques?|tau)",
+        r"(f|m)[\W_]*\d+",
+    )
+)
+_CAMEL, _ACRONYM = re.compile(r"(?<=[a-z])(?=[A-Z])"), re.compile(r"(?<=[A-Z])(?=[A-Z][a-z])")  # tcp|Fz, TCP|Fz
 _TAILS = ("N", "Nm", "mN", "mNm", "Nmm", "Ncm", "kN", "kNm", "kgf", "lbf")  # that end a name after "_"
 _AXIS = re.compile(r"(?:^|[\W_])(?:f|m|t|force|torque|moment|tau)[ _]?[xyz]$", re.IGNORECASE)  # before n, or nm
 _PRODUCT = re.compile(r"(?<=[^\W\d_])[ .*·⋅・･∙•×-](?=[^\W\d_])")  # N-m, N·mm, lbf in
@@ -110,6 +119,32 @@ def unit_factor(unit: str, other: str) -> float:
     return next(
         (kind[here] / kind[there] for kind in (FORCES, MOMENTS, SECONDS) if here in kind and there in kind), 0.0
     )
+
+
+def is_moment(name: str, unit: str = "") -> bool:
+    """Whether an axis is a moment rather than a force: by its unit, else by its name.
+
+    The last force or moment in the name decides; without one, names that begin with M or T are moments.
+
+    >>> is_moment("Tx"), is_moment("TCP_Fz"), is_moment("MeasuredFz"), is_moment("force_torque.torque.z")
+    (True, False, False, True)
+    >>> is_moment("M"), is_moment("grip"), is_moment("grip", "N·mm"), is_moment("Tx", "N")
+    (True, False, True, False)
+    """
+    if unit and (unit_factor(unit, "N") or unit_factor(unit, "Nm")):
+        return unit_factor(unit, "Nm") > 0
+    spelled = snake(_ACRONYM.sub("_", name))
+    stated = next((match[1] for form in _NAMED if (match := form.match(spelled))), "")
+    return not stated.startswith("f") if stated else name.startswith(("M", "T"))
+
+
+def snake(name: str) -> str:
+    """A name in lower case, with a "_" between words that only a capital separates.
+
+    >>> snake("ZeitInSec"), snake("tcpForce.X")
+    ('zeit_in_sec', 'tcp_force.x')
+    """
+    return _CAMEL.sub("_", name).lower()
 
 
 def base_and_unit(name: str) -> tuple[str, str]:

@@ -79,7 +79,8 @@ class Encode(RuleCommand):
     latency_cap: Annotated[
         float | None,
         option(
-            "Emit a held-back label after this many seconds at the latest (online); default none, with --rule fit 0.2.",
+            "Longest time in s for which a label is held back (online). Default: none, with --rule fit 0.2. Other "
+            "rules limit primitives only: compositions and behaviours also wait for the next word of the layer below.",
             "",
         ),
     ] = None

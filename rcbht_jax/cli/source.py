@@ -72,8 +72,9 @@ class Source(RuleCommand):
     axes: Annotated[
         tuple[str, ...],
         option(
-            "Names of the axes, if no model is given; those that begin with M or T or are like mx are moments. "
-            "Default: Fx Fy Fz Mx My Mz if there are six.",
+            "Names of the axes, if no model is given. The last force or moment in a name, such as fx, force_x, mx or "
+            "torque_x, decides which it is; without one, names that begin with M or T are moments. Default: Fx Fy Fz "
+            "Mx My Mz if there are six.",
             "",
         ),
     ] = ()

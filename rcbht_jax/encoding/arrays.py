@@ -56,8 +56,9 @@ def encode(
         rate: samples per second.
         window: samples per straight-line fit, >= 2.
         thresholds: gradient limits: an object or array ``[axis, 4]`` (or ``[recording, axis, 4]``), or the name of a
-            robot; None = the preset of HIRO, where axes such as Mx, Tx or mx are moments. For the fit rule
-            also FitLimits, whose tolerance is used unless ``tolerance`` is given.
+            robot, whose limits are in N/s and Nm/s whatever unit a name or an attribute states; None = the preset of
+            HIRO, where axes such as Mx, Tx or mx are moments. For the fit rule also FitLimits, whose tolerance is used
+            unless ``tolerance`` is given.
         lengths: number of valid samples of each recording, if ``[recording, time, axis]`` is padded.
         config: all options of the encoder at once, instead of ``rate``, ``window`` and ``rule``, whose defaults count
             as not given: with a config of 100 Hz, a rate of 200 is ignored.

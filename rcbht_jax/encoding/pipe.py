@@ -41,7 +41,7 @@ class PipeRules:
         exempt: a label whose repeats stay apart (adjustments), or None.
         rule: "paper" absorbs what is 5 times smaller and 5 times shorter; "similar" is the reference's older
             rule, which absorbs what has a similar amplitude (within 5 times) and is more than 5 times shorter.
-        cap: publish A at the latest when B is longer than this many samples, or None.
+        cap: publish A at the latest on the first arrival that makes B longer than this many samples, or None.
         one_slot: compare each arrival with the accumulator B only; A stays empty.
     """
 

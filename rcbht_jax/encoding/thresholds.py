@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.columns import unit_factor
+from rcbht_jax._util.columns import is_moment, unit_factor
 from rcbht_jax._util.signals import distinct, numbers_of, texts
 from rcbht_jax._util.untrusted import checked_number, load_json
 from rcbht_jax._util.url_path import as_path
@@ -35,9 +34,6 @@ _FORCE_LIMITS = {
     "pa10": (1000.0, 100.0, 10.0, 1.0),
 }
 ROBOTS = tuple(_FORCE_LIMITS)
-_MOMENT = re.compile(
-    r"[MT]|(?:.*[ ._/-])?(?:(?:m|tau|torque|moment)[ ._-]*(?:[xyz]|\d+)|t[ ._-]*[xyz])$"
-)  # by its name
 MOMENT_SCALE = 10.0  # moments of a hand-sized lever are about a tenth of the forces
 
 
@@ -137,8 +133,8 @@ def preset(robot: str = "hiro", axes: Sequence[str] = AXES, units: Sequence[str]
 
     Args:
         robot: one of ``ROBOTS``.
-        axes: their names; those that begin with M or T, and names such as ``mx`` and ``torque_z``, are moments, all
-            others forces.
+        axes: their names. The last force or moment in a name decides, such as ``Fx``, ``force_x``, ``mx`` or
+            ``torque_z``; without one, names that begin with M or T are moments, all others forces.
         units: of the axes, to which the limits are converted; "" = N or Nm, by the name; () = none is stated.
 
     Raises:
@@ -147,8 +143,8 @@ def preset(robot: str = "hiro", axes: Sequence[str] = AXES, units: Sequence[str]
     Example:
         >>> preset("hiro", ["Fz", "My"]).limits.tolist()
         [[70.0, 46.0, 23.0, 1.0], [7.0, 4.6, 2.3, 0.1]]
-        >>> preset("hiro", ["mx", "wrist.torque.z", "mass"]).limits[:, 0].tolist()
-        [7.0, 7.0, 70.0]
+        >>> preset("hiro", ["mx", "wrist.torque.z", "mass", "TCP_Fz"]).limits[:, 0].tolist()
+        [7.0, 7.0, 70.0, 70.0]
         >>> preset("hiro", ["Fz", "My"], ["N", "Nmm"]).limits.tolist()
         [[70.0, 46.0, 23.0, 1.0], [7000.0, 4600.0, 2300.0, 100.0]]
     """
@@ -160,7 +156,7 @@ def preset(robot: str = "hiro", axes: Sequence[str] = AXES, units: Sequence[str]
 
 
 def _preset_of(robot: str, axis: str, unit: str) -> NDArray[np.float64]:
-    moment = bool(unit_factor(unit, "Nm") if unit else _MOMENT.match(axis))
+    moment = is_moment(axis, unit)
     if not (factor := unit_factor("Nm" if moment else "N", unit)):
         raise InputError(
             f"The thresholds of {robot} are for forces and moments, and {axis} is in {unit}; choose thresholds from "

@@ -31,7 +31,9 @@ from rcbht_jax.learning.svm_classifier import SvmClassifier
 from rcbht_jax.types import LabelTrack, LabelTracks, axis_names
 
 with needs_extra("learn"):
+    from sklearn import get_config
     from sklearn.base import BaseEstimator, ClassifierMixin, TransformerMixin, clone
+    from sklearn.utils.metadata_routing import get_routing_for_object
     from sklearn.utils.metaestimators import available_if
     from sklearn.utils.validation import check_is_fitted
 
@@ -62,9 +64,10 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         rate: samples per second.
         window: samples per straight-line fit, at least 2.
         thresholds: gradient thresholds: a robot's name, :class:`GradientThresholds`, limits ``[axis, 4]``, or
-            limits ``[4]`` of every axis, N/s or Nm/s. A robot's name gives the limits of moments to axes whose names
-            begin with M or T or are like ``mx``, and those of forces to all others; six axes without names are Fx to
-            Mz. For the fit rule also :class:`FitLimits`, whose tolerance is used for "auto".
+            limits ``[4]`` of every axis, N/s or Nm/s. A robot's name gives limits of forces or moments by the names
+            of the axes, as :func:`rcbht_jax.preset` does; six axes without names are Fx to Mz. For the fit rule also
+            :class:`FitLimits`, whose tolerance is used for "auto". Recordings are in N and Nm: units in names of
+            columns or in attributes of pandas and xarray convert nothing.
         features: which features; None = ``FeatureSpec()``.
         config: other options of the encoder, whose ``window`` and ``dt`` are replaced: EncoderConfig, or FitConfig for
             the fit rule; None = its defaults.
@@ -199,6 +202,23 @@ def _no_labels(axes: int) -> LabelTracks:
     return LabelTracks(track, track, track)
 
 
+def _passes_on(classifier: Any) -> bool:
+    """Whether fit takes any parameters, for the estimators that a classifier is made of."""
+    return any(one.kind is one.VAR_KEYWORD for one in signature(classifier.fit).parameters.values())
+
+
+def _takes(classifier: Any, name: str) -> bool:
+    """Whether fit takes groups, or sample_weight, for itself or for the estimators that a classifier is made of."""
+    if name in signature(classifier.fit).parameters or not _passes_on(classifier):
+        return name in signature(classifier.fit).parameters
+    if get_config()["enable_metadata_routing"]:
+        return name in get_routing_for_object(classifier).consumes("fit", [name])
+    parameters = classifier.get_params(deep=False)
+    if "error_score" in parameters:  # a search
+        return name == "groups" or _takes(parameters["estimator"], name)
+    return name == "sample_weight" and "estimators" in parameters  # voting and stacking
+
+
 def _has(chain: StateClassifier, method: str) -> bool:
     given = SvmClassifier() if chain.classifier is None else chain.classifier  # an unfitted ensemble has no truth value
     return hasattr(getattr(chain, "classifier_", given), method)
@@ -253,12 +273,13 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
         Args:
             X: recordings.
             y: classes.
-            groups: trial of each recording, for a classifier whose own ``fit`` takes groups; others need none.
+            groups: trial of each recording, for a classifier whose own ``fit`` takes groups, a search, or one that
+                requests them by metadata routing; others, such as a Pipeline without routing, are fitted without.
             sample_weight: weight of each recording for the classifier; a tolerance "auto" ignores it.
 
         Raises:
-            InputError: as both parts raise, weights for a classifier whose own ``fit`` takes none, or features with
-                balance for one that cannot weigh features.
+            InputError: as both parts raise, weights for a classifier that takes none, such as a Pipeline without
+                metadata routing, or features with balance for one that cannot weigh features.
         """
         described = {field.name: getattr(self, field.name) for field in fields(WrenchFeatures)}
         features = WrenchFeatures(**described).fit(X)
@@ -269,12 +290,10 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
                 raise InputError(f"{kind} takes no weights of features; choose features without balance.")
             classifier.set_params(feature_weight=features.feature_weight_)
         given = {"groups": groups, "sample_weight": sample_weight}
-        taken = signature(classifier.fit).parameters
-        if not any(one.kind is one.VAR_KEYWORD for one in taken.values()):  # searches pass anything on
-            if sample_weight is not None and "sample_weight" not in taken:
-                raise InputError(f"{kind} takes no sample_weight; fit without it.")
-            given = {name: given[name] for name in given if name in taken}
-        given = {name: value for name, value in given.items() if value is not None}
+        given = {name: one for name, one in given.items() if one is not None and _takes(classifier, name)}
+        if sample_weight is not None and "sample_weight" not in given:
+            hint = ", or enable metadata routing and call set_fit_request(sample_weight=True) of its steps"
+            raise InputError(f"{kind} takes no sample_weight; fit without it{hint if _passes_on(classifier) else ''}.")
         classifier.fit(features.transform(X), y, **given)
         self.features_, self.classifier_, self.classes_ = features, classifier, classifier.classes_
         self.n_features_in_ = features.n_features_in_

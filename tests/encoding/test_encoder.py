@@ -249,6 +249,15 @@ def test_durations_are_rounded_to_whole_samples(dt: float) -> None:
     assert EncoderConfig(dt=0.1, noise_below=0.3).short == EncoderConfig(dt=0.1, latency_cap=0.3).rules(1).cap == 3
 
 
+def test_the_latency_cap_limits_the_wait_of_primitives_only() -> None:
+    """As its descriptions say: a composition also waits for the next primitive, here to the end."""
+    push = np.interp(np.arange(2000) / 200, [1.0, 1.5], [0.0, 12.0])[:, None]
+    for cap, soon in ((None, False), (0.2, True)):
+        tracks = rj.encode(push, config=EncoderConfig(latency_cap=cap), thresholds=[[70.0, 46.0, 23.0, 1.0]])
+        first, *rest = ((one.emit - one.t1)[one.t1 == 300].tolist() for one in layers(tracks))
+        assert (first[0] <= 45, rest) == (soon, [[1700], [1700]])
+
+
 def test_labels_take_less_than_32_bytes_a_window() -> None:
     wrench = np.zeros((4, 2000, 6), np.float32)
     limits, length = jnp.asarray(preset().limits, jnp.float32), np.full(4, 2000, np.int32)

@@ -121,13 +121,23 @@ def test_unknown_robot_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["Mx", "Tz", "mx", "m_y", "tx", "torque_z", "moment x", "tau_3", "left.torque.x", "left_mz"]
-)
+    "name",
+    [
+        "Mx", "Tz", "mx", "m_y", "tx", "torque_z", "moment x", "tau_3", "left.torque.x", "left_mz", "T1", "M", "Mres",
+        "TCP_Tz", "Torque z", "tau_x", "moment_z", "MeasuredMx", "TCPTz", "x_torque", "force_torque/Mx", "TORQUEX",
+    ],
+)  # fmt: skip
 def test_moments_get_their_limits_however_they_are_spelled(name: str) -> None:
     np.testing.assert_array_equal(thresholds.preset("hiro", [name]).limits, thresholds.preset("hiro", ["Mz"]).limits)
 
 
-@pytest.mark.parametrize("name", ["Fx", "fz", "force_z", "mass", "motor_1", "tcp_x", "load", "axis0"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "Fx", "fz", "force_z", "mass", "motor_1", "tcp_x", "load", "axis0", "force_t0", "torque_sensor_fx",
+        "TCP_Fz", "Tool force z", "MeasuredFz", "measured_fz", "TCPFz", "Tool z force", "Total force", "Fx_m1",
+    ],
+)  # fmt: skip
 def test_all_other_axes_get_the_limits_of_forces(name: str) -> None:
     np.testing.assert_array_equal(thresholds.preset("hiro", [name]).limits, thresholds.preset("hiro", ["Fz"]).limits)
 

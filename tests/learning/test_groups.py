@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sklearn.ensemble import RandomForestClassifier
+from sklearn import config_context
+from sklearn.calibration import CalibratedClassifierCV
+from sklearn.ensemble import BaggingClassifier, RandomForestClassifier, VotingClassifier
 from sklearn.model_selection import GridSearchCV, GroupKFold, GroupShuffleSplit
+from sklearn.pipeline import make_pipeline
 
 from rcbht_jax import StateClassifier, SvmClassifier, encode
 from rcbht_jax.errors import InputError
@@ -186,6 +189,11 @@ def test_only_tested_groups_are_counted():
         None,
         RandomForestClassifier(3, random_state=0),
         GridSearchCV(SvmClassifier(kernel="linear"), {"cost": [1, 2]}, cv=GroupKFold(2)),
+        GridSearchCV(make_pipeline(SvmClassifier()), {"svmclassifier__cost": [1, 2]}, cv=GroupKFold(2)),
+        make_pipeline(SvmClassifier()),
+        VotingClassifier([("svm", SvmClassifier())]),
+        BaggingClassifier(SvmClassifier(), 2, random_state=0),
+        CalibratedClassifierCV(SvmClassifier(), cv=2),
     ],
 )
 def test_groups_go_to_classifiers_that_take_them(classifier):
@@ -193,6 +201,25 @@ def test_groups_go_to_classifiers_that_take_them(classifier):
     groups = np.tile([0, 1], 4)
     found = StateClassifier(classifier=classifier).fit(made.wrench, made.outcome, groups=groups)
     assert found.predict(made.wrench).tolist() == made.outcome.tolist()
+
+
+def test_a_pipeline_takes_weights_and_groups_by_metadata_routing_only():
+    made, weight = Recordings.example(), np.ones(8)
+    given = {"groups": np.arange(8), "sample_weight": weight}
+    svm = SvmClassifier(probability=True)
+    for classifier in (make_pipeline(svm), GridSearchCV(make_pipeline(svm), {"svmclassifier__cost": [1, 2]}, cv=2)):
+        with pytest.raises(InputError, match=r"takes no sample_weight; .* set_fit_request\(sample_weight=True\)"):
+            StateClassifier(classifier=classifier).fit(made.wrench, made.outcome, sample_weight=weight)
+    voting = StateClassifier(classifier=VotingClassifier([("svm", svm)]))
+    assert voting.fit(made.wrench, made.outcome, **given).score(made.wrench, made.outcome) == 1
+    with config_context(enable_metadata_routing=True):
+        asked = make_pipeline(SvmClassifier(probability=True).set_fit_request(sample_weight=True, groups=True))
+        together = {**given, "groups": np.zeros(8)}
+        with pytest.raises(InputError, match="has 1 trial"):
+            StateClassifier(classifier=asked).fit(made.wrench, made.outcome, **together)
+        assert StateClassifier(classifier=asked).fit(made.wrench, made.outcome, **given).predict(made.wrench).size == 8
+        with pytest.raises(InputError, match="Pipeline takes no sample_weight"):
+            StateClassifier(classifier=make_pipeline(svm)).fit(made.wrench, made.outcome, **given)
 
 
 def test_two_seeds_share_no_repetition() -> None:

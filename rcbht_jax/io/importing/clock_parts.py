@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import TIMES, TIMES_ABROAD, UNITS, base_and_unit
+from rcbht_jax._util.columns import TIMES, TIMES_ABROAD, UNITS, base_and_unit, snake
 from rcbht_jax.io.importing.clock import DAY
 from rcbht_jax.io.importing.mapping import Mapping
-from rcbht_jax.io.importing.names import snake
 from rcbht_jax.io.importing.table import Table
 
 JOINT = " + "  # between the names of columns that are one time

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, split_unit
+from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, snake, split_unit
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
@@ -40,7 +40,7 @@ def outcome_words(column: str) -> dict[str, str]:
     ('success', 'failure')
     """
     turned = {"1": "failure", "true": "failure", "0": "success", "false": "success"}
-    words = re.split(r"[\W\d_]+", names.snake(column))
+    words = re.split(r"[\W\d_]+", snake(column))
     denied = sum(bool(_DENIAL.match(word)) for word in words) % 2 == 1
     return OUTCOMES | turned if any(map(_BAD.search, words)) != denied else OUTCOMES
 
@@ -247,7 +247,7 @@ def _check_axes(table: Table, free: list[str]) -> None:
     axes = {column for wrench in names.wrenches(free) for column in wrench.values()}
     for column in (name for name in free if table.columns[name].dtype.kind == "U"):
         words = _distinct(table.columns[column])
-        whole = len(words) > MAX_LABELS and re.split(r"[\W_]+", names.snake(column))[-1] in names.WHOLE
+        whole = len(words) > MAX_LABELS and re.split(r"[\W_]+", snake(column))[-1] in names.WHOLE
         if len(words) and (column in axes or whole):
             first = next(text for text in table.columns[column] if text)
             raise InputError(

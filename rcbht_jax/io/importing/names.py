@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 
-from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, split_unit
+from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, is_moment, snake, split_unit
 from rcbht_jax.io.checks import LONGEST_NAME, RESERVED
 from rcbht_jax.labels import AXES
 
@@ -44,7 +44,6 @@ _QUALIFIERS = (
 )
 _WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*(?!\{arm\})[\[({]\s*([^\W\d][^\])}]*)[\])}]$")
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
-_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
 _LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
 _QUOTES = re.compile(r"""["'`]""")  # of parts of a path: /'FT'/'Fx'
@@ -134,7 +133,7 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
         return None
     if after[1:] in (*TIMES, *NANOSECONDS):  # of its samples
         return None
-    kind = "F" if unit in FORCES or word in ("force", "f") else "M"
+    kind = "M" if is_moment(f"{word}{letter}", unit) else "F"
     return (f"{before}{number}", after), kind, letter, word in ("torque", "moment", "tau", "m")
 
 
@@ -175,15 +174,6 @@ def preferred(found: Iterable[dict[str, str]]) -> dict[str, str]:
     'force_x'
     """
     return max(found, key=lambda wrench: (preference(wrench["Fx"]), len(wrench)), default={})
-
-
-def snake(name: str) -> str:
-    """A name in lower case, with a "_" between words that only a capital separates.
-
-    >>> snake("ZeitInSec"), snake("tcpForce.X")
-    ('zeit_in_sec', 'tcp_force.x')
-    """
-    return _CAMEL.sub("_", name).lower()
 
 
 def of_levels(name: str) -> str:

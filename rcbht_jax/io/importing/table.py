@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import unit_of_time
+from rcbht_jax._util.columns import snake, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import families
-from rcbht_jax.io.importing.names import OF_FORCES, snake, wrenches
+from rcbht_jax.io.importing.names import OF_FORCES, wrenches
 from rcbht_jax.io.importing.segments import segments
 
 RATE_NAMES = (

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import SECONDS, TIMES, TIMES_ABROAD, base_and_unit, split_unit
+from rcbht_jax._util.columns import SECONDS, TIMES, TIMES_ABROAD, base_and_unit, snake, split_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
@@ -118,7 +118,7 @@ def _likely_time(table: Table, free: list[str]) -> str:
     """A column that grows and is called like a time, lies in a group of times, or has no name; "" = there is none."""
     growing = [name for name in free if grows(table, name)]
     axes = "".join(names.preferred(names.wrenches(free)).values())
-    paths = {name: re.split(r"[./]", names.snake(split_unit(name)[0])) for name in growing}
+    paths = {name: re.split(r"[./]", snake(split_unit(name)[0])) for name in growing}
     called = [
         name for name, parts in paths.items() if set(parts[:-1]) & set(TIMES) or _is_called(table, name, parts[-1])
     ]
@@ -149,7 +149,7 @@ def _is_called(table: Table, name: str, last: str) -> bool:
 def _with_nanoseconds(table: Table, free: list[str]) -> dict[str, str]:
     """Columns of whole seconds, not all zero, and that of the nanoseconds beside each."""
     numeric = (name for name in free if table.columns[name].dtype.kind != "U")
-    lower = {names.snake(name).replace("nano_sec", "nanosec"): name for name in numeric}
+    lower = {snake(name).replace("nano_sec", "nanosec"): name for name in numeric}
     found: dict[str, str] = {}
     for key, name in lower.items():
         if (match := _SECONDS.match(key)) and table.columns[name].any():
