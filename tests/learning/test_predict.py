@@ -271,3 +271,10 @@ def test_a_model_of_first_seconds_sees_no_more_of_others(place: Path) -> None:
     model = load(place / "one.model")
     assert task_of(model).seconds == 0.0
     assert task_of(replace(model, task=model.task | {"seconds": 0.5})).seconds == 0.5
+
+
+def test_a_model_of_version_0_1_names_no_arm(place: Path) -> None:
+    """Its task names R, whatever the arm of the recordings is called."""
+    model = load(place / "one.model")
+    named = replace(model, task=model.task | {"arms": "R"})
+    assert (task_of(named).arms, task_of(replace(named, axes=(), units=())).arms) == ("R", "")
