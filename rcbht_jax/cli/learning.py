@@ -124,8 +124,8 @@ class Evaluate(_Learning):
     """Measure how well a classifier of the labels distinguishes states, outcomes or failure types.
 
     All sentences of a trial, or of all trials of a --group, are in the same fold; kernel, C and scaling are chosen
-    within the training folds. Two baselines are measured on the same folds: the duration alone, and the most frequent
-    class.
+    within the training folds. Two baselines are measured on the same folds: a random forest on the duration alone, and
+    the most frequent class.
 
     Example: rcbht evaluate hiro.zarr --task states --session A B --train-on A --test-on B
     """
