@@ -22,11 +22,10 @@ from experiments._lib.intervals import (
     of_sums,
     sums,
     with_width,
-    without,
 )
 from experiments._lib.results_io import COMMITTED, committed
 from rcbht_jax.learning.metrics import equal_items, has_width, percentile_interval, wilson
-from rcbht_jax.learning.validation import CrossValidation
+from rcbht_jax.learning.validation import CrossValidation, without_intervals
 
 
 def pairs(value: Any) -> Iterator[tuple[float, float]]:
@@ -128,7 +127,7 @@ def test_scores_of_folds_that_all_agree_have_wilsons_interval_by_trial() -> None
     assert (made["accuracy"]["low"], made["accuracy"]["high"]) == wilson(12, 12)
     assert made["balanced_accuracy"]["interval by"] == "corrected resampled t"
     assert with_width(made["accuracy"], 12) == made["accuracy"]  # which says how it was made
-    assert {name: without(made)[name] for name in ("accuracy", "balanced_accuracy")} == {
+    assert {name: without_intervals(made)[name] for name in ("accuracy", "balanced_accuracy")} == {
         "accuracy": {"mean": 1.0},
         "balanced_accuracy": {"mean": pytest.approx(0.9)},
     }
