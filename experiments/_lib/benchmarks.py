@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from experiments._lib.catalogue import DATA
-from experiments._lib.intervals import of_folds, with_width
+from experiments._lib.intervals import at_least, of_folds, with_width
 from experiments._lib.tasks import failure_types, states
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -159,13 +159,17 @@ def items_of(recordings: Recordings, benchmark: Benchmark) -> LabelledIntervals:
     return labelled_intervals(recordings, benchmark.task)
 
 
-def with_interval(scores: ArrayLike, test_to_train: float = 1.0, places: int = 3, trials: int = 0) -> dict[str, Any]:
+def with_interval(
+    scores: ArrayLike, test_to_train: float = 1.0, places: int = 3, trials: float = 0, items: float = 0
+) -> dict[str, Any]:
     """Mean of the scores of repeated splits and its corrected 95 % interval, rounded.
 
-    Where all are the same, it is Wilson's for so many ``trials``; 0 = there is none, as nothing varies.
+    Where all are the same, it is Wilson's for so many ``trials``; 0 = there is none, as nothing varies. It is no
+    narrower than Wilson's of so many independent ``items``; 0 = what is scored is not right or wrong.
     """
     mean, low, high = metrics.corrected_interval(np.asarray(scores), test_to_train)
     score = with_width({"mean": mean, "low": low, "high": high}, trials)
+    score = at_least(score, items) if items else score
     ends = {"interval": [round(score["low"], places), round(score["high"], places)]} if "low" in score else {}
     return {"mean": round(mean, places), **ends}
 

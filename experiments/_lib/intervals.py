@@ -61,12 +61,6 @@ def of_folds(run: CrossValidation, trials: int) -> dict[str, Any]:
     }
 
 
-def without(summary: dict[str, Any]) -> dict[str, Any]:
-    """Scores without their intervals: the share of the most frequent class is fixed by construction."""
-    return {name: {"mean": part["mean"]} if isinstance(part, dict) and "mean" in part else part
-            for name, part in summary.items()}  # fmt: skip
-
-
 def by_trial(mean: float, trials: float) -> dict[str, Any]:
     """A share of items right with Wilson's interval, each trial counting once: items of a trial are not independent."""
     low, high = wilson(mean * trials, trials)

@@ -19,7 +19,6 @@ import tyro
 
 from experiments._lib.benchmarks import FAILURES, of_sources, published_words
 from experiments._lib.checkpointed_rows import Rows
-from experiments._lib.intervals import without
 from experiments._lib.results_io import committed
 from experiments._lib.tasks import failure_types
 from experiments.calibration.methods import WORDS, folds
@@ -59,7 +58,7 @@ def main(
         for name, which in limits.items()
     }
     wanted["duration alone"] = lambda: measure(validation.forest(items.seconds, items.y), items)
-    wanted["majority"] = lambda: without(measure(validation.majority(items.y), items))
+    wanted["majority"] = lambda: validation.without_intervals(measure(validation.majority(items.y), items))
     about = {
         "task": "failure types of the authors' simulated failures, words alone",
         "trials": len(np.unique(items.trial)), "classes": list(items.classes), "repeats": repeats,

@@ -20,7 +20,6 @@ import tyro
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FOLDS, items_of, published_words, recorded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import without
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import FULL, PLAIN
 from rcbht_jax.learning import validation
@@ -81,7 +80,7 @@ class Experiment:
         items, _ = self.data(benchmark)
         repeats = repeats_of(benchmark, method, self.repeats)
         score = BENCHMARKS[benchmark].score(self.learner(benchmark, method), items, repeats, self.seed)
-        score = without(score) if method == "majority" else score
+        score = validation.without_intervals(score) if method == "majority" else score
         return {"kind": kind(method), **score, "repeats": repeats, "libraries": libraries()}
 
 

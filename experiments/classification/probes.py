@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, published_words, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import of_folds, without
+from experiments._lib.intervals import of_folds
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid, Split
@@ -99,7 +99,7 @@ class Experiment:
         result = validation.cross_validate(self.learners(question)[view](), items.y, splits, self.seed)
         counts = dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True))
         scores = of_folds(result, len(np.unique(items.trial)))
-        return {"trials": counts, **rounded(without(scores) if view == "majority" else scores)}
+        return {"trials": counts, **rounded(validation.without_intervals(scores) if view == "majority" else scores)}
 
     def splits(self, question: str) -> list[list[Split]]:
         items, asked = self.items(question), QUESTIONS[question]

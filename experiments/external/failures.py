@@ -25,7 +25,7 @@ from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, rounded, segments
 from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import of_folds, without
+from experiments._lib.intervals import of_folds
 from experiments._lib.other_robots import of_other_robot
 from experiments.external import method
 from rcbht_jax.errors import InputError
@@ -151,7 +151,9 @@ class Experiment:
         splits = repeated_folds(y, self.repeats, self.seed)
         made = validation.cross_validate(self.makers()[title](name), y, splits, self.seed)
         scores = of_folds(made, len(y))
-        return rounded(without(scores) if title == "majority" else scores) | {"repeats": self.repeats}
+        return rounded(validation.without_intervals(scores) if title == "majority" else scores) | {
+            "repeats": self.repeats
+        }
 
 
 def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:

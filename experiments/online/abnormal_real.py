@@ -170,8 +170,16 @@ def measure(w: Watched, row: str, x: Floats, repeats: int, seed: int) -> dict[st
             runs.append(score(w, x, y, train, test, s))
     classes = ("A", "B") if row == "sessions" else ("C", "AB")  # that count as failures and as successes
     tested = [sum(str(one) in kind for one in session) for kind in classes]
-    counts = dict(zip(("failures alarmed", "successes alarmed"), tested, strict=True))
-    return {name: with_interval([run[name] for run in runs], trials=counts.get(name, sum(tested))) for name in runs[0]}
+    alarms = dict(zip(("failures alarmed", "successes alarmed"), tested, strict=True))
+    equal = metrics.equal_items(tested)
+    return {
+        name: with_interval(
+            [run[name] for run in runs],
+            trials=alarms.get(name, equal),
+            items=equal if name.startswith(("at ", "after ")) else 0,
+        )
+        for name in runs[0]
+    }
 
 
 def streamed() -> tuple[Watched, dict[str, NDArray[np.bool_]]]:

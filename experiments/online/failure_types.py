@@ -127,8 +127,8 @@ def fold(
     return out
 
 
-def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Mean and 95 % interval of every score; the sum of what is counted."""
+def summary(runs: list[dict[str, Any]], trials: int) -> dict[str, Any]:
+    """Mean and 95 % interval of every score, at a moment of each of the ``trials``; the sum of what is counted."""
     out: dict[str, Any] = {}
     for name in runs[0]:
         values = [run[name] for run in runs]
@@ -138,7 +138,8 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
         if np.ndim(values[0]):
             out[name] = np.sum(values, 0).tolist()
             continue
-        out[name] = with_interval(values, 1 / (FOLDS - 1))
+        once = trials if name.startswith("at ") else 0
+        out[name] = with_interval(values, 1 / (FOLDS - 1), trials=once, items=once)
     return out
 
 
@@ -166,7 +167,8 @@ def row(
     x = watched(recordings, snapshots, method)
     splits = repeated_folds(items.y, items.trial, FOLDS, repeats, seed)
     parts = [(seed + k, test) for k, folds in enumerate(splits) for _, test in folds]
-    return summary([fold(items, snapshots, training, x, method, test, s) for s, test in tqdm(parts, disable=None)])
+    runs = [fold(items, snapshots, training, x, method, test, s) for s, test in tqdm(parts, disable=None)]
+    return summary(runs, len(items.y))
 
 
 def main(repeats: int = 1, seed: int = 0, only: Only = ALL_ROWS) -> None:

@@ -34,18 +34,18 @@ def chosen_arm(names: Iterable[str], wanted: str) -> str:
 
     Args:
         names: of the arms of recordings, at least one.
-        wanted: one of them; "" = the first of :func:`arms_in`. One arm alone need not be named.
+        wanted: one of them; "" = the first of :func:`arms_in`. An arm alone that has no name is meant by any.
 
     Raises:
-        InputError: there are several arms, and not this one.
+        InputError: the arms have names, and none has this one.
 
     Example:
         >>> chosen_arm(["left", "right"], "left"), chosen_arm(["left", "right"], ""), chosen_arm([""], "R")
         ('left', 'right', '')
     """
     arms = arms_in(names)
-    if len(arms) > 1 and wanted and wanted not in arms:
-        raise InputError(f"There is no arm {wanted!r}; choose one of {', '.join(arms)} (--arm).")
+    if wanted and wanted not in arms and any(arms):
+        raise InputError(f"The recordings have no arm {wanted!r}, only {', '.join(arms)}.")
     return wanted if wanted in arms else arms[0]
 
 

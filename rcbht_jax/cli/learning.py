@@ -124,8 +124,8 @@ class Evaluate(_Learning):
     """Measure how well a classifier of the labels distinguishes states, outcomes or failure types.
 
     All sentences of a trial, or of all trials of a --group, are in the same fold; kernel, C and scaling are chosen
-    within the training folds. Two baselines are measured on the same folds: the duration alone, and the most frequent
-    class.
+    within the training folds. Two baselines are measured on the same folds: a random forest on the duration alone, and
+    the most frequent class.
 
     Example: rcbht evaluate hiro.zarr --task states --session A B --train-on A --test-on B
     """
@@ -236,9 +236,9 @@ class Train(_Learning):
 class Classify(Command):
     """Classify every sentence of a store with a model of "rcbht train" and write a table.
 
-    The table has a row per sentence: trial, arm, session, start and end in seconds, predicted class, true class (empty
-    if the store has none), and a decision value for each pair of classes, positive for the first. If the store has
-    true classes, the accuracy is printed, separately for trials that the model was trained on. The rate, the axes,
+    The table has a row per sentence: source, trial, arm, session, start and end in seconds, predicted class, true class
+    (empty if the store has none), and a decision value for each pair of classes, positive for the first. If the store
+    has true classes, the accuracy is printed, separately for trials that the model was trained on. The rate, the axes,
     their units and the encoder of the labels must be those of the training.
 
     Example: rcbht classify new.zarr --model states.model -o classes.csv

@@ -31,7 +31,7 @@ def play(
     Args:
         recordings: the data set.
         trials: names; default all.
-        arm: for example "left"; "" = the last by name, as the right one; where the data set has one only, that one.
+        arm: for example "left"; "" = the last by name, as the right one.
         starts: a sub-task begins with each interval of a track of annotations: of the one of this name; "recorded" =
             of the first; "harmonised" = of its corrected variant where there is one; "none" = never.
         name: of the data set, for errors.

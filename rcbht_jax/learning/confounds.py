@@ -47,8 +47,8 @@ def _durations(items: LabelledIntervals) -> str:
     if score <= (1 + chance) / 2:
         return ""
     return (
-        f"The classes differ in length: duration alone predicts them with a balanced accuracy of {score:.0%} "
-        f"(chance {chance:.0%})."
+        f"The classes differ in length: the nearest median duration alone predicts them with a balanced accuracy of "
+        f"{score:.0%} (chance {chance:.0%})."
     )
 
 
@@ -62,7 +62,7 @@ def _first_second(items: LabelledIntervals, facts: WrenchFacts) -> str:
     if score <= (1 + chance) / 2:
         return ""
     return (
-        f"The mean of the first second predicts the classes with a balanced accuracy of {score:.0%} (chance "
+        f"The nearest mean of the first second predicts the classes with a balanced accuracy of {score:.0%} (chance "
         f"{chance:.0%}); if nothing happens that early, bias, tool or pose differ."
     )
 

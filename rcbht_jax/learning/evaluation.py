@@ -81,7 +81,7 @@ class EvaluationResult:
     dropped: dict[str, int]  # reason -> trials left out; intervals where it begins with "intervals, "
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
     duration_baseline: dict[str, Any]  # random forest on the length of the interval alone
-    majority_baseline: dict[str, Any]
+    majority_baseline: dict[str, Any]  # without limits, as it is fixed by construction
     fold_accuracy: list[list[float]]  # [repeat][fold]
     confusion: list[list[int]]  # [true][predicted], summed over repeats
     chosen: dict[str, int]  # hyper-parameters as one line -> outer folds that chose them
@@ -221,7 +221,7 @@ def score(
         dropped=items.dropped,
         score=scored.summaries["svm"],
         duration_baseline=scored.summaries["duration"],
-        majority_baseline=scored.summaries["majority"],
+        majority_baseline=validation.without_intervals(scored.summaries["majority"]),
         fold_accuracy=scored.fold_accuracy,
         confusion=scored.confusion,
         chosen=dict(Counter(_line(c) for c in scored.chosen).most_common()),

@@ -82,7 +82,9 @@ def task_of(
     try:
         known = checked_fields(TaskSpec, {k: v for k, v in model.task.items() if k in TaskSpec.__dataclass_fields__})
         trained = known["outcomes"]
-        spec = TaskSpec(known["task"], known["boundaries"], known["arms"], seconds=known.get("seconds", 0.0))
+        old = known["arms"] == "R" and not model.axes  # version 0.1 names R, whatever the arm is called
+        arms = "" if old else known["arms"]
+        spec = TaskSpec(known["task"], known["boundaries"], arms, seconds=known.get("seconds", 0.0))
     except (KeyError, TypeError) as error:
         raise InputError(f"the model does not state its task: {error} is missing.") from error
     kept = outcomes or (trained and (*trained, UNKNOWN))

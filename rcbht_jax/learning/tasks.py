@@ -49,7 +49,7 @@ class TaskSpec:
     Attributes:
         task: track of annotations, or column.
         boundaries: variant of the track: "harmonised" = TASK-harmonised if there is one, else TASK; "recorded" = TASK.
-        arms: one arm, or "both" side by side; "" = the last by name, as the right one; of one arm alone, that one.
+        arms: one arm, or "both" side by side; "" = the last by name, as the right one.
         sources: data sets.
         sessions: recording sessions.
         outcomes: None = for a track, the successes if there are any (the others are counted as left out); for a

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -21,11 +22,10 @@ from experiments._lib.intervals import (
     of_sums,
     sums,
     with_width,
-    without,
 )
-from experiments._lib.results_io import COMMITTED
-from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
-from rcbht_jax.learning.validation import CrossValidation
+from experiments._lib.results_io import COMMITTED, committed
+from rcbht_jax.learning.metrics import equal_items, has_width, percentile_interval, wilson
+from rcbht_jax.learning.validation import CrossValidation, without_intervals
 
 
 def pairs(value: Any) -> Iterator[tuple[float, float]]:
@@ -56,6 +56,57 @@ def test_no_committed_interval_has_zero_width(path: Any) -> None:
     assert all(low < high for _, low, high in found)
 
 
+OVER_FOLDS = (
+    "abnormal_real", "calibration", "calibration_bank", "calibration_near", "calibration_transfer", "causal",
+    "external_early", "external_failures", "failure_types_online", "fit_classification", "frozen_choice", "grammar",
+    "headline", "peers", "probes", "table1_ours", "table2", "two_arm_states", "types_across",
+)  # fmt: skip
+# No share of items that are right, or an exception that docs/evaluation.md names: streams at every step, and alarms.
+UNLIMITED = "macro step|every tenth|time known|OverallPr|alarmed|ECE|calibration error|gain|earliness|harmonic"
+ITEMS = {  # at most, of the set that the place of a score names; the first counts
+    "abnormal_real > sessions": equal_items([16, 19]),
+    "abnormal_real|headline.*success or failure": equal_items([12, 35]),
+    "types|failure-type|calibration_transfer": 294, "two_arm_states": 160, "lp1": 88, "lp2": 47, "lp4": 117,
+    "SIM1|sim1": 116, "SIM2": 52, "session A": 64, "REAL|real-transfer|[AB] to [AB]": 140,
+}  # fmt: skip
+
+
+def scores(value: Any, place: str) -> Iterator[tuple[str, float, float, float]]:
+    """Every score that has an interval, and where it is."""
+    if not isinstance(value, dict):
+        return
+    ends = value.get("interval", [value.get("low"), value.get("high")])
+    if "mean" in value and isinstance(ends[0], float):
+        yield place, value["mean"], *ends
+    for key, part in value.items():
+        if key == "intervals":
+            yield from ((f"{place} > {task}", value["scores"][task], *pair) for task, pair in part.items())
+        yield from scores(part, f"{place} > {key}")
+
+
+def items_of(place: str, row: dict[str, Any]) -> float:
+    """How many items a score is of; mean recall has so many as classes of equal size would have."""
+    sizes = row.get("items", row.get("trials"))
+    if isinstance(sizes, dict):
+        return equal_items(list(sizes.values())) if "balanced" in place else sum(sizes.values())
+    return next(items for pattern, items in ITEMS.items() if re.search(pattern, place))
+
+
+@pytest.mark.parametrize("name", OVER_FOLDS)
+def test_no_committed_score_over_folds_has_an_interval_narrower_than_wilsons(name: str) -> None:
+    result = committed(name)
+    found = [
+        (place, low, high, wilson(mean * items, items))
+        for key, row in result.get("rows", result).items()
+        for place, mean, low, high in scores(row, f"{name} > {key}")
+        if not re.search(UNLIMITED, place)
+        for items in [items_of(place, row)]
+    ]
+    assert found
+    rounding = 0.0015  # of scores and ends to three places
+    assert [one for one in found if one[1] > one[3][0] + rounding or one[2] < one[3][1] - rounding] == []
+
+
 def test_the_search_finds_every_form_of_an_interval() -> None:
     forms = {
         "a": {"low": 1, "high": 1}, "interval": [1.0, 1.0], "auroc_interval": [0, 0], "share_95_percent": [1, 1],
@@ -76,7 +127,7 @@ def test_scores_of_folds_that_all_agree_have_wilsons_interval_by_trial() -> None
     assert (made["accuracy"]["low"], made["accuracy"]["high"]) == wilson(12, 12)
     assert made["balanced_accuracy"]["interval by"] == "corrected resampled t"
     assert with_width(made["accuracy"], 12) == made["accuracy"]  # which says how it was made
-    assert {name: without(made)[name] for name in ("accuracy", "balanced_accuracy")} == {
+    assert {name: without_intervals(made)[name] for name in ("accuracy", "balanced_accuracy")} == {
         "accuracy": {"mean": 1.0},
         "balanced_accuracy": {"mean": pytest.approx(0.9)},
     }
@@ -97,6 +148,8 @@ def test_scores_of_folds_that_all_agree_have_wilsons_interval_by_trial() -> None
     assert with_width(same, 0) == {"mean": 1.0}
     assert with_interval(np.ones((3, 5)), trials=12)["interval"] == [round(end, 3) for end in wilson(12, 12)]
     assert with_interval(np.ones((3, 5))) == {"mean": 1.0}
+    ends = [round(end, 3) for end in wilson(90, 100)]
+    assert with_interval(np.array([0.899, 0.901]), items=100) == {"mean": 0.9, "interval": ends}
 
 
 def test_shares_of_sums_vary_with_the_groups_that_are_drawn() -> None:

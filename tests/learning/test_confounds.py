@@ -97,7 +97,7 @@ def test_a_bias_that_gives_the_class_away_is_told_by_the_first_second() -> None:
         items = labelled_intervals(recordings, TaskSpec("outcome"))
         texts.append(" ".join(confounds(items, WrenchFacts.of(recordings))))
     assert "first second" not in texts[0]
-    assert "first second predicts the classes with a balanced accuracy of 100%" in texts[1]
+    assert "The nearest mean of the first second predicts the classes with a balanced accuracy of 100%" in texts[1]
 
 
 def test_a_session_that_is_not_scored_says_nothing_about_the_score():

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import rcbht_jax as rj
+from rcbht_jax.cli.learning import Classify
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
@@ -72,6 +73,8 @@ def test_it_says_what_the_machine_says(
     ((made, _),) = candidates({"": grammar}, items, features).values()
     with out.open(newline="") as stream:
         table = list(csv.DictReader(stream))
+    assert list(table[0])[:6] == ["source", "trial", "arm", "session", "start", "end"]
+    assert "sentence: source, trial, arm, session, start and end in" in " ".join((Classify.__doc__ or "").split())
     assert [row["class"] for row in table] == model.svm.predict(made.values).tolist()
     assert [row["truth"] for row in table] == [items.classes[k] for k in items.y]
     assert [row["trial"] for row in table] == items.trial.tolist()
@@ -271,3 +274,10 @@ def test_a_model_of_first_seconds_sees_no_more_of_others(place: Path) -> None:
     model = load(place / "one.model")
     assert task_of(model).seconds == 0.0
     assert task_of(replace(model, task=model.task | {"seconds": 0.5})).seconds == 0.5
+
+
+def test_a_model_of_version_0_1_names_no_arm(place: Path) -> None:
+    """Its task names R, whatever the arm of the recordings is called."""
+    model = load(place / "one.model")
+    named = replace(model, task=model.task | {"arms": "R"})
+    assert (task_of(named).arms, task_of(replace(named, axes=(), units=())).arms) == ("R", "")

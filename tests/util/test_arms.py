@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from rcbht_jax._util.arms import chosen_arm
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.messages import Sample
 from rcbht_jax.io.playback import play
-from rcbht_jax.learning.tasks import extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import extract_features, labelled_intervals, unlabelled_intervals
 
 
 def of_arms(*arms: str) -> Recordings:
@@ -52,12 +54,24 @@ def test_all_arms_stand_side_by_side_under_their_names() -> None:
 
 @pytest.mark.parametrize("name", ["R", "both", "Left"])
 def test_an_arm_that_is_not_there_is_refused_with_those_that_are(name: str) -> None:
-    with pytest.raises(InputError, match=r"There is no arm .*; choose one of right, left \(--arm\)"):
+    with pytest.raises(InputError, match=r"have no arm .*, only right, left\."):
         chosen_arm(["left", "right"], name)
 
 
+@pytest.mark.parametrize("name", ["L", "X"])
+def test_an_arm_that_the_chosen_recordings_lack_is_refused(name: str) -> None:
+    """Though the data set has it: a task of one source would be about another arm than the one named."""
+    recordings = of_arms("R", "L")
+    source = np.where(recordings.trial == "d", "both", "right")
+    recordings = replace(recordings, source=source).take((recordings.arm == "R") | (source == "both"))
+    for intervals_of in (labelled_intervals, unlabelled_intervals):
+        with pytest.raises(InputError, match=f"The recordings have no arm '{name}', only R"):
+            intervals_of(recordings, TaskSpec("outcome", arms=name, sources=("right",)))
+    with pytest.raises(InputError, match=f"no arm '{name}', only R"):
+        set(play(of_arms("R"), arm=name))
+
+
 def test_one_arm_alone_need_not_be_named() -> None:
-    """Models of version 0.1 name R, whatever the arm of the recordings is called."""
-    recordings = of_arms("wrist")
-    assert len(labelled_intervals(recordings, TaskSpec("outcome", arms="R")).y) == 4
-    assert played(recordings, "R") == {1.0}
+    for recordings, name in ((of_arms("wrist"), ""), (of_arms(""), "R")):
+        assert len(labelled_intervals(recordings, TaskSpec("outcome", arms=name)).y) == 4
+        assert played(recordings, name) == {1.0}
