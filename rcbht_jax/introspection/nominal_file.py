@@ -30,6 +30,7 @@ class MonitorFile:
     axes: tuple[str, ...]  # names
     where: tuple[str, ...]  # selection of the training recordings, COLUMN=VALUE each
     units: tuple[str, ...] = ()  # of the axes, "" = not stated; none in files written before units were kept
+    arm: str = ""  # whose wrench it learned, as it was named; "" = the last by name, as the right one
 
 
 def save(path: Path | str, file: MonitorFile) -> None:
@@ -45,6 +46,7 @@ def save(path: Path | str, file: MonitorFile) -> None:
         "axes": file.axes,
         "units": file.units,
         "where": file.where,
+        "arm": file.arm,
         "parameters": {name: plain(value) for name, value in file.monitor.get_params().items()},
         "levels": file.monitor.levels_,
         **{name: plain(getattr(bank, name)) for name in _NUMBERS},
@@ -80,4 +82,5 @@ def load(path: Path | str) -> MonitorFile:
         ):
             raise InputError(f"{path} is damaged: its arrays do not fit each other.")
         where, units = checked_texts("its groups", meta["where"]), checked_texts("its units", meta.get("units", []))
-        return MonitorFile(monitor.restore(len(axes), levels, bank, peaks), axes, where, units)
+        (arm,) = checked_texts("its arm", [meta.get("arm", "")])
+        return MonitorFile(monitor.restore(len(axes), levels, bank, peaks), axes, where, units, arm)
