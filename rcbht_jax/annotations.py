@@ -238,7 +238,8 @@ class Annotations(ByValue):
     def of_samples(self, recording: int, track: str, length: int, dt: float) -> Int[np.ndarray, " sample"]:
         """Code of the label of each sample of one recording; -1 where a track annotates nothing.
 
-        A sample belongs to the interval that holds its time; of several the one that begins last.
+        An interval holds the samples from the one nearest to its start to the one before that nearest to its end, so
+        one shorter than a sample may hold none; a sample of several intervals belongs to the one that begins last.
 
         Args:
             recording: its number.

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rcbht_jax.errors import InputError
 
 BOTH = "both"  # all arms, side by side
@@ -47,6 +50,18 @@ def chosen_arm(names: Iterable[str], wanted: str) -> str:
     if wanted and wanted not in arms and any(arms):
         raise InputError(f"The recordings have no arm {wanted!r}, only {', '.join(arms)}.")
     return wanted if wanted in arms else arms[0]
+
+
+def rows_of_arm(names: NDArray[np.str_], wanted: str) -> tuple[NDArray[np.int64], list[str]]:
+    """The recordings of the arm of :func:`chosen_arm`, and a remark that names it where there are others.
+
+    >>> rows, remarks = rows_of_arm(np.array(["left", "right"]), "")
+    >>> rows.tolist(), remarks
+    ([1], ['Counted is the right arm alone.'])
+    """
+    arms = arms_in(names.tolist())
+    arm = chosen_arm(arms, wanted) if arms else ""
+    return np.flatnonzero(names == arm), [f"Counted is the {title_of(arm)} alone."] * (len(arms) > 1)
 
 
 def title_of(arm: str) -> str:

@@ -12,9 +12,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from rcbht_jax._util.arms import rows_of_arm
 from rcbht_jax._util.cells import number_of
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import Command, MadeBy, Store, option, progress_bar
+from rcbht_jax.cli.command import Arm, Command, MadeBy, Store, option, progress_bar
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
@@ -65,19 +66,20 @@ class MonitorFit(Command):
     out: Annotated[Path, option("File to write: arrays and JSON, no code.", aliases=["-o"], metavar="MONITOR")] = Path(
         "nominal.monitor"
     )
+    arm: Arm = ""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.nominal_file import MonitorFile, save
         from rcbht_jax.learning.class_groups import column_groups
 
-        chosen = _read(self.store, self.where)
+        chosen, remarks = _read(self.store, self.where, self.arm)
         recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal)))
         series = _series(recordings)
         monitor = _monitor(recordings, self.score_rate, self.levels)
         monitor.set_params(calibration="split" if self.exact else "cross", random_state=self.seed)
         groups = column_groups(self.group, recordings)
         monitor.fit(series, groups=groups)
-        save(self.out, MonitorFile(monitor, recordings.axes, self.where, recordings.units))
+        save(self.out, MonitorFile(monitor, recordings.axes, self.where, recordings.units, self.arm))
         held = len(monitor.peaks_)
         return {
             "monitor": str(self.out),
@@ -86,17 +88,19 @@ class MonitorFit(Command):
             "groups": len(np.unique(groups)),
             "levels": [recordings.axes[level] for level in monitor.levels_],
             "fewest_false_alarms": 1 / (held + 1),
+            "remarks": remarks,
         }
 
     def text(self, result: dict[str, Any]) -> str:
         from rcbht_jax.introspection.alarms import rounded_up
 
         count = f"{plural(result['recordings'], 'nominal recording')} of {plural(result['groups'], 'group')}"
-        return (
+        fitted = (
             f"{result['monitor']}: {count}; "
             f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
             f"the smallest share of false alarms that it can promise is {rounded_up(result['fewest_false_alarms']):g}"
         )
+        return "\n".join([fitted, *result["remarks"]])
 
 
 @dataclass(frozen=True)
@@ -119,13 +123,14 @@ class MonitorWatch(Command):
     where: Where = ()
     false_alarms: FalseAlarms = 0.05
     snap: SnapSize = ()
+    arm: Annotated[str, option("Arm whose wrench to use, if the store has several.", "that of the monitor")] = ""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.signals import check_axes
         from rcbht_jax.introspection.nominal_file import load
 
         file = load(self.monitor)
-        recordings = _read(self.store, self.where)
+        recordings, remarks = _read(self.store, self.where, self.arm or file.arm)
         series = _series(recordings)
         monitor, level = file.monitor, file.monitor.threshold(self.false_alarms)
         check_axes(recordings.axes, recordings.units, file.axes, file.units, str(self.store))
@@ -145,11 +150,13 @@ class MonitorWatch(Command):
             if len(above):
                 _line("Alarm", about, time=(int(above[0]) + 1) * recordings.dt, score=scores[above[0]], threshold=level)
             _line("End", about, time=len(part) * recordings.dt, peak=scores.max(), outcome=str(recordings.outcome[row]))
-        return {"monitor": str(self.monitor), "recordings": len(series), "alarms": alarms, "threshold": level}
+        counts = {"recordings": len(series), "alarms": alarms, "threshold": level, "remarks": remarks}
+        return {"monitor": str(self.monitor), **counts}
 
     def text(self, result: dict[str, Any]) -> str:
         # Standard output belongs to the alarms.
-        print(f"{plural(result['recordings'], 'recording')}, {result['alarms']} with an alarm", file=sys.stderr)
+        count = f"{plural(result['recordings'], 'recording')}, {result['alarms']} with an alarm"
+        print(count, *result["remarks"], sep="\n", file=sys.stderr)
         return ""
 
 
@@ -173,13 +180,14 @@ class MonitorEvaluate(Command):
     false_alarms: FalseAlarms = 0.05
     score_rate: ScoreRate = None
     levels: Levels = AUTO
+    arm: Arm = ""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.alarms import trials_needed
         from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, parts, thresholds
         from rcbht_jax.learning.class_groups import column_groups
 
-        chosen = _read(self.store, self.where)
+        chosen, remarks = _read(self.store, self.where, self.arm)
         recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | _judged(chosen)))
         series = _series(recordings)
         groups, nominal = column_groups(self.group, recordings), _nominal(recordings, self.nominal)
@@ -192,7 +200,7 @@ class MonitorEvaluate(Command):
         left_out = len(chosen) - len(recordings)
         return {
             **result, "without_threshold": without, "needed": trials_needed(self.false_alarms), "unknown": left_out,
-            "not_scored": sorted(result["groups"].keys() - watched.calibration),
+            "not_scored": sorted(result["groups"].keys() - watched.calibration), "remarks": remarks,
         }  # fmt: skip
 
     def _onset(self, recordings: Recordings) -> NDArray[np.float64] | None:
@@ -233,7 +241,7 @@ class MonitorEvaluate(Command):
                 f"No alarms of {', '.join(without)}: --false-alarms {self.false_alarms:g} takes "
                 f"{result['needed']} nominal recordings of the other groups."
             )
-        return "\n".join(lines)
+        return "\n".join([*lines, *result["remarks"]])
 
 
 def _snaps(detector: SnapDetector, columns: list[int], part: NDArray[np.float64]) -> list[Snap]:
@@ -250,8 +258,8 @@ def _row(row: dict[str, Any]) -> str:
     return "  ".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in cells)
 
 
-def _read(store: Path, where: tuple[str, ...]) -> Recordings:
-    """The chosen recordings."""
+def _read(store: Path, where: tuple[str, ...], arm: str) -> tuple[Recordings, list[str]]:
+    """The chosen recordings of one arm, and a remark that names it where there are others."""
     from rcbht_jax.io.store import read_recordings
 
     recordings = read_recordings(store)
@@ -264,7 +272,9 @@ def _read(store: Path, where: tuple[str, ...]) -> Recordings:
         chosen &= column == number_of(value) if column.dtype.kind in "fiu" else column.astype(str) == value
     if not chosen.any():
         raise InputError(f"{store} has no recording with {' and '.join(where)}.")
-    return recordings.take(np.flatnonzero(chosen))
+    rows = np.flatnonzero(chosen)
+    own, remarks = rows_of_arm(recordings.arm[rows], arm)
+    return recordings.take(rows[own]), remarks
 
 
 def _series(recordings: Recordings) -> list[NDArray[np.float64]]:

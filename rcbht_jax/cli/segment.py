@@ -12,9 +12,11 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from rcbht_jax._util.arms import rows_of_arm
 from rcbht_jax._util.cells import cell
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
+    Arm,
     Command,
     Flag,
     Sources,
@@ -66,6 +68,7 @@ class Segment(Command):
             metavar="SEGMENTER",
         ),
     ] = None
+    arm: Arm = ""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
@@ -84,6 +87,8 @@ class Segment(Command):
             raise InputError(f"{self.out} must end in .csv.")
         recordings = read_recordings(self.store)
         chosen = np.flatnonzero(chosen_recordings(recordings, TaskSpec(sources=self.source, outcomes=())))
+        rows, remarks = rows_of_arm(recordings.arm[chosen], self.arm)
+        chosen = chosen[rows]
         protocol = Protocol(self.task, self.group, self.folds, self.one_shot)
         tolerance = checked_tolerance(self.rule, self.tolerance, len(recordings.axes))
         words = {"rule": self.rule, "tolerance": AUTO if tolerance is None else tolerance}
@@ -96,7 +101,8 @@ class Segment(Command):
         if self.write_model is not None:
             save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes))
         model = {} if self.write_model is None else {"model": str(self.write_model)}
-        return {"out": str(self.out), **model, "causal": not self.offline, "rule": self.rule, **result.to_json()}
+        how = {"causal": not self.offline, "rule": self.rule, "remarks": remarks}
+        return {"out": str(self.out), **model, **how, **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
         how = "causal" if result["causal"] else "offline"
@@ -111,7 +117,7 @@ class Segment(Command):
             lines.append(f"  {shown:32}{_with_interval(value, *result['interval'][name])}{unit}")
         lines.append(f"  {'most frequent class':32}{result['majority']:.3f}")
         model = [f"{result['model']}: trained on all annotated recordings"] if "model" in result else []
-        return "\n".join([*lines, f"{result['protocol']}, {how}", *model])
+        return "\n".join([*lines, f"{result['protocol']}, {how}", *model, *result["remarks"]])
 
 
 def _with_interval(value: float | None, low: float | None, high: float | None) -> str:

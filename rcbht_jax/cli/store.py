@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 import tyro
 
-from rcbht_jax._util.arms import arms_in, title_of
+from rcbht_jax._util.arms import rows_of_arm
 from rcbht_jax._util.left_out import reasons_of
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_number
@@ -219,9 +219,7 @@ def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, An
         return {"classes": {}, "sentences": [text]}
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
     left = [f"{what} left out: {reason}." for what, reason in reasons_of(items.dropped)]
-    if len(arms := arms_in(recordings.arm.tolist())) > 1:
-        left.append(f"Counted is the {title_of(arms[0])} alone.")
-    sentences = [*confounds(items, facts), *left]
+    sentences = [*confounds(items, facts), *left, *rows_of_arm(recordings.arm, "")[1]]
     return {"classes": dict(zip(items.classes, counts, strict=True)), "sentences": sentences}
 
 

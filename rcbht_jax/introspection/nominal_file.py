@@ -31,6 +31,7 @@ class MonitorFile:
     axes: tuple[str, ...]  # names
     where: tuple[str, ...]  # selection of the training recordings, COLUMN=VALUE each
     units: tuple[str, ...] = ()  # of the axes, "" = not stated; none in files written before units were kept
+    arm: str = ""  # whose wrench it learned, as it was named; "" = the last by name, as the right one
 
 
 def save(path: Path | str, file: MonitorFile) -> None:
@@ -46,6 +47,7 @@ def save(path: Path | str, file: MonitorFile) -> None:
         "axes": file.axes,
         "units": file.units,
         "where": file.where,
+        "arm": file.arm,
         "parameters": {name: plain(value) for name, value in file.monitor.get_params().items()},
         "levels": file.monitor.levels_,
         **{name: plain(getattr(bank, name)) for name in _NUMBERS},
@@ -72,7 +74,8 @@ def load(path: Path | str) -> MonitorFile:
             raise InputError(f"it has {len(axes)} axes, {len(units)} units and the levels {levels}")
         monitor.restore(len(axes), levels, bank, archive["peaks"])
         _check(monitor)
-        return MonitorFile(monitor, axes, where, units)
+        (arm,) = checked_texts("its arm", [meta.get("arm", "")])
+        return MonitorFile(monitor, axes, where, units, arm)
 
 
 def _check(monitor: NominalMonitor) -> None:

@@ -166,6 +166,28 @@ def test_another_unit_is_refused(store: Path, model: Path, capsys: pytest.Captur
     assert f"{other} has Fz in mN; the model learned it in N." in capsys.readouterr().err
 
 
+def test_one_arm_is_monitored(store: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An idle arm counted as a recording of the skill, so that twice as many were learned, and faults were missed."""
+    right = read_recordings(store).take(np.arange(24))
+    idle = replace(right, arm=np.full(24, "L"), wrench=right.wrench[::-1] * np.float32(0.01))
+    two, left = store.parent / "two.zarr", store.parent / "left.monitor"
+    write_recordings(two, Recordings.join([idle, right]), {})
+    options = ("--group", "day", "--json")
+    for command, counted in (("fit", ["-o", store.parent / "right.monitor"]), ("evaluate", ["--false-alarms", 0.1])):
+        (alone,) = lines(capsys, "monitor", command, store, "--where", "skill=5", *counted, *options)
+        (found,) = lines(capsys, "monitor", command, two, *counted, *options)
+        assert found == alone | {"remarks": ["Counted is the right arm alone."]}
+        (chosen,) = lines(capsys, "monitor", command, two, "--where", "arm=R", *counted, *options)
+        assert chosen == alone
+    assert main(["monitor", "fit", str(two), "--arm", "L", "--group", "day", "-o", str(left)]) == 0
+    assert capsys.readouterr().out.endswith("\nCounted is the left arm alone.\n")
+    assert main(["monitor", "evaluate", str(two), "--arm", "X", "--group", "day"]) == 2
+    assert "no arm 'X'" in capsys.readouterr().err
+    for watched, words, arm in ((model, (), "R"), (left, (), "L"), (left, ("--arm", "R"), "R")):
+        events = lines(capsys, "monitor", "watch", two, "-m", watched, "--false-alarms", 0.1, *words)
+        assert [event["arm"] for event in events if event["event"] == "End"] == [arm] * 24
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

@@ -12,6 +12,7 @@ import pytest
 
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli.main import main
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.types import Recordings
 
@@ -54,6 +55,23 @@ def test_recordings_of_one_source_have_their_numbers_in_the_store(store, tmp_pat
     assert {(row["recording"], row["source"]) for row in rows} == {(str(number), "old") for number in range(1, 5)}
     trials = read_recordings(store).trial
     assert all(row["trial"] == trials[int(row["recording"])] for row in rows)
+
+
+def test_one_arm_is_labelled(store, tmp_path, capsys, monkeypatch):
+    """An idle arm counted as a recording of its own, on which no phase can be seen."""
+    monkeypatch.setattr(WrenchSegmenter, "fit", lambda self, *_: self)
+    monkeypatch.setattr(WrenchSegmenter, "predict", lambda self, data: [np.arange(n) // 60 for n in data.length])
+    right = read_recordings(store)
+    two, out = tmp_path / "two.zarr", tmp_path / "segments.csv"
+    write_recordings(two, Recordings.join([replace(right, arm=np.full(5, "L"), wrench=right.wrench * 0), right]), {})
+    for words, named, first in (((), "right", 5), (("--arm", "L"), "left", 0)):
+        assert main(["segment", str(two), "-o", str(out), *words]) == 0
+        printed = capsys.readouterr().out
+        assert "5 recordings, 4 of them annotated" in printed
+        assert printed.endswith(f"\nCounted is the {named} arm alone.\n")
+        with out.open(newline="") as file:
+            rows = {(row["recording"], row["arm"]) for row in csv.DictReader(file)}
+        assert rows == {(str(first + number), named[0].upper()) for number in range(5)}
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from rcbht_jax.io.importing.words import text as as_text
 from rcbht_jax.io.store import VARIABLES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
+MANY = 0.1  # share of the samples without a value above which a remark says so
 FAST = 100_000  # samples per second that no sensor of forces has
 _TAKEN = (*VARIABLES, "dt", "axis", "time", "axes", "units", "annotations", "columns", "rate")  # names of other things
 
@@ -61,7 +62,8 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
         moves.append(flags)
     if not kept:
         raise InputError(f"{source} holds no usable recording.{report.first_reason}")
-    report.remarks += _remarks([record.notes for record in kept], moves, period) + still_axes(kept) + _overlaps(kept)
+    report.remarks += _remarks([record.notes for record in kept], moves, period) + still_axes(kept)
+    report.remarks += _interpolated(kept) + _overlaps(kept)
     report.imported = [record.name for record in kept]
     _words(kept)
     columns = _columns(kept, source, report)
@@ -112,6 +114,20 @@ def _remarks(notes: list[list[str]], moves: list[list[str]], period: float) -> l
         were = plural(rates.total(), "recording was", "recordings were")
         found.append(f"{were} resampled to {1 / period:.6g} Hz, from {listed}{low}.")
     return found
+
+
+def _interpolated(records: list[Record]) -> list[str]:
+    """A remark on recordings in which many samples had no value.
+
+    >>> _interpolated([Record("a", np.arange(9.0), np.zeros((9, 1)), ("Fz",), ("N",), notes=["missing:3"])])[0]
+    '1 recording lacks values in many samples, up to 33 %; straight lines stand there, as if they were measured.'
+    """
+    counts = [(int(note.removeprefix("missing:")), len(record.time))
+              for record in records for note in record.notes if note.startswith("missing:")]  # fmt: skip
+    shares = [missing / samples for missing, samples in counts if missing > MANY * samples]
+    lack = plural(len(shares), "recording lacks", "recordings lack")
+    found = f"{lack} values in many samples, up to {100 * max(shares, default=0):.0f} %"
+    return [f"{found}; straight lines stand there, as if they were measured."] if shares else []
 
 
 def _overlaps(records: list[Record]) -> list[str]:

@@ -112,7 +112,7 @@ def _filled(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], lis
             f"at most {MISSING} are interpolated. Cut the recording there, or leave the channel out."
         )
     filled = [np.interp(time, time[~gone], column[~gone]) for column, gone in zip(values.T, missing.T, strict=True)]
-    return np.stack(filled, 1), [f"missing:{int(missing.sum())}"]
+    return np.stack(filled, 1), [f"missing:{int(missing.any(1).sum())}"]
 
 
 def restarts(time: Float[np.ndarray, " sample"]) -> NDArray[np.int64]:
@@ -313,13 +313,24 @@ def fresh(values: Float[np.ndarray, "sample axis"]) -> NDArray[np.int64]:
     [2, 7, 12]
     """
     new = np.flatnonzero((values[1:] != values[:-1]).any(1)) + 1
-    steps = np.diff(new)
-    if len(steps) < HELD or (middle := float(np.median(steps))) < 2 or (abs(steps - middle) > 1).mean() > 1 - MOST:
+    if not sparse(new):
         return np.arange(len(values))
     sizes = [np.unique(size[size > 0].round(9)) for size in abs(values[new] - values[new - 1]).T]
     if max(map(len, sizes)) <= 2:
         return np.arange(len(values))
-    return new if new[0] < middle - 1 else np.concatenate([[0], new])
+    return new if new[0] < np.median(np.diff(new)) - 1 else np.concatenate([[0], new])
+
+
+def sparse(rows: NDArray[np.integer]) -> bool:
+    """Whether rows of a log follow each other in steady steps of two or more, as those of a slower sensor.
+
+    >>> sparse(np.arange(0, 40, 2)), sparse(np.arange(20))
+    (True, False)
+    """
+    steps = np.diff(rows)
+    if len(steps) < HELD or (middle := np.median(steps)) < 2:
+        return False
+    return bool((abs(steps - middle) > 1).mean() <= 1 - MOST)
 
 
 def stuck(values: Float[np.ndarray, "sample axis"]) -> list[int]:

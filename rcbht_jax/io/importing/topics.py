@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 from numpy.typing import NDArray
 
+from rcbht_jax.io.importing.conform import sparse
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.importing.table import Table
 
@@ -27,7 +28,8 @@ def with_values(
 ) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
     """The rows that are samples, their values ``[row, channel]``, and notes of what is left out at the end and between.
 
-    Rows without values are no samples where most are, or where they hold what most samples lack.
+    Rows without values are no samples where most are, where they are every second row, or where they hold what most
+    samples lack.
 
     >>> from rcbht_jax.io.importing.mapping import Channel
     >>> nan = np.nan
@@ -56,7 +58,7 @@ def with_values(
 def _no_samples(
     table: Table, mapping: Mapping, rows: NDArray[Any], known: Bool[np.ndarray, " row"], held: int
 ) -> NDArray[np.bool_]:
-    if known.sum() < held / 2:  # a log in the steps of something faster
+    if known.sum() < held / 2 or sparse(np.flatnonzero(known)):  # a log in the steps of something faster
         return ~known
     own = {mapping.time, mapping.nanoseconds, mapping.group, *(channel.column for channel in mapping.channels)}
     other = np.zeros(len(rows), bool)  # of messages of other topics

@@ -40,3 +40,23 @@ def test_a_sensor_that_misses_samples_of_a_log_keeps_their_times(tmp_path: Path)
     lines = [f"{0.01 * k},{'' if k in gone else row[0]},{k}" for k, row in enumerate(FORCES)]
     (tmp_path / "run.csv").write_text("\n".join(["t,Fz,joint", *lines]))
     assert read_source(tmp_path).recordings.note.tolist() == ["missing:4"]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_sensor_of_half_the_rate_of_the_log_keeps_its_rate(tmp_path: Path, first: int) -> None:
+    """Every second sample was interpolated, at the rate of the log."""
+    lines = [f"{0.01 * k},{row[0] if k % 2 == first else ''}" for k, row in enumerate(FORCES)]
+    (tmp_path / "run.csv").write_text("\n".join(["t,Fz", *lines]))
+    recordings = read_source(tmp_path).recordings
+    assert recordings.dt == 0.02
+    np.testing.assert_allclose(recordings.wrench[0, :, 0], FORCES[first::2, 0], rtol=1e-6)
+
+
+def test_samples_without_a_value_are_counted_and_many_are_remarked(tmp_path: Path) -> None:
+    """The note counted values, three for each sample, and no remark said that a quarter was interpolated."""
+    for every, noted in ((4, 1), (12, 0)):
+        lines = [f"{0.01 * k}," + (",," if k % every == 1 else ",".join(map(str, row))) for k, row in enumerate(FORCES)]
+        (tmp_path / "run.csv").write_text("\n".join(["t,Fx,Fy,Fz", *lines]))
+        imported = read_source(tmp_path)
+        assert imported.recordings.note.tolist() == [f"missing:{N // every}"]
+        assert sum("lacks values in many samples, up to 25 %" in text for text in imported.report.remarks) == noted
