@@ -133,7 +133,7 @@ class Bridge:
         if self._parameters["thresholds"]:
             thresholds, _ = read_limits(Path(self._parameters["thresholds"]), AXES, UNITS)
         elif self._parameters["robot"] == "auto":
-            thresholds = auto_thresholds(recordings, window)
+            thresholds = auto_thresholds(recordings, window, self._parameters["rule"])
         else:
             thresholds = preset(self._parameters["robot"], AXES)
         config, tolerance = config_of(self._parameters["rule"], window, 1 / rate), self._parameters["tolerance"] or None

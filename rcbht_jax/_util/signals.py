@@ -224,10 +224,10 @@ def columns_for(what: str, needed: Sequence[str], period: float, axes: Sequence[
         >>> columns_for("The detector", ["Fz"], 0.005, ("Fx", "Fy", "Fz"), 0.005)
         [2]
     """
-    if not set(needed) <= set(axes) or not np.isclose(dt, period):
-        raise InputError(
-            f"{what} needs {', '.join(needed)} at {1 / period:g} Hz; the stream has {', '.join(axes)} at {1 / dt:g} Hz."
-        )
+    if not set(needed) <= set(axes):
+        raise InputError(f"{what} needs the axes {', '.join(needed)}; the stream has {', '.join(axes)}.")
+    if not np.isclose(dt, period):
+        raise InputError(f"{what} needs samples at {1 / period:g} Hz; the stream has {1 / dt:g} Hz.")
     return [tuple(axes).index(axis) for axis in needed]
 
 

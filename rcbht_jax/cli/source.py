@@ -128,7 +128,7 @@ class Source(RuleCommand):
         float,
         option(
             "Subtract the mean of this many seconds at the beginning of each trial; beliefs of these seconds come "
-            'at their end. Give the value of "rcbht join --tare" for the training trials.'
+            'at their end. Give the value of --tare of "rcbht import" or "rcbht join" for the training trials.'
         ),
     ] = 0.0
     timeout: float = 1.0

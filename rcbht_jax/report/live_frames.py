@@ -124,8 +124,7 @@ class Frames:
         self._lane = {(layer, axis): (l, a) for l, layer in enumerate(LAYERS) for a, axis in enumerate(axes)}
         self._size = max(1, round(FRAME / session.introspector.config.dt))
         self._samples, self._words, self._scores = list[list[float]](), list[list[float]](), list[list[float]]()
-        self._events: list[dict[str, Any]] = []
-        self._beliefs: dict[str, Any] = {}
+        self._events, self._beliefs = list[dict[str, Any]](), list[dict[str, Any]]()
         self._received, self._sent, self._time = 0, 0, session.time  # samples, s
         self._trial, self._begins, self._base = 0, True, 0.0  # base: stamp shown as 0; not 0 for dates
         self._raised: set[str] = set()  # classifiers whose alarm stands
@@ -159,7 +158,7 @@ class Frames:
             if isinstance(event, Word):
                 self._words.append(self._packed(event))
             elif isinstance(event, Belief):
-                self._beliefs[event.head] = event.to_json()
+                self._beliefs.append(event.to_json())
             elif isinstance(event, AnomalyScore):
                 self._scores.append([round(event.time, 6), round(event.score, 6), event.threshold])
             else:
@@ -187,5 +186,5 @@ class Frames:
             "base": round(self._base, 6), "raised": sorted(self._raised), "scores": self._scores,
         }  # fmt: skip
         self._broadcast.publish(frame)
-        self._samples, self._words, self._scores, self._events, self._beliefs = [], [], [], [], {}
+        self._samples, self._words, self._scores, self._events, self._beliefs = [], [], [], [], []
         self._sent = self._received

@@ -83,9 +83,9 @@ function take(frame) {
     of.t.push(t);
     of.p.push(values);
   };
-  for (const [head, belief] of Object.entries(frame.beliefs)) {
-    keep(kept.beliefs[head], belief.time - shift, belief.probabilities);
-    kept.beliefs[head].latest = belief;
+  for (const belief of frame.beliefs) {
+    keep(kept.beliefs[belief.head], belief.time - shift, belief.probabilities);
+    kept.beliefs[belief.head].latest = belief;
   }
   for (const [time, score, threshold] of frame.scores) {
     keep(kept.score, time - shift, [score]);

@@ -238,8 +238,8 @@ def test_a_stream_is_watched_as_a_store_is(
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (("--sampling-rate", "40"), "The monitor needs Fz, grip at 20 Hz; the stream has Fz, grip at 40 Hz."),
-        (("--axes", "Fz", "other"), "The monitor needs Fz, grip at 20 Hz; the stream has Fz, other at 20 Hz."),
+        (("--sampling-rate", "40"), "The monitor needs samples at 20 Hz; the stream has 40 Hz."),
+        (("--axes", "Fz", "other"), "The monitor needs the axes Fz, grip; the stream has Fz, other."),
         (("--false-alarms", "0.001"), "cannot promise 0.001 false alarms"),
     ],
 )

@@ -16,11 +16,14 @@ import numpy as np
 import pytest
 
 import rcbht_jax as rj
+from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.thresholds import write_thresholds
 from rcbht_jax.introspection import model as model_files
 from rcbht_jax.introspection import nominal_file, segmenter_file
 from rcbht_jax.introspection.nominal import NominalMonitor
+from rcbht_jax.introspection.opening import read_opening
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
+from rcbht_jax.io.messages import Sample
 from rcbht_jax.io.rosbags import messages, open_bag
 from rcbht_jax.labels import LAYERS
 from tests.support.introspection_models import model, trial
@@ -117,6 +120,24 @@ def test_thresholds_of_a_file_and_of_the_first_readings(tmp_path: Path) -> None:
         bridge.finish()
         found[name] = sum(word["layer"] == "primitive" for word in heard.events["words"])
     assert found["auto"] < found["file"] / 4  # the preset hears words in this noise
+
+
+@pytest.mark.parametrize("rule", ["paper", "fit"])
+def test_thresholds_of_the_first_readings_are_those_of_the_rule(rule: str, tmp_path: Path) -> None:
+    ramp = 10 * np.maximum(np.arange(400) * 0.005 - 1, 0)  # N; rest by one rule's thresholds, a rise by the other's
+    rows = (5 * trial(0, 9, 400) + ramp[:, None]).tolist()
+    opening = read_opening(iter(Sample(tuple(row), 10 + 0.005 * k) for k, row in enumerate(rows)), 1.0)
+    limits = auto_thresholds(opening.recordings(200.0, rj.labels.AXES), 5, rule)
+    write_thresholds(tmp_path / "t.json", limits, {})
+    found = []
+    for parameters in ({}, {"thresholds": str(tmp_path / "t.json")}):
+        heard = Heard()
+        bridge = Bridge({"rule": rule, "lead": 1.0, **parameters}, heard)
+        for k, row in enumerate(rows):
+            bridge.wrench(stamped(row, 10 + 0.005 * k), 0.0)
+        bridge.finish()
+        found.append(heard.events["words"])
+    assert found[0] == found[1] != []
 
 
 def test_a_recorded_bag(external_dir: Path) -> None:

@@ -87,9 +87,10 @@ def test_what_cannot_be_streamed_is_refused(tmp_path: Path) -> None:
     file = SegmenterFile.of(WrenchSegmenter(trees=5).fit(data, labels), "phase", ("rest", "contact", "push"))
     stream = SegmenterStream(file)
     assert stream.columns(("My", "Fx", "Fy", "Fz"), 0.01) == [1, 3, 0]
-    for axes, dt in ((("Fx", "Fz"), 0.01), (file.axes, 0.005)):
-        with pytest.raises(InputError, match="The segmenter needs Fx, Fz, My at 100 Hz; the stream has"):
-            stream.columns(axes, dt)
+    with pytest.raises(InputError, match="The segmenter needs the axes Fx, Fz, My; the stream has Fx, Fz"):
+        stream.columns(("Fx", "Fz"), 0.01)
+    with pytest.raises(InputError, match="The segmenter needs samples at 100 Hz; the stream has 200 Hz"):
+        stream.columns(file.axes, 0.005)
     for samples in (np.zeros((4, 2)), np.full((4, 3), np.nan)):
         with pytest.raises(InputError, match="expected finite"):
             stream.push(samples)

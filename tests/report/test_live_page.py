@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 import rcbht_jax as rj
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Event
+from rcbht_jax.events import Belief, Event
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.nominal import NominalMonitor
 from rcbht_jax.introspection.nominal_file import MonitorFile
@@ -150,6 +150,13 @@ def test_pages_of_others_neither_look_nor_frame_nor_take_a_place(server):
         assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
 
 
+def test_the_page_gets_every_belief() -> None:
+    session = Session(Introspector(model(), rate=None), tare=0.5)  # ten in a frame, and those of the tare at once
+    frames, events = frames_of(session, list(samples_of(trial(1, 40, 400))))
+    found = [belief for frame in frames for belief in frame["beliefs"]]
+    assert found == [event.to_json() for event in events if isinstance(event, Belief)] != []
+
+
 def test_frames_hold_the_stream():
     session = Session(Introspector(model(), words=True))
     wrench = trial(1, 40, 400)
@@ -176,7 +183,7 @@ def test_frames_hold_the_stream():
     values = np.array([row for frame in said for row in frame["wrench"]])
     np.testing.assert_allclose(values[:, 1:], wrench, atol=1e-5)
     assert [e["begin"] for frame in said for e in frame["events"] if e["event"] == "SubtaskStarted"] == [100]
-    assert sum("states" in frame["beliefs"] for frame in said) == 20
+    assert sum(belief["head"] == "states" for frame in said for belief in frame["beliefs"]) == 20
     tracks = rj.encode(wrench, rate=200)
     expected = {  # layer, axis, code, first sample, end: what the batch encoder says of the whole
         (l, a, int(track.label[a, k]), int(track.t0[a, k]), int(track.t1[a, k]))

@@ -359,7 +359,8 @@ def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float
             raise InputError(f"bias has {plural(len(mapping.bias), 'value')} for {plural(values.shape[1], 'channel')}.")
         values = values - np.array(mapping.bias)
     if mapping.tare:
-        values = values - values[time <= mapping.tare].mean(0)
+        half = np.median(np.diff(time)) / 2 if len(time) > 1 else 0.0  # stamps are rounded
+        values = values - values[: max(1, int(np.searchsorted(time, mapping.tare - half)))].mean(0)
     matrix = mapping.matrix()
     if matrix is None:
         return values

@@ -333,7 +333,7 @@ def test_ur5_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "actual_TCP_force_2  channel Fz" in text
     assert "1 recording at 500 Hz" in text
     tared = read_recordings(again)
-    np.testing.assert_allclose(tared.wrench[0], first.wrench[0] - first.wrench[0, :51].mean(0), atol=1e-5)
+    np.testing.assert_allclose(tared.wrench[0], first.wrench[0] - first.wrench[0, :50].mean(0), atol=1e-5)
     assert main(["import", "csv", str(tmp_path / "ur5.csv"), str(tmp_path / "x.zarr"), "--outcome", "phase"]) == 0
     assert read_recordings(tmp_path / "x.zarr").note[0] == "changes:outcome"
     assert "\nnotes: changes 1" in capsys.readouterr().out

@@ -109,6 +109,17 @@ def test_scale_bias_tare_and_rotation() -> None:
     assert "a rotation needs channels named" in reason
 
 
+@pytest.mark.parametrize(("rate", "seconds", "averaged"), [(20, 0.5, 10), (200, 0.5, 100), (3, 1.0, 3), (20, 0.001, 1)])
+def test_a_tare_ends_before_the_sample_at_its_seconds_as_that_of_a_store(
+    rate: int, seconds: float, averaged: int
+) -> None:
+    values = np.random.default_rng(0).normal(size=4 * rate)
+    for stamps in (np.arange(4 * rate) / rate, np.round(np.arange(4 * rate) / rate, 3) + 7.7):
+        mapping = Mapping((Channel("f", "Fz", "N"),), time="t", tare=seconds)
+        [record] = records(Table("a", {"t": stamps, "f": values}), mapping)
+        np.testing.assert_allclose(record.values[:, 0], values - values[:averaged].mean(), atol=1e-12)
+
+
 def test_a_bias_of_another_length_than_the_guessed_channels_is_refused() -> None:
     columns = {"t": np.arange(9.0), "Fx": np.ones(9), "Fy": np.ones(9), "Fz": np.ones(9)}
     for bias in ((1.0,), (1.0, 2.0)):
