@@ -55,8 +55,8 @@ def endings() -> Iterator[None]:
     """Make SIGTERM and SIGHUP act as Ctrl-C, so that recordings are finished, unless another handler is set.
 
     Python discards what is raised in a destructor or in a callback of the garbage collector, of which JAX has one: a
-    signal that came then is sent again. An error after a signal is that of what it interrupted, such as the import of a
-    C extension, and becomes the signal's own.
+    signal that came then is sent again. An error that escapes after a signal, as from the interrupted import of a C
+    extension, does not change the exit status; the sentence of an InputError, as of a full disk, is added.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -89,9 +89,12 @@ def endings() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if came:
-            raise Ended(came[-1]) from error
-        raise
+        if not came:
+            raise
+        ended = Ended(came[-1])
+        if isinstance(error, InputError):
+            ended.add_note(str(error).rstrip("."))
+        raise ended from error
     finally:
         lost.clear()
         sys.unraisablehook = report

@@ -196,6 +196,21 @@ def test_a_signal_ends_the_command_wherever_it_comes(where: str, number: int) ->
     assert run.stderr.splitlines() == ["rcbht: Interrupted."]
 
 
+def test_what_fails_while_a_recording_is_finished_is_not_hidden(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(words: list[str]) -> int:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        except KeyboardInterrupt:
+            raise InputError("out.mcap cannot be written: the disk is full.") from None
+        return 0
+
+    monkeypatch.setattr(main, "_dispatch", stopped)
+    assert main.main([]) == 128 + signal.SIGTERM
+    assert capsys.readouterr().err == "rcbht: Interrupted; out.mcap cannot be written: the disk is full.\n"
+
+
 @pytest.mark.parametrize(
     ("command", "kept"),
     [
