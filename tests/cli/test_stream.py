@@ -274,7 +274,7 @@ def test_an_outcome_from_the_same_seconds_of_every_record(tmp_path, capsys):
     assert head.machine.svm.spec.ranks
     assert head.progress is not None
     assert head.progress.planned == 1.0
-    for seconds, part in (("2", "8 (shorter than 2 s)"), ("-1", "expected a sample or more")):
+    for seconds, part in (("2", "8 trials (shorter than 2 s)"), ("-1", "expected a sample or more")):
         capsys.readouterr()
         assert main([*learn, "--first-seconds", seconds]) == 2
         assert part in capsys.readouterr().err

@@ -181,7 +181,7 @@ def test_together_merges_events_by_sample_and_refuses_other_axes() -> None:
     assert both.received == 1000
     both.reset()
     assert both.received == 0
-    with pytest.raises(InputError, match="The detector needs Fy at 200 Hz"):
+    with pytest.raises(InputError, match="The detector needs the axes Fy; the stream has a, b, c"):
         Together(words, readers=[SnapDetector(RATE, ["Fy"], LEAST)])
     slow = WordIntrospector(rj.EncoderConfig(dt=0.01), rj.preset("hiro", AXES), AXES, ["N"] * 3)
     with pytest.raises(InputError, match="100 Hz; the model reads"):
@@ -203,7 +203,7 @@ def test_stream_reports_snaps_on_request(store: Path, capsys: pytest.CaptureFixt
     snapped = [event for event in events if event["event"] == "Snap"]
     assert [event["published"] is None for event in snapped] == [True, False]
     assert main(["stream", str(store), "--snap", "z=3", *limits]) == 2
-    assert "The detector needs z at" in capsys.readouterr().err
+    assert "The detector needs the axes z; the stream has a, b, c." in capsys.readouterr().err
     for wrong in ("a", "a=", "a=1,2,3", "=3", "a=much"):
         assert main(["stream", str(store), "--snap", wrong, *limits]) == 2
         assert "expected AXIS=LEAST" in capsys.readouterr().err

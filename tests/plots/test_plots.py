@@ -331,7 +331,8 @@ def store(recordings: Recordings, tracks: LabelTracks, tmp_path: Path) -> Path:
 def test_commands_write_figures(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = store.with_name("t.png")
     assert main.main(["plot", "trial", str(store), "t2", "-o", str(out)]) == 0
-    assert capsys.readouterr().out == f"{out}: GOOD t2, right arm, labels online-W5-fit\n"
+    made = "online-W5-fit made now (--tracks shows those of the store: online-W5)"
+    assert capsys.readouterr().out == f"{out}: GOOD t2, right arm, labels {made}\n"
     assert out.is_file()
     out = store.with_name("m.svg")
     assert main.main(["plot", "map", str(store), "-o", str(out), "--source", "GOOD", "--layer", "mc", "--json"]) == 0
