@@ -147,6 +147,17 @@ def test_noise_at_rest_is_that_of_the_blocks_at_rest():
     assert found[2] < 2 * found[4] < 0.2
 
 
+def test_noise_at_rest_is_what_a_line_leaves_wherever_it_lies():
+    noise = np.random.default_rng(0).normal(size=(2, 1000, 1)) * 0.01
+    calm = np.ones((2, 200, 1), bool)
+    placed = noise + 50 + 0.3 * np.arange(1000)[:, None] / 200
+    found = [
+        rest_runs._rest_noise(Recordings.from_arrays(wrench, rate=200, axes=["grip"]), calm, CONFIG)
+        for wrench in (noise, placed)
+    ]
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
+
+
 def test_penalties_are_the_share_of_rest_that_words_do_not_call_constant():
     recordings = at_rest(1, 0.2)
     runs = RestRuns.of(recordings, CONFIG, weight=2.0)
@@ -161,6 +172,14 @@ def test_penalties_are_the_share_of_rest_that_words_do_not_call_constant():
     assert shares[0] > 0.5 > 0.1 > shares[-1]
     several = FitLimits(np.tile(gradients, (4, 1, 1)), np.asarray(runs.tolerance)[[0, 4, 8, 12]])
     np.testing.assert_allclose(runs.penalty(several), 2 * np.array(shares), atol=0.02)
+    ends = [float(runs.penalty(FitLimits(gradients, runs.tolerance[k]))) for k in (0, 4, 5, -1)]
+    between = [runs.tolerance[4] ** (1 - part) * runs.tolerance[5] ** part for part in (0.25, 0.75)]
+    found = [
+        float(runs.penalty(FitLimits(gradients, t))) for t in (runs.tolerance[0] / 9, *between, runs.tolerance[-1] * 9)
+    ]
+    expected = [ends[0], 0.75 * ends[1] + 0.25 * ends[2], 0.25 * ends[1] + 0.75 * ends[2], ends[3]]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    assert ends[1] - ends[2] > 0.05
 
     with jax.enable_x64(True):
         at = FitLimits(jnp.asarray(gradients), jnp.asarray(runs.tolerance[4] * 1.1))

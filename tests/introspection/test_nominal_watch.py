@@ -40,6 +40,8 @@ def test_events_do_not_depend_on_pieces_and_agree_with_the_monitor() -> None:
     (raised,) = [event for event in whole if isinstance(event, AnomalyRaised)]
     assert raised.sample * 0.05 == pytest.approx(MONITOR.detect(FAULT, 0.1))
     assert raised.time == pytest.approx(10 + (raised.sample - 1) * 0.05)
+    (p_value,) = [score.p_value for score in scores if score.sample == raised.sample]
+    assert raised.probability == 1 - p_value
 
 
 def test_an_alarm_stands_until_no_score_has_exceeded_the_threshold_for_the_memory() -> None:

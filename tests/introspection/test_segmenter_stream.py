@@ -51,6 +51,7 @@ def test_a_stream_in_any_pieces_gives_the_beliefs_of_the_whole(options, tmp_path
     for event in whole:
         assert event.time == pytest.approx(10 + (event.sample - 1) / RATE)
         assert event.probability == max(event.probabilities)
+        assert event.label == event.classes[int(np.argmax(event.probabilities))]
     for pieces in (400, 57):
         stream.reset()
         parts = np.array_split(np.arange(400), pieces)

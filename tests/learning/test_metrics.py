@@ -50,6 +50,9 @@ def test_a_split_that_is_repeated_narrows_no_interval():
     split = np.array([[0, 1, 2, 3], [1, 0, 3, 2]])
     assert metrics.corrected_interval(scores, 0.25, split=split) == pytest.approx(once)
     assert metrics.corrected_interval(scores, 0.25)[1] > once[1]
+    mean, low, high = metrics.corrected_interval(np.array([0.5, 0.6, 0.6, 0.7, 0.7]), 0.25, np.array([0, 1, 2, 3, 3]))
+    assert mean == pytest.approx(0.62)
+    assert (low, high) == pytest.approx((0.62 - 0.6 + once[1], 0.62 - 0.6 + once[2]))
     with pytest.raises(InputError, match="there are 1"):
         metrics.corrected_interval(scores, 0.25, split=np.zeros_like(split))
 

@@ -13,6 +13,7 @@ from rcbht_jax.learning import segment_metrics
 from rcbht_jax.learning.metrics import percentile_interval, wilson
 from rcbht_jax.learning.segment_metrics import (
     OVERLAPS,
+    UNKNOWN,
     Segments,
     edit_distance,
     segmentation_interval,
@@ -97,7 +98,11 @@ def test_a_perfect_and_a_useless_segmentation():
 def test_samples_without_annotation_count_nowhere():
     truth = np.array([-1, -1, 0, 0, 1, 1])
     first, second = np.array([3, 1, 0, 0, 1, 0]), np.array([0, 0, 0, 0, 1, 0])
-    assert segmentation_score([truth], [first], 1) == segmentation_score([truth], [second], 1)
+    score = segmentation_score([truth], [first], 1)
+    assert score == segmentation_score([truth], [second], 1)
+    without = np.full(6, UNKNOWN)  # a recording that nobody has annotated
+    assert score == segmentation_score([without, truth], [first, first], 1)
+    assert score == segmentation_score([truth, without[:0]], [first, first[:0]], 1)
     with pytest.raises(InputError, match="No sample"):
         segmentation_score([np.array([-1])], [np.array([0])], 1)
     with pytest.raises(InputError, match="lengths differ"):
