@@ -46,7 +46,8 @@ class FeatureSpec:
         balance: absolute families, elapsed time and all other families together weigh the same.
 
     Raises:
-        InputError: unknown or no families or layers, slots or ngram out of range, or a value of another type.
+        InputError: unknown or no families or layers, a layer twice, slots or ngram out of range, or a value of another
+            type.
 
     Example:
         >>> FeatureSpec(families=("histogram", "elapsed"), layers=("llb",)).families
@@ -69,6 +70,8 @@ class FeatureSpec:
                 f"feature families {self.families} of layers {self.layers} are not known; choose at least "
                 f"one family of {', '.join(FAMILIES)} and one layer of {', '.join(LAYERS)}."
             )
+        if len(set(self.layers)) < len(self.layers):
+            raise InputError(f"the layers {', '.join(self.layers)} name one twice; give each once.")
         if set(self.families) & set(signal_families.FAMILIES) and "primitive" not in self.layers:
             raise InputError(
                 f"the families {', '.join(signal_families.FAMILIES)} describe primitives; add primitive to the layers."

@@ -356,7 +356,10 @@ def test_labels_of_another_rate_are_refused():
         interval_features(rated[2], row, ALL)
 
 
-@pytest.mark.parametrize("bad", [{"families": ("words",)}, {"layers": ()}, {"slots": (0, 1, 1)}, {"ngram": 4}])
+@pytest.mark.parametrize(
+    "bad",
+    [{"families": ("words",)}, {"layers": ()}, {"layers": ("llb", "mc", "llb")}, {"slots": (0, 1, 1)}, {"ngram": 4}],
+)
 def test_bad_specifications_are_refused(bad):
     with pytest.raises(InputError):
         FeatureSpec(**bad)
