@@ -112,7 +112,7 @@ class CalibratedSvm:
             rows, place = np.unique(spans.recording, return_inverse=True)
             wrench, length = self.recordings.wrench[rows], self.recordings.length[rows]
             tracks = encode_batch(self.config, GradientThresholds(limits), wrench, length)
-            local = replace(self.items, intervals=(replace(spans, recording=place),))
+            local = replace(self.items, intervals=(replace(spans, recording=place),), recordings=len(rows))
             self._cache[key] = extract_features(tracks, local, self.spec)
         return self._cache[key]
 

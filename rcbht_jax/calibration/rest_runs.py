@@ -52,7 +52,7 @@ def fit_rest_limits(recordings: Recordings, config: FitConfig) -> FitRestCalibra
         config: of the fit rule; its window and period are those that the limits are for.
 
     Raises:
-        InputError: no recording is as long as two windows.
+        InputError: no recording is as long as two windows, or an axis never rests for half a second.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -206,14 +206,14 @@ def _rest_noise(
     windows = max(1, round(BLOCK / (config.window * recordings.dt)))  # of a block, as rest was separated from movement
     windows = max(windows, -(-3 // config.window))  # whole ones, so that blocks are those of the rest; a line needs 3
     samples = windows * config.window
-    count = min(rest.shape[1] // windows, recordings.wrench.shape[1] // samples)
+    count, axes = min(rest.shape[1] // windows, recordings.wrench.shape[1] // samples), len(recordings.axes)
     cut = np.asarray(recordings.wrench[:, : count * samples], np.float64)
-    cut = cut.reshape(len(recordings), count, samples, -1)
+    cut = cut.reshape(len(recordings), count, samples, axes)
     time = np.arange(samples) - (samples - 1) / 2
     slope = np.einsum("rbta,t->rba", cut, time / (time**2).sum())
     left = cut - cut.mean(2, keepdims=True) - time[:, None] * slope[:, :, None]
     size = np.sqrt((left**2).mean(2))
-    blocks = rest[:, : count * windows].reshape(len(recordings), count, windows, -1)
+    blocks = rest[:, : count * windows].reshape(len(recordings), count, windows, axes)
     calm = np.asarray(blocks.all(axis=2))
     if len(never := np.flatnonzero(~calm.any((0, 1)))):
         axis = recordings.axes[never[0]]

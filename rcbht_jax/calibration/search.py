@@ -93,11 +93,12 @@ class SearchSpace:
         return 5 if isinstance(self.base, FitLimits) else 4
 
     def thresholds(self, points: Float[np.ndarray, "candidate dimension"]) -> AnyLimits:
-        """Candidates ``[candidate, 6, 4]`` at points of the unit cube."""
+        """Candidates ``[candidate, 6, 4]`` at points of the unit cube; at the base's own point the base as it is."""
         place = points.reshape(len(points), -1, self._each)[:, self.groups]
         position = -np.sort(-place[..., :4], axis=-1)
         bottom, top = self._logarithms()
         limits = np.asarray(np.exp(bottom + position * (top - bottom)), np.float64)
+        limits[(points == self.point(self.base)).all(1)] = self.base_limits  # whose axes may differ within a group
         if not isinstance(self.base, FitLimits):
             return GradientThresholds(limits)
         low, high = self._tolerances()

@@ -214,6 +214,8 @@ class Calibrate(RuleCommand):
                         "it out."
                     )
         self._chosen_devices()
+        if not 0 <= self.rest_weight < np.inf:
+            raise InputError(f"--rest-weight is {self.rest_weight}; expected a finite number, 0 or more.")
         if not self.out.parent.is_dir():
             raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
 

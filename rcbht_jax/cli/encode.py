@@ -79,8 +79,9 @@ class Encode(RuleCommand):
     latency_cap: Annotated[
         float | None,
         option(
-            "Longest time in s for which a label is held back (online). Default: none, with --rule fit 0.2. Other "
-            "rules limit primitives only: compositions and behaviours also wait for the next word of the layer below.",
+            "Time in s for which a label may be held back (online); it leaves up to two windows later, with --rule fit "
+            "up to four. Default: none, with --rule fit 0.2. Other rules limit primitives only: compositions and "
+            "behaviours also wait for the next word of the layer below.",
             "",
         ),
     ] = None

@@ -43,7 +43,7 @@ class EncoderConfig:
         contact_first: impulses are never the second of a pair that another primitive begins.
         pipe: "two-slot", or "one-slot" which compares each arrival with the accumulator.
         rule: time-amplitude rule, "paper" or the reference's older "similar".
-        latency_cap: longest time in s that a primitive waits after its successor has begun; None = no limit.
+        latency_cap: s for which a primitive waits after its successor began, at most two windows more; None = no limit.
             Compositions and behaviours also wait for the next word of the layer below, however long that takes.
         noise_below: single compositions shorter than this many seconds become noise.
 

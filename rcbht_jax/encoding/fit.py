@@ -52,7 +52,7 @@ class FitConfig:
         gate: pair primitives only if amplitudes agree within a factor of 2 and durations within a factor of 5.
         adj_exempt: keep repeated adjustments separate, so that alignments and shifts can be distinguished.
         contact_first: impulses are never the second of a pair that another primitive begins.
-        latency_cap: longest time in s that a composition or behaviour waits for its successor; None = no limit.
+        latency_cap: time in s after which a composition or behaviour waits no longer for its successor; None = none.
         impulse_below: a steep run longer than this many seconds is a big gradient, not an impulse.
         noise_below: single compositions shorter than this many seconds become noise.
         lead_below: a primitive longer than this many seconds does not pair with an impulse after it; None = all do.

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int, Num, Shaped
 
+from rcbht_jax._util.signals import RATE_TOLERANCE
+from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES, LAYERS
-from rcbht_jax.types import Array, LabelTrack
+from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,24 @@ class ClippedSpans:
     def duration(self) -> Int[np.ndarray, "interval axis word"]:
         """Samples; 0 in empty slots."""
         return self.end - self.start
+
+
+def check_rate(tracks: LabelTracks, dt: float, where: str) -> None:
+    """Raise an error for labels that state another rate than that of ``where``, with ``dt`` s between samples.
+
+    Raises:
+        InputError: the rates differ by more than ``RATE_TOLERANCE``.
+
+    Example:
+        >>> import rcbht_jax as rj
+        >>> check_rate(rj.encode(np.zeros((400, 6)), rate=200), 0.004, "trials.zarr has")
+        Traceback (most recent call last):
+        rcbht_jax.errors.InputError: The labels are of 200 Hz, trials.zarr has 250 Hz; encode with rate=250.
+    """
+    if tracks.info is not None and abs(tracks.info.rate * dt - 1) > RATE_TOLERANCE:
+        raise InputError(
+            f"The labels are of {tracks.info.rate:g} Hz, {where} {1 / dt:g} Hz; encode with rate={1 / dt:g}."
+        )
 
 
 def clip(track: LabelTrack, intervals: Intervals, layer: str, most: int) -> list[ClippedSpans]:

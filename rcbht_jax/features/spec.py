@@ -15,7 +15,7 @@ from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import signal_families
 from rcbht_jax.features import word_families as families
-from rcbht_jax.features.spans import Intervals, clip
+from rcbht_jax.features.spans import Intervals, check_rate, clip
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks, axis_names
 
@@ -46,7 +46,8 @@ class FeatureSpec:
         balance: absolute families, elapsed time and all other families together weigh the same.
 
     Raises:
-        InputError: unknown or no families or layers, slots or ngram out of range, or a value of another type.
+        InputError: unknown or no families or layers, a layer twice, slots or ngram out of range, or a value of another
+            type.
 
     Example:
         >>> FeatureSpec(families=("histogram", "elapsed"), layers=("llb",)).families
@@ -69,6 +70,8 @@ class FeatureSpec:
                 f"feature families {self.families} of layers {self.layers} are not known; choose at least "
                 f"one family of {', '.join(FAMILIES)} and one layer of {', '.join(LAYERS)}."
             )
+        if len(set(self.layers)) < len(self.layers):
+            raise InputError(f"the layers {', '.join(self.layers)} name one twice; give each once.")
         if set(self.families) & set(signal_families.FAMILIES) and "primitive" not in self.layers:
             raise InputError(
                 f"the families {', '.join(signal_families.FAMILIES)} describe primitives; add primitive to the layers."
@@ -170,13 +173,15 @@ def interval_features(
             compare names of features, so name axes only where no model is stored.
 
     Raises:
-        InputError: an interval is empty or points outside the recordings, or the labels are of a single one.
+        InputError: an interval is empty or points outside the recordings, or the labels are of a single one or of
+            another rate.
     """
     shape = np.shape(tracks.primitive.label)
     if len(shape) != 3:
         raise InputError(f"Labels have the shape {shape}; expected [recording, axis, slot], as of tracks.take(0).")
     axes = tuple(axes) or axis_names(shape[1])
     _check(intervals, shape[0])
+    check_rate(tracks, intervals.dt, "the intervals are of")
     blocks = [block for layer in spec.layers for block in _layer(getattr(tracks, layer), intervals, layer, spec, axes)]
     seconds = ((intervals.end - intervals.start) * intervals.dt).astype(np.float32)[:, None]
     if "duration" in spec.families:

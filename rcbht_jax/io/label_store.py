@@ -17,6 +17,7 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
+from rcbht_jax.features.spans import check_rate
 from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
@@ -38,8 +39,8 @@ def write_tracks(
     """Add a set of label tracks to a store, atomically.
 
     >>> import rcbht_jax as rj
-    >>> from rcbht_jax.io.store import read_recordings
-    >>> tracks = rj.encode(read_recordings(Path("trials.zarr")).wrench, window=5)
+    >>> recordings = rj.read_recordings("trials.zarr")
+    >>> tracks = rj.encode(recordings.wrench, 1 / recordings.dt, window=5, lengths=recordings.length)
     >>> write_tracks(Path("trials.zarr"), "words", tracks, {"window": 5})
 
     Args:
@@ -50,8 +51,8 @@ def write_tracks(
         created: creation date to store; default now.
 
     Raises:
-        InputError: ``path`` is not a store, the name is malformed or taken, a shape or dtype is wrong, or ``attrs``
-            is not JSON.
+        InputError: ``path`` is not a store, the name is malformed or taken, a shape or dtype is wrong, the labels are
+            of another rate, or ``attrs`` is not JSON.
     """
     path = as_path(path)
     expect("The set of labels", tracks, LabelTracks)
@@ -68,7 +69,8 @@ def write_batches(
 
     >>> import rcbht_jax as rj
     >>> from rcbht_jax.io import store
-    >>> tracks = (rj.encode(batch.wrench, window=5) for batch in store.read_batches(Path("trials.zarr")))
+    >>> batches = store.read_batches(Path("trials.zarr"))
+    >>> tracks = (rj.encode(one.wrench, 1 / one.dt, window=5, lengths=one.length) for one in batches)
     >>> write_batches(Path("trials.zarr"), "words-in-batches", tracks, {"window": 5})
 
     Args:
@@ -88,9 +90,17 @@ def write_batches(
     layout = Layout(int(rows[-1]) + 1, min(label_parts.PART, int(rows[-1]) + 1))
     # The draft is outside the store: readers list every folder inside it.
     with atomic_folder(folder, near=path) as draft:
-        _write_draft(draft, path, rows, layout, batches, attrs, created)
+        _write_draft(draft, path, rows, layout, _of_its_rate(path, batches), attrs, created)
         _require_group(path)
     collect(path)
+
+
+def _of_its_rate(path: Path, batches: Iterable[LabelTracks]) -> Iterator[LabelTracks]:
+    """The same batches, each checked not to be of another rate than the store."""
+    dt = read_table(path).dt
+    for batch in batches:
+        check_rate(batch, dt, f"{path} has")
+        yield batch
 
 
 def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs: Mapping[str, Any]) -> None:

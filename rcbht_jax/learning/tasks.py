@@ -98,6 +98,7 @@ class LabelledIntervals:
     session: NDArray[np.str_]  # [item]
     intervals: tuple[Intervals, ...]  # one per arm (right before left), each of all items
     dropped: dict[str, int]  # reason -> trials left out; intervals where it begins with "intervals, "
+    recordings: int = 0  # of the data set that the items are from; 0 = not known
 
     @property
     def seconds(self) -> NDArray[np.float64]:
@@ -109,7 +110,7 @@ class LabelledIntervals:
         known, y = np.unique(self.y[rows], return_inverse=True)
         parts = tuple(part.take(rows) for part in self.intervals)
         classes = tuple(self.classes[code] for code in known.tolist())
-        return LabelledIntervals(classes, y, self.trial[rows], self.session[rows], parts, self.dropped)
+        return LabelledIntervals(classes, y, self.trial[rows], self.session[rows], parts, self.dropped, self.recordings)
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,7 @@ class UnlabelledIntervals:
     name: NDArray[np.str_]  # [item] class as the data set has it; "" = not known
     intervals: tuple[Intervals, ...]  # one per arm (right before left), each of all items
     dropped: dict[str, int]  # reason -> trials left out; intervals where it begins with "intervals, "
+    recordings: int = 0  # of the data set that the items are from; 0 = not known
 
 
 def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = False) -> UnlabelledIntervals:
@@ -151,7 +153,8 @@ def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = F
         else:
             values, known, _ = _known(recordings, rows, spec)
             found = whole_items(recordings, rows, np.where(known, values, ""), spec.seconds, dropped)
-    return UnlabelledIntervals(found.rows[:, 0], found.label, found.intervals(recordings), dict(dropped))
+    row, parts = found.rows[:, 0], found.intervals(recordings)
+    return UnlabelledIntervals(row, found.label, parts, dict(dropped), len(recordings))
 
 
 def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledIntervals:
@@ -181,18 +184,16 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         leave_out(dropped, why, int((~known & ~doubtful).sum()))
         found = whole_items(recordings, rows[known], values[known], spec.seconds, dropped)
         order = tuple(sorted(set(found.label.tolist())))
-    present = set(found.label.tolist())
-    classes = tuple(name for name in spec.classes or order if name in present)
+    classes = tuple(name for name in spec.classes or order if name in found.label.tolist())
     if len(classes) < 2:
         raise InputError(
             f"the task {spec.task} finds {_listed('class', classes)} in {plural(len(rows), 'trial')} that passed the "
             f"filters; it needs two.{_reasons(dropped)}"
         )
-    y = np.array([classes.index(name) for name in found.label.tolist()], np.int64)
-    first = found.rows[:, 0]
+    y, first = np.array([classes.index(name) for name in found.label.tolist()], np.int64), found.rows[:, 0]
     leave_out_sources(recordings, chosen_recordings(recordings, spec, True), first, dropped)
     trial, session = trial_names(recordings, first), recordings.session[first]
-    return LabelledIntervals(classes, y, trial, session, found.intervals(recordings), dict(dropped))
+    return LabelledIntervals(classes, y, trial, session, found.intervals(recordings), dict(dropped), len(recordings))
 
 
 def _check(recordings: Recordings, spec: TaskSpec) -> None:
@@ -236,10 +237,10 @@ def extract_features(
         tracks: labels, or those of several encoders by name, whose features are put side by side; or batches of these.
         items: from :func:`labelled_intervals` or :func:`unlabelled_intervals`.
         spec: which features.
-        count: number of recordings that the items come from; labels of more or fewer recordings are rejected.
+        count: number of recordings that the labels must have; None = as many as the data set of the items.
 
     Raises:
-        InputError: no labels, an argument of another type, or labels of more or fewer recordings than the items.
+        InputError: no labels, an argument of another type, or labels of more or fewer recordings, or of another rate.
 
     Example:
         >>> import rcbht_jax as rj
@@ -273,7 +274,7 @@ def extract_batched_features(
         batches: label tracks by name, of consecutive recordings from the first on.
         items: from :func:`labelled_intervals` or :func:`unlabelled_intervals`.
         spec: which features.
-        count: recordings that the items were found in.
+        count: number of recordings that the labels must have; None = as many as the data set of the items.
     """
     found: dict[tuple[str, int], tuple[list[NDArray[np.int64]], list[Features]]] = {}
     first = 0
@@ -290,8 +291,9 @@ def extract_batched_features(
                     features.append(interval_features(tracks, part, spec))
         first += size
     last = max((int(intervals.recording.max(initial=-1)) for intervals in items.intervals), default=-1)
-    if first <= last or first != (first if count is None else count):
-        raise InputError(f"The labels are of {first} recordings, the intervals of {count or last + 1}; take the same.")
+    known = max(count or items.recordings or first, last + 1)
+    if first != known:
+        raise InputError(f"The labels are of {first} recordings, the intervals of {known}; take the same.")
     names, by_name = [one.arm for one in items.intervals], dict[str, list[Features]]()
     for (name, _), (places, features) in found.items():
         order = np.argsort(np.concatenate(places), kind="stable")

@@ -22,6 +22,7 @@ from rcbht_jax._util.atomic import DISK_FULL, atomic_write
 from rcbht_jax._util.printable import printable
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
+from rcbht_jax.features.spans import check_rate
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.types import LabelTracks, Recordings
 
@@ -102,8 +103,9 @@ def check_rows(recordings: Recordings, tracks: LabelTracks) -> None:
     """Check that the tracks belong to the recordings.
 
     Raises:
-        InputError: they differ in number, or a track is not ``[recording, axis, slot]``.
+        InputError: they differ in number or rate, or a track is not ``[recording, axis, slot]``.
     """
+    check_rate(tracks, recordings.dt, "the recordings are of")
     axes = len(recordings.axes)
     for layer in LAYERS:
         shape = np.shape(getattr(tracks, layer).label)

@@ -48,6 +48,13 @@ def candidates() -> FitLimits:
     return FitLimits(limits, BASE.tolerance * np.array([1, 0.3, 2.5])[:, None])
 
 
+@pytest.mark.parametrize("samples", [10, 99])
+def test_rest_shorter_than_half_a_second_is_refused(samples):
+    short = Recordings.from_arrays(np.random.default_rng(0).normal(size=(2, samples, 2)), axes=["Fz", "grip"])
+    with pytest.raises(InputError, match=r"Fz is never at rest for 0\.5 s"):
+        fit_rest_limits(short, CONFIG)
+
+
 @pytest.mark.parametrize("group", [1, 2])
 def test_times_per_label_are_those_of_the_published_words(made, group):
     limits = candidates()

@@ -235,6 +235,16 @@ def test_the_best_by_some_trials_and_the_base_are_scored_on_all(made, monkeypatc
     assert (found.value, found.start_value) == pytest.approx((values.max(), values[0]), abs=1e-6)
 
 
+@pytest.mark.parametrize("groups", [(0, 0, 0, 1, 1, 1), (0,) * 6])
+def test_the_base_is_scored_as_it_is_though_its_axes_differ_within_a_group(made, monkeypatch, groups):
+    judge = Judge(steps=-0.1)
+    monkeypatch.setattr(searching, "score_candidates", judge)
+    base = GradientThresholds(np.geomspace(*np.array([[90, 5, 480, 2, 40, 9], [3, 2, 0.1, 1, 0.2, 0.5]]), 4, axis=1))
+    found = search(made, CONFIG, SearchOptions(SearchSpace(base, groups), candidates=4, objective=ACCURACY))
+    np.testing.assert_array_equal(judge.asked[0][1][0], base.limits)
+    np.testing.assert_array_equal(found.thresholds.limits, base.limits)
+
+
 @pytest.mark.parametrize("seed", [0, 3])
 def test_generations_are_drawn_around_the_best_point_with_the_seed(made, monkeypatch, seed):
     judge = Judge()

@@ -282,6 +282,7 @@ def test_wrong_calls_end_with_one_sentence(store, tmp_path, capsys):
         (["-o", str(tmp_path / "no" / "x.json")], "is not a folder"),
         (["-o", str(tmp_path / "x.json"), "--session", "Q"], "no recording has the session Q"),
         (["-o", str(tmp_path / "x.json"), "--rungs", "0.5"], "increase to 1"),
+        *((["-o", str(tmp_path / "x.json"), f"--rest-weight={wrong}"], "0 or more") for wrong in ("-1", "nan", "inf")),
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--method", "context"], "paper's rule"),
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--plot", "x.png"], "leave it out"),
         (["-o", str(tmp_path / "x.json"), "--tolerance", "0.1"], "--rule fit"),

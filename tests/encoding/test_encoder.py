@@ -258,6 +258,17 @@ def test_the_latency_cap_limits_the_wait_of_primitives_only() -> None:
         assert (first[0] <= 45, rest) == (soon, [[1700], [1700]])
 
 
+@pytest.mark.parametrize("window", [5, 20, 50])
+def test_a_primitive_waits_for_the_cap_and_the_end_of_a_window(window: int) -> None:
+    rng = np.random.default_rng(0)
+    jumps = 2 * rng.normal(size=(4, 3000, 3)) * (rng.random((4, 3000, 3)) < 0.02)
+    signal = jumps.cumsum(1) + 0.02 * rng.normal(size=jumps.shape)
+    config = EncoderConfig(window, latency_cap=0.2)
+    words = rj.encode(signal, config=config, thresholds=preset("hiro", ["Fx", "Fy", "Fz"])).primitive
+    waited = (words.emit - words.t1)[(words.label > 0) & (words.emit < 3000)]
+    assert waited.max() == max(40 // window + 1, 2) * window
+
+
 def test_labels_take_less_than_32_bytes_a_window() -> None:
     wrench = np.zeros((4, 2000, 6), np.float32)
     limits, length = jnp.asarray(preset().limits, jnp.float32), np.full(4, 2000, np.int32)

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FAMILIES, FeatureSpec, Intervals, concatenate_arms, interval_features, longest
 from rcbht_jax.features.word_families import compressed
-from rcbht_jax.labels import LAYER_SIZES, LAYERS, PRIMITIVE_GROUP
-from rcbht_jax.types import LabelTrack, LabelTracks
+from rcbht_jax.labels import AXES, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP
+from rcbht_jax.types import LabelTrack, LabelTracks, TrackInfo
 
 ALL = FeatureSpec(families=FAMILIES, slots=(7, 5, 3))
 
@@ -345,7 +345,21 @@ def test_bad_intervals_are_refused(row):
         interval_features(make_tracks(1), intervals(row), ALL)
 
 
-@pytest.mark.parametrize("bad", [{"families": ("words",)}, {"layers": ()}, {"slots": (0, 1, 1)}, {"ngram": 4}])
+def test_labels_of_another_rate_are_refused():
+    tracks, row = make_tracks(1), intervals((0, 0, 40))
+    rated = [replace(tracks, info=TrackInfo(rate, AXES)) for rate in (1 / row.dt, 1.005 / row.dt, 1.02 / row.dt)]
+    for same in rated[:2]:
+        np.testing.assert_array_equal(
+            interval_features(same, row, ALL).values, interval_features(tracks, row, ALL).values
+        )
+    with pytest.raises(InputError, match=f"the intervals are of {1 / row.dt:g} Hz; encode with rate={1 / row.dt:g}"):
+        interval_features(rated[2], row, ALL)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"families": ("words",)}, {"layers": ()}, {"layers": ("llb", "mc", "llb")}, {"slots": (0, 1, 1)}, {"ngram": 4}],
+)
 def test_bad_specifications_are_refused(bad):
     with pytest.raises(InputError):
         FeatureSpec(**bad)

@@ -106,6 +106,19 @@ def test_wrong_tracks_are_refused(path: Path, name: str, count: int, sentence: s
     assert label_store.list_tracks(path) == ["taken"]
 
 
+def test_labels_of_another_rate_are_refused(path: Path) -> None:
+    """Reading gives labels the rate of the store."""
+    rate, tracks = 1 / simple().dt, label_tracks()
+    other = dataclasses.replace(tracks, info=TrackInfo(2 * rate, simple().axes))
+    for write in (label_store.write_tracks, lambda path, name, one, attrs: label_store.write_batches(
+        path, name, [one], attrs
+    )):  # fmt: skip
+        with pytest.raises(InputError, match=f"labels are of {2 * rate:g} Hz, .*trials.zarr has {rate:g} Hz; encode"):
+            write(path, "x", other, {})
+    assert label_store.list_tracks(path) == []
+    label_store.write_tracks(path, "x", dataclasses.replace(tracks, info=TrackInfo(rate, simple().axes)), {})
+
+
 def test_track_dtypes_are_checked(path: Path) -> None:
     good = label_tracks()
     wrong = dataclasses.replace(good, mc=dataclasses.replace(good.mc, label=good.mc.label.astype(np.int64)))

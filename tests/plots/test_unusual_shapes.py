@@ -8,6 +8,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+import rcbht_jax as rj
+from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYER_SIZES, LAYERS, LLB
 from rcbht_jax.plots import label_map, trial_figure
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
@@ -21,6 +23,17 @@ def words(axes: int, spans: list[tuple[int, int, int]]) -> LabelTracks:
     zero = np.zeros(code.shape)
     track = LabelTrack(code.astype(np.int8), t0, t1, t1, zero, zero, zero, zero)
     return LabelTracks(track, track, track)
+
+
+def test_labels_of_another_rate_are_refused() -> None:
+    """Their slopes would be lines beside the signal."""
+    recordings = Recordings.from_arrays(np.zeros((2, 400, 1)), rate=100.0)
+    tracks = rj.encode(recordings.wrench, rate=200.0)
+    for draw in (lambda: trial_figure(recordings, tracks, 0), lambda: label_map(recordings, tracks, "llb")):
+        with pytest.raises(
+            InputError, match="labels are of 200 Hz, the recordings are of 100 Hz; encode with rate=100"
+        ):
+            draw()
 
 
 def overlapping(figure: Figure, texts: list[Text]) -> list[tuple[str, str]]:
