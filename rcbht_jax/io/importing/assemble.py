@@ -196,11 +196,33 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
     for name, texts in defaults.items():
         given = columns.get(name, np.full(len(records), ""))
         columns[name] = np.where(given == "", texts, given).astype(np.str_)
+    columns |= _names_apart(columns, defaults["trial"], report)
     notes = [
         ";".join(filter(None, [given, *record.notes]))
         for given, record in zip(columns["note"].tolist(), records, strict=True)
     ]
     return {**columns, "note": np.array(notes, np.str_)}
+
+
+def _names_apart(columns: dict[str, Any], files: list[str], report: ImportReport) -> dict[str, NDArray[np.str_]]:
+    """Trials that tell the recordings of an arm apart, where the values of the files do not; these become a column.
+
+    >>> given = {"trial": ["1", "1"], "arm": ["R", "R"], "session": ["mon", "tue"], "source": ["lab", "lab"]}
+    >>> columns = {name: np.array(texts) for name, texts in given.items()}
+    >>> _names_apart(columns, ["a", "b"], ImportReport())["trial"].tolist()
+    ['mon/1', 'tue/1']
+    """
+    trials, arms, sessions, sources = (columns[name].tolist() for name in ("trial", "arm", "session", "source"))
+    within = [f"{session}/{trial}" for session, trial in zip(sessions, trials, strict=True)]
+    candidates = {"": trials, "session and value": within, "file": files}
+    keys = {how: zip(sources, own, arms, strict=True) for how, own in candidates.items()}
+    how = next((how for how, own in keys.items() if len(set(own)) == len(trials)), "file")
+    if not how:
+        return {}
+    report.remarks.append(
+        f"Recordings have the same value of trial, so each is named by its {how}; the values are the column c_trial."
+    )
+    return {"trial": np.array(candidates[how], np.str_), "c_trial": columns["trial"]}
 
 
 def _states_outcomes(values: NDArray[Any]) -> bool:
