@@ -100,6 +100,9 @@ def _remarks(notes: list[list[str]], moves: list[list[str]], period: float) -> l
         )
     if parts := sum(note.startswith("restarts:") for each in notes for note in each):
         found.append(f"{plural(parts, 'recording is', 'recordings are')} from tables in which the time starts anew.")
+    if parts := sum(note.startswith("again:") for each in notes for note in each):
+        are = plural(parts, "recording is", "recordings are")
+        found.append(f"{are} from tables in which values of the group come again after others; each stretch is one.")
     for encoding, word in WORDS.items():
         if coded := sum(encoding in each for each in notes):
             were = plural(coded, "recording is", "recordings are")
