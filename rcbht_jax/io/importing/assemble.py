@@ -47,6 +47,9 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     period = conform.checked_period(1 / rate if rate else conform.common(clocks))
     odd = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if not 1 <= one.rate <= FAST]
     report.warnings += [(name, f"has {rate:.3g} samples per second. Is the unit of time right?") for name, rate in odd]
+    why = "samples come in bursts; if they were taken evenly, --source-rate"
+    bursts = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if one.bursts]
+    report.warnings += [(name, f"{why} {rate:.6g} replaces their stamps.") for name, rate in bursts]
     kept: list[Record] = []
     values: list[NDArray[np.float32]] = []
     moves: list[list[str]] = []
