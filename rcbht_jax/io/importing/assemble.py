@@ -27,7 +27,7 @@ from rcbht_jax.io.store import VARIABLES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
 MANY = 0.1  # share of the samples without a value above which a remark says so
-FAST = 100_000  # samples per second that no sensor of forces has
+SLOW, FAST = 2.5, 100_000  # samples per second: fewer may be those of a time in ms, more has no sensor of forces
 _TAKEN = (*VARIABLES, "dt", "axis", "time", "axes", "units", "annotations", "columns", "rate")  # names of other things
 
 
@@ -45,7 +45,7 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     """
     clocks = [conform.clock(record.time) for record in records]
     period = conform.checked_period(1 / rate if rate else conform.common(clocks))
-    odd = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if not 1 <= one.rate <= FAST]
+    odd = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if not SLOW <= one.rate <= FAST]
     report.warnings += [(name, f"has {rate:.3g} samples per second. Is the unit of time right?") for name, rate in odd]
     why = "samples come in bursts; if they were taken evenly, --source-rate"
     bursts = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if one.bursts]
