@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -147,6 +148,16 @@ def test_the_unit_of_a_whole_wrench_is_not_that_of_its_moments(tmp_path: Path) -
         file["time"], file["wrench"] = TIME, WRENCH
         file["wrench"].attrs["units"] = "N"
     same(read_source(tmp_path), units=("N",) * 3 + ("",) * 3)
+
+
+@pytest.mark.parametrize("units", ["N, Nm", ["N", "Nm"], "N,N,N,Nm,Nm,Nm"])
+@pytest.mark.parametrize("key", ["units", "Unit"])
+def test_two_units_of_a_whole_wrench_are_of_its_forces_and_moments(key: str, units: Any, tmp_path: Path) -> None:
+    """Fx was in N, and no unit was known of the other axes."""
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["time"], file["wrench"] = TIME, WRENCH
+        file["wrench"].attrs[key] = units
+    same(read_source(tmp_path), units=("N",) * 3 + ("Nm",) * 3)
 
 
 @pytest.mark.parametrize("form", ["('{}', '{}')", "/'{}'/'{}'"])
