@@ -204,7 +204,7 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
         columns[name] = np.where(given == "", texts, given).astype(np.str_)
     columns |= _names_apart(columns, defaults["trial"], report)
     notes = [
-        ";".join(filter(None, [given, *record.notes]))
+        ";".join(filter(None, [given.replace(";", ","), *record.notes]))  # a semicolon would begin another flag
         for given, record in zip(columns["note"].tolist(), records, strict=True)
     ]
     return {**columns, "note": np.array(notes, np.str_)}

@@ -270,7 +270,8 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:
-        raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.")
+        others = f" Arrays of another shape or kind are left out: {some(table.others)}." if table.others else ""
+        raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.{others}")
     if len(rest) > MAX_CHANNELS:
         raise InputError(
             f"{table.name} has {plural(len(rest), 'column')} of numbers and none is a wrench; choose some with --map."

@@ -235,6 +235,16 @@ def test_python_objects_beside_arrays_are_left_out_and_told(tmp_path: Path) -> N
     np.savez(tmp_path / "run.npz", wrench=np.array([WRENCH, WRENCH[:9]], object))
     with pytest.raises(InputError, match="Python objects, which are never loaded"):
         read_source(tmp_path)
+    np.savez(tmp_path / "run.npz", wrench=np.array([WRENCH, WRENCH[:9]], object), labels=np.array([0, 1, 0]))
+    with pytest.raises(InputError, match=r"it has 'labels'\. Arrays of another shape .* left out: 'wrench'\."):
+        read_source(tmp_path)
+
+
+def test_a_note_of_the_file_makes_no_notes_of_the_import(tmp_path: Path) -> None:
+    """What followed a semicolon was counted as a note of its own, here as a gap."""
+    lines = [f"{time},{row[0]},slipped;gap:9" for time, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["t,Fz,note", *lines]))
+    assert read_source(tmp_path).recordings.note.tolist() == ["slipped,gap:9"]
 
 
 @pytest.mark.parametrize(
