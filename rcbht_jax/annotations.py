@@ -28,17 +28,20 @@ def _checked_row(row: Any) -> tuple[int, str, str, float, float]:
     """A row of annotations in its types; None as an end is unknown.
 
     Raises:
-        InputError: it is no such row.
+        InputError: it is no such row, or it ends before it begins.
     """
     try:
         recording, track, label, start, end = row
         if track is None or label is None or int(recording) != float(recording):
             raise ValueError
-        return int(recording), str(track), str(label), float(start), np.nan if end is None else float(end)
+        checked = int(recording), str(track), str(label), float(start), np.nan if end is None else float(end)
     except (TypeError, ValueError, OverflowError):
         raise InputError(
             f"An annotation is {str(row)[:80]}; expected recording, track, label, start in s and end in s."
         ) from None
+    if checked[-1] < checked[-2] < np.inf:
+        raise InputError(f"An annotation is {str(row)[:80]}; it ends before it begins.")
+    return checked
 
 
 def _empty(dtype: type) -> NDArray[Any]:
@@ -83,7 +86,8 @@ class Annotations(ByValue):
             labels: labels of tracks in the order that reports shall have; of others in order of appearance.
 
         Raises:
-            InputError: something else than such rows, or a track's given labels lack one of a row.
+            InputError: something else than such rows, one that ends before it begins, or a track's given labels lack
+                one of a row.
         """
         table = sorted(map(_checked_row, rows), key=lambda row: row[3])
         order: dict[str, dict[str, int]] = {

@@ -121,6 +121,7 @@ def test_names_that_are_numbers_are_texts_and_missing_ones_are_as_if_not_given(t
         ([(0, "phase", "a", None, 1)], "An annotation is"),
         ([(0, "phase", None, 0, 1)], "An annotation is"),
         ([(0, "phase", "a", np.nan, 1)], "expected a finite start"),
+        ([(0, "phase", "a", 0.5, 0.1)], "it ends before it begins"),
         (pd.DataFrame([(0, "phase", "a", 0, 1)]), "An annotation is 0; expected recording, track, label"),
         ({"phase": [(0, 1)]}, "An annotation is phase"),
     ],

@@ -27,7 +27,7 @@ from rcbht_jax.io.store import VARIABLES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
 MANY = 0.1  # share of the samples without a value above which a remark says so
-FAST = 100_000  # samples per second that no sensor of forces has
+SLOW, FAST = 2.5, 100_000  # samples per second: fewer may be those of a time in ms, more has no sensor of forces
 _TAKEN = (*VARIABLES, "dt", "axis", "time", "axes", "units", "annotations", "columns", "rate")  # names of other things
 
 
@@ -45,8 +45,11 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     """
     clocks = [conform.clock(record.time) for record in records]
     period = conform.checked_period(1 / rate if rate else conform.common(clocks))
-    odd = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if not 1 <= one.rate <= FAST]
+    odd = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if not SLOW <= one.rate <= FAST]
     report.warnings += [(name, f"has {rate:.3g} samples per second. Is the unit of time right?") for name, rate in odd]
+    why = "samples come in bursts; if they were taken evenly, --source-rate"
+    bursts = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if one.bursts]
+    report.warnings += [(name, f"{why} {rate:.6g} replaces their stamps.") for name, rate in bursts]
     kept: list[Record] = []
     values: list[NDArray[np.float32]] = []
     moves: list[list[str]] = []
@@ -100,6 +103,9 @@ def _remarks(notes: list[list[str]], moves: list[list[str]], period: float) -> l
         )
     if parts := sum(note.startswith("restarts:") for each in notes for note in each):
         found.append(f"{plural(parts, 'recording is', 'recordings are')} from tables in which the time starts anew.")
+    if parts := sum(note.startswith("again:") for each in notes for note in each):
+        are = plural(parts, "recording is", "recordings are")
+        found.append(f"{are} from tables in which values of the group come again after others; each stretch is one.")
     for encoding, word in WORDS.items():
         if coded := sum(encoding in each for each in notes):
             were = plural(coded, "recording is", "recordings are")
@@ -196,11 +202,33 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
     for name, texts in defaults.items():
         given = columns.get(name, np.full(len(records), ""))
         columns[name] = np.where(given == "", texts, given).astype(np.str_)
+    columns |= _names_apart(columns, defaults["trial"], report)
     notes = [
-        ";".join(filter(None, [given, *record.notes]))
+        ";".join(filter(None, [given.replace(";", ","), *record.notes]))  # a semicolon would begin another flag
         for given, record in zip(columns["note"].tolist(), records, strict=True)
     ]
     return {**columns, "note": np.array(notes, np.str_)}
+
+
+def _names_apart(columns: dict[str, Any], files: list[str], report: ImportReport) -> dict[str, NDArray[np.str_]]:
+    """Trials that tell the recordings of an arm apart, where the values of the files do not; these become a column.
+
+    >>> given = {"trial": ["1", "1"], "arm": ["R", "R"], "session": ["mon", "tue"], "source": ["lab", "lab"]}
+    >>> columns = {name: np.array(texts) for name, texts in given.items()}
+    >>> _names_apart(columns, ["a", "b"], ImportReport())["trial"].tolist()
+    ['mon/1', 'tue/1']
+    """
+    trials, arms, sessions, sources = (columns[name].tolist() for name in ("trial", "arm", "session", "source"))
+    within = [f"{session}/{trial}" for session, trial in zip(sessions, trials, strict=True)]
+    candidates = {"": trials, "session and value": within, "file": files}
+    keys = {how: zip(sources, own, arms, strict=True) for how, own in candidates.items()}
+    how = next((how for how, own in keys.items() if len(set(own)) == len(trials)), "file")
+    if not how:
+        return {}
+    report.remarks.append(
+        f"Recordings have the same value of trial, so each is named by its {how}; the values are the column c_trial."
+    )
+    return {"trial": np.array(candidates[how], np.str_), "c_trial": columns["trial"]}
 
 
 def _states_outcomes(values: NDArray[Any]) -> bool:

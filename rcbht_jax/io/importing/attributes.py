@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import split_unit
+from rcbht_jax.labels import AXES
 
 FILL = ("_FillValue", "missing_value")
 
@@ -47,8 +49,9 @@ def stated_units(attributes: Mapping[str, Any]) -> list[str]:
     >>> stated_units({"units": "N,N,N,Nm,Nm,N mm"}), stated_units({})
     (['N', 'N', 'N', 'Nm', 'Nm', 'Nmm'], [])
     """
+    named = {key.lower(): value for key, value in attributes.items()}
     for key in ("units", "unit"):
-        given = np.asarray(attributes.get(key, "")).ravel().tolist()
+        given = np.asarray(named.get(key, "")).ravel().tolist()
         texts = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in given]
         units = [split_unit(f"x [{text.strip()}]")[1] for text in (texts[0].split(",") if len(texts) == 1 else texts)]
         if any(units):
@@ -57,11 +60,17 @@ def stated_units(attributes: Mapping[str, Any]) -> list[str]:
 
 
 def units_of(columns: Iterable[str], stated: Mapping[str, list[str]]) -> dict[str, str]:
-    """The unit of each column of data sets with stated units.
+    """The unit of each column of data sets with stated units; two of a whole wrench are of its forces and moments.
 
     >>> units_of(["t", "F_0", "F_1"], {"t": ["ms"], "F": ["N", "Nm"]})
     {'t': 'ms', 'F_0': 'N', 'F_1': 'Nm'}
+    >>> list(units_of([f"ft_{number}" for number in range(6)], {"ft": ["N", "Nm"]}).values())
+    ['N', 'N', 'N', 'Nm', 'Nm', 'Nm']
     """
+    columns = list(columns)
+    heads = Counter(column.rpartition("_")[0] for column in columns)
+    whole = (head for head, own in stated.items() if heads[head] == len(AXES) and len(own) == 2)
+    stated = {**stated, **{head: [unit for unit in stated[head] for _ in "xyz"] for head in whole}}
     units = {}
     for column in columns:
         head, _, number = column.rpartition("_")
@@ -69,7 +78,7 @@ def units_of(columns: Iterable[str], stated: Mapping[str, list[str]]) -> dict[st
         if column in stated:
             own = stated[column][:1]
         elif len(own) > 1:
-            own = own[int(number) : int(number) + 1]
+            own = own[int(number) : int(number) + 1] if len(own) == heads[head] else []
         if own and own[0]:
             units[column] = own[0]
     return units

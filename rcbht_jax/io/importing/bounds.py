@@ -13,7 +13,7 @@ def bounded(record: Record) -> tuple[Record, list[str]]:
     """The recording without its impossible intervals, and what was wrong with them.
 
     An interval that begins after the end, or whose start is missing, is left out; the others stay. An infinite end is
-    that of the recording.
+    that of the recording. One of which most lies after the end is named, too.
     """
     last = record.end
     kept, problems = [], []
@@ -27,5 +27,8 @@ def bounded(record: Record) -> tuple[Record, list[str]]:
             problems.append(f"{track} {label!r} ends before it begins ({end:.6g} < {start:.6g} s); its end is unknown.")
             kept.append((track, label, start, float("nan")))
         else:
+            if last - start < end - last < np.inf:  # most of it
+                how = f"ends at {end:.6g} s, after the end ({last:.6g} s). Is the unit of its times right?"
+                problems.append(f"{track} {label!r} {how}")
             kept.append((track, label, start, last if end == np.inf else end))
     return replace(record, intervals=kept), problems

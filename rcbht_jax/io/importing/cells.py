@@ -14,7 +14,9 @@ from rcbht_jax._util.untrusted import MAX_RATIO, MAX_TEXT_BYTES
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.numerals import ungrouped
 
-COMMENT = re.compile(rb"^(?:[#%]|//)(?:[#% ]|//)*")  # what begins one
+COMMENT = re.compile(  # what begins one, but not the names that "rostopic echo -p" writes; a mark of UTF-8 aside
+    rb"^(?:\xef\xbb\xbf)?(?!%time)(?:[#%]|//)(?:[#% ]|//)*"
+)
 NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a", "-", "--"}
 FAULTS = {  # words that programs, sensors and spreadsheets write for a number that they lack
     "none", "nil", "missing", "invalid", "bad", "err", "error", "#error", "ovf", "ovl", "ovr", "overflow", "overload",
@@ -23,6 +25,8 @@ FAULTS = {  # words that programs, sensors and spreadsheets write for a number t
     "-inf", "+inf", "infinity", "-infinity", "∞", "-∞",
 }  # fmt: skip
 _BLANKS = re.compile(r"\s+(?![\[(][^\W\d][^\s\])]*[\])])")  # but before a unit: Time (s)
+_QUOTED = re.compile(r'"([^"]*)"|([^\s"]+)')  # between blanks
+_OF_DAY = re.compile(r"\d:\d\d,\d+$")  # the end of a time with a decimal comma
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 _BETWEEN_BLANKS = re.compile(r"[+-]?\d+(?:,\d+(?:[eE][+-]?\d+)?)?")  # numbers, some with decimal commas
 
@@ -32,14 +36,14 @@ def delimiter_of(line: bytes) -> str:
 
     >>> delimiter_of(b"1,5;2,5"), delimiter_of(b"t,Fz"), delimiter_of(b"t Fz")
     (';', ',', ' ')
-    >>> delimiter_of(b"0,5 1,5"), delimiter_of(b"0, 1,5")
-    (' ', ',')
+    >>> delimiter_of(b"0,5 1,5"), delimiter_of(b"0, 1,5"), delimiter_of(b"12:00:00,5;1,5;2,5")
+    (' ', ',', ';')
     """
     for mark in ";\t|":
         if mark.encode() in line and b"," in line:
             cells = _cells(line.decode("utf-8", "replace").strip("\r\n"), mark)
-            if all(is_number(plain(cell.strip(), mark)) for cell in cells if "," in cell):
-                return mark  # its commas are those of numbers
+            if all(_is_decimal(cell.strip(), mark) for cell in cells if "," in cell):
+                return mark  # its commas are those of numbers and times
     words = line.decode("utf-8", "replace").split()
     if len(words) > 1 and b"," in line and all(map(_BETWEEN_BLANKS.fullmatch, words)):
         return "\t" if b"\t" in line else " "
@@ -56,8 +60,23 @@ def split(line: bytes, delimiter: str, encoding: str = "utf-8-sig") -> list[str]
     """
     text = line.decode(encoding, "replace").strip("\r\n")
     if delimiter == " ":
-        return [plain(cell, delimiter) for cell in _BLANKS.split(text.strip())] if text.strip() else []
+        words = between_blanks(text) if '"' in text else _BLANKS.split(text.strip()) if text.strip() else []
+        return [plain(cell, delimiter) for cell in words]
     return [plain(cell.strip(), ";") for cell in _cells(text, delimiter)]
+
+
+def between_blanks(line: str) -> list[str]:
+    """The cells of a line between blanks, some perhaps in quotes.
+
+    >>> between_blanks('0.5 "free air" ""'), between_blanks("0.5  free ")
+    (['0.5', 'free air', ''], ['0.5', 'free'])
+    """
+    return [quoted or word for quoted, word in _QUOTED.findall(line)] if '"' in line else line.split()
+
+
+def _is_decimal(cell: str, delimiter: str) -> bool:
+    """Whether the comma in a cell is that of a number or of a time."""
+    return is_number(plain(cell, delimiter)) or bool(_OF_DAY.search(cell))
 
 
 def _cells(text: str, delimiter: str) -> list[str]:
@@ -117,7 +136,7 @@ def is_comment(line: bytes) -> bool:
     >>> is_comment(b"# rate: 100"), is_comment(b"%time,field.x")
     (True, False)
     """
-    return bool(COMMENT.match(line)) and not line.startswith(b"%time")
+    return bool(COMMENT.match(line))
 
 
 def is_title(cells: list[str], below: list[str]) -> bool:

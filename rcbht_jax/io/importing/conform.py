@@ -18,6 +18,8 @@ DRIFT = 0.02  # of a period: largest error that rounding the period may cause at
 GAP = 5  # periods without a sample
 MISSING = 5  # samples in a row without a value that are interpolated
 SPAN = 7  # steps in a row whose mean is a period
+EVEN = 0.75  # of the usual step: difference between spans of as many steps in which no sample is lost
+BURSTS = 0.05  # share of the steps that differ from the usual one by a factor of GAP where samples come in bursts
 HELD = 10  # samples in a row of one value, by which an axis is saturated or stuck
 MOST = 0.9  # share of the samples that must agree
 SHORTEST, LONGEST = 1e-6, 1e3  # s: periods of samples that sensors have
@@ -31,6 +33,7 @@ class Clock:
 
     period: float  # s
     steady: bool  # every sample lies within JITTER of the grid
+    bursts: bool = False  # several samples come at nearly one time, after a while without any
 
     @property
     def rate(self) -> float:
@@ -159,14 +162,28 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
     away = time - time[0] - np.arange(len(time)) * period
     if np.abs(away).max() <= JITTER * period:
         return Clock(_short(period, DRIFT / len(time)), True)
-    middle = float(np.median(np.diff(time)))
+    every = np.diff(time)
+    middle = float(np.median(every))
     if middle < SHORTEST:  # no sensor is this fast, and the rate may not even be finite
         return Clock(middle, False)
+    odd = max((every > GAP * middle).sum(), (every < middle / GAP).sum())
+    if odd >= HELD and odd > BURSTS * len(every):
+        return Clock(1 / _nice(1 / _within_bursts(every)), False, bursts=True)
     # The mean gives the rate more exactly; over several steps, jitter hides lost samples less.
     steps = min(SPAN, len(time) // 2)
     spans = time[steps:] - time[:-steps]
+    least, most = np.quantile(spans, (BURSTS, 1 - BURSTS))
+    if most - least < EVEN * middle:  # no sample is lost: a sensor between the rows of a faster log
+        return Clock(1 / _nice(steps / float(np.clip(spans, least, most).mean())), False)
     period = float(spans[spans < (1 + 0.5 / steps) * np.median(spans)].mean()) / steps
     return Clock(1 / _nice(1 / (period if abs(period / middle - 1) < NEAR else middle)), False)
+
+
+def _within_bursts(steps: NDArray[np.float64]) -> float:
+    """The mean step of samples in bursts, from the beginning of the first whole one to that of the last; no pauses."""
+    steps = steps[steps <= GAP * np.quantile(steps, 1 - BURSTS)]
+    begins = np.flatnonzero(steps > steps.mean()) + 1
+    return float(steps[begins[0] : begins[-1]].mean() if len(begins) > 1 else steps.mean())
 
 
 def checked_period(period: float) -> float:

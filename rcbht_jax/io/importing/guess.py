@@ -16,7 +16,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.numerals import two_meanings
-from rcbht_jax.io.importing.record import check_columns
+from rcbht_jax.io.importing.record import check_columns, groups_of
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, unit_of_times, with_time
 from rcbht_jax.io.importing.topics import filled
@@ -26,6 +26,7 @@ from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
 FEWEST = 4  # samples of a recording, in the mean of those of a table
+MOST_GROUPS = 1000  # that show whether a column changes within them
 MAX_CHANNELS = 64  # where every numeric column is one
 _BAD = re.compile(r"anomal|(?<!de)fault|fail|error|defect|collision|unsuccess|reject|fehler|^(?:nok|nio|ng)$")
 _DENIAL = re.compile(r"(?:no|non|not|without|ohne|free|frei)$|[a-z]+(?:less|free|frei)$")
@@ -144,8 +145,9 @@ def _arm(table: Table, group: str, free: list[str]) -> str:
 def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     """Columns of the data set and annotations, from columns of text and of labels."""
     columns, tracks = dict(mapping.columns), list(mapping.annotations)
-    groups = _groups(table, mapping.group)
-    facts = _facts(table, mapping.group, free)
+    groups = _groups(table, mapping)
+    facts = _facts(table, groups, free)
+    groups = groups[:MOST_GROUPS]
     numbers: list[str] = []
     for name in free:
         values, plain = table.columns[name], _of_any_arm(table, name)
@@ -188,25 +190,23 @@ def _of_any_arm(table: Table, name: str) -> str:
     return name if not plain or plain in table.columns else plain
 
 
-def _facts(table: Table, group: str, free: list[str]) -> set[str]:
+def _facts(table: Table, groups: list[NDArray[np.int64]], free: list[str]) -> set[str]:
     """Numbers that change only from one recording of a table to the next: they describe these, and are no signal."""
-    if not group:
+    starts = np.sort([rows[0] for rows in groups])[1:]
+    if not len(starts) or any((np.diff(rows) != 1).any() for rows in groups):
         return set()
-    border = table.columns[group][1:] != table.columns[group][:-1]
-    if border.sum() + 1 != len(_distinct(table.columns[group])):
-        return set()
+    border = np.isin(np.arange(1, len(next(iter(table.columns.values())))), starts)
     axes = {column for wrench in names.wrenches(free) for column in wrench.values()}
     numbers = (name for name in free if table.columns[name].dtype.kind != "U" and name not in axes)
     steps = ((name, np.diff(table.columns[name])) for name in numbers)
     return {name for name, step in steps if len(step[~border]) and not step[~border].any() and step.any()}
 
 
-def _groups(table: Table, group: str) -> list[NDArray[np.bool_]]:
-    rows = len(next(iter(table.columns.values())))
-    if not group:
-        return [np.ones(rows, bool)]
-    values = table.columns[group]
-    return [values == value for value in _distinct(values)[:1000]]
+def _groups(table: Table, mapping: Mapping) -> list[NDArray[np.int64]]:
+    """The rows of each recording."""
+    if not mapping.group:
+        return [np.arange(len(next(iter(table.columns.values()))))]
+    return list(groups_of(table, mapping).values())
 
 
 def _is_label(name: str) -> bool:
@@ -229,10 +229,11 @@ def _is_flag(values: NDArray[Any]) -> bool:
     return len(words) <= 2 and {as_text(word).lower() for word in words} <= {"true", "false", "1", "0"}
 
 
-def _rises(values: NDArray[Any], groups: list[NDArray[np.bool_]]) -> bool:
+def _rises(values: NDArray[Any], groups: list[NDArray[np.int64]]) -> bool:
     """Whether a flag is set in the course of recordings and never taken back, so that its last value is the result."""
     truth = np.isin([as_text(value).lower() for value in values], ("true", "1"))
-    steps = [np.diff(truth[rows & filled(values)].astype(np.int8)) for rows in groups]
+    known = filled(values)
+    steps = [np.diff(truth[rows[known[rows]]].astype(np.int8)) for rows in groups]
     return any((step > 0).any() for step in steps) and not any((step < 0).any() for step in steps)
 
 
@@ -269,7 +270,8 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:
-        raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.")
+        others = f" Arrays of another shape or kind are left out: {some(table.others)}." if table.others else ""
+        raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.{others}")
     if len(rest) > MAX_CHANNELS:
         raise InputError(
             f"{table.name} has {plural(len(rest), 'column')} of numbers and none is a wrench; choose some with --map."

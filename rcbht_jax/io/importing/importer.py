@@ -5,6 +5,7 @@ that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:CO
 ``stuck:AXIS``, ``counts`` (were divided), ``other-arrays:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
 ``unordered:COUNT``, ``reversed``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples),
 ``windows:COUNT`` (of so many samples), ``lines:COUNT`` (that are no samples), ``restarts:COUNT`` (of the time),
+``again:COUNT`` (values of the group that come again after others),
 ``cp1252``, ``cp1251``, ``cp932``, ``gb18030``, ``changes:COLUMN`` (one that should be constant),
 ``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """

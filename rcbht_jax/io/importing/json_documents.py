@@ -17,12 +17,12 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.attributes import stated_units, units_of
+from rcbht_jax.io.importing.groups import MAX_GROUPS
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.json_lines import Rows
 from rcbht_jax.io.importing.mapping import Track
 from rcbht_jax.io.importing.marks import intervals_of, is_intervals
 from rcbht_jax.io.importing.names import column_name, wrenches
-from rcbht_jax.io.importing.record import MAX_GROUPS
 from rcbht_jax.io.importing.table import Interval, Table, scalars_of, tables_of
 from rcbht_jax.io.importing.unpacked import opened
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import UNITS
+from rcbht_jax._util.columns import split_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
 
@@ -46,12 +46,12 @@ def without_comment(titles: list[str], below: Sequence[str]) -> list[str]:
 def units_in(lines: Iterable[bytes], names: Sequence[str]) -> dict[str, str]:
     """The units of columns that a header states; the first column is that of the time, and a comment has no unit.
 
-    >>> units_in([b"Y_Unit_Label,Newton,Newton"], ["X_Value", "Fx", "Fz"])
-    {'Fx': 'N', 'Fz': 'N'}
+    >>> units_in([b"Y_Unit_Label,Newton,N*m"], ["X_Value", "Fx", "Mx"])
+    {'Fx': 'N', 'Mx': 'Nm'}
     """
     rows = (cells.split(line, cells.delimiter_of(line)) for line in lines if line.startswith(b"Y_Unit_Label"))
-    pairs = (pair for row in rows for pair in zip(names[1:], map(str.lower, row[1:]), strict=False))
-    return {name: UNITS[cell] for name, cell in pairs if cell in UNITS}
+    pairs = (pair for row in rows for pair in zip(names[1:], row[1:], strict=False))
+    return {name: unit for name, cell in pairs if (unit := split_unit(f"x [{cell}]")[1])}
 
 
 def period_in(lines: Iterable[bytes]) -> float:

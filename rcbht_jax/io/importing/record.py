@@ -20,6 +20,7 @@ from rcbht_jax.io.importing import conform, topics
 from rcbht_jax.io.importing.arms import column_of_arms, of_each_arm
 from rcbht_jax.io.importing.clock import first_second, no_time, seconds_of
 from rcbht_jax.io.importing.given import Given
+from rcbht_jax.io.importing.groups import MAX_GROUPS, rows_of_groups
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.table import Interval, Table
@@ -28,7 +29,6 @@ from rcbht_jax.io.importing.words import OUTCOMES, is_outcome, of_numbers, text,
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS
 
-MAX_GROUPS = 100_000
 Row = AnyMapping[str, str]  # of the table of recordings
 
 
@@ -105,7 +105,9 @@ def records(
     parts: dict[str, NDArray[Any]] = {"": np.arange(count)}
     stamps: NDArray[np.float64] | None = None
     if mapping.group:
-        parts = _groups(table, mapping.group)
+        parts = groups_of(table, mapping)
+        again = len(parts) - len({text(value) for value in np.unique(table.columns[mapping.group])} - {""})
+        table = replace(table, notes=(*table.notes, f"again:{again}")) if again else table
         sides = column_of_arms(table, mapping, parts)
         for name in filter(None, (mapping.group, sides)):
             group = table.columns[name]
@@ -158,21 +160,25 @@ def _given(table: Table, mapping: Mapping, parts: dict[str, NDArray[Any]]) -> Gi
     return Given(table.intervals, (origin, float(np.ptp(known)) + period, period))
 
 
+def groups_of(table: Table, mapping: Mapping) -> dict[str, NDArray[Any]]:
+    """The rows of each recording of a table with a group, by its name.
+
+    >>> table = Table("a.csv", {"t": np.arange(4.0), "id": np.array([1.0, 1, 2, 2])})
+    >>> groups_of(table, Mapping(time="t", group="id"))
+    {'1': array([0, 1]), '2': array([2, 3])}
+
+    Raises:
+        InputError: the column has more values than files hold recordings.
+    """
+    every = np.arange(len(table.columns[mapping.group]))
+    arms = mapping.columns.get("arm", Value()).column == mapping.group  # whose blocks may take turns
+    return rows_of_groups(table, mapping.group, None if arms else lambda: _readable_stamps(table, mapping, every))
+
+
 def _on_clock(table: Table, mapping: Mapping, rows: NDArray[Any], first: float) -> float:
     """The first of the times of rows on the source's clock; times of text begin at their own."""
     texts = table.columns[mapping.time][rows] if mapping.time else rows
     return first + (first_second(texts.tolist()) if texts.dtype.kind == "U" else 0.0)
-
-
-def _groups(table: Table, name: str) -> dict[str, NDArray[Any]]:
-    """The rows of every value of a column but the empty one."""
-    values, which = np.unique(table.columns[name], return_inverse=True)
-    if len(values) > MAX_GROUPS:
-        raise InputError(f"{table.name}: {name} has {len(values)} values; it does not separate recordings.")
-    order = np.argsort(which, kind="stable")
-    bounds = np.cumsum(np.bincount(which, minlength=len(values)))[:-1]
-    pairs = zip(values, np.split(order, bounds), strict=True)
-    return {text(value): part for value, part in pairs if text(value)}
 
 
 def without_arm(part: str, arm: str) -> str:

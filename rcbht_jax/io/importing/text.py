@@ -165,7 +165,7 @@ def _rows(path: Path, file: BinaryIO, delimiter: str, before: int, encoding: str
                 raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
             yield raw.decode(encoding)
 
-    blanks = (line.split() for line in lines())
+    blanks = map(cells.between_blanks, lines())
     reader = blanks if delimiter == " " else csv.reader(lines(), delimiter=delimiter)
     number = before
     while True:

@@ -91,7 +91,7 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
     while line := file.readline(MAX_TABLE_LINE):
         if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
             raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
-        if (mark := cells.COMMENT.match(line)) and not line.startswith(b"%time"):
+        if mark := cells.COMMENT.match(line):
             comment = line[mark.end() :]
             comments = [*comments, line][:PREAMBLE]
         elif line.strip():

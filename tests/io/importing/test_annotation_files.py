@@ -106,6 +106,16 @@ def test_an_annotation_that_ends_before_it_begins_is_told(name: str, text: str, 
     assert np.isnan(imported.recordings.annotations.end[0])
 
 
+def test_an_annotation_that_ends_long_after_the_recording_is_told(tmp_path: Path) -> None:
+    """Milliseconds without a unit: a label of the whole recording, without a word."""
+    write(tmp_path)
+    (tmp_path / "run1_labels.csv").write_text("label,start,end\npush,0,200")
+    (tmp_path / "run2_labels.csv").write_text("label,start,end\npush,0,0.45")  # as a person marks the end
+    [(name, problem)] = read_source(tmp_path).report.warnings
+    assert name == "run1.csv"
+    assert problem == "label 'push' ends at 200 s, after the end (0.4 s). Is the unit of its times right?"
+
+
 def test_annotations_of_a_recording_that_is_not_there_are_told(tmp_path: Path) -> None:
     write(tmp_path)
     rows = ["recording,label,start,end", "run1,push,0.1,0.2", "rum2,push,0.1,0.2", "rum2,pull,0.2,0.3"]

@@ -184,3 +184,29 @@ def test_a_clock_that_is_a_little_off_is_resampled() -> None:
     moved, notes = conform.on_grid(time, time[:, None], conform.clock(time), 0.005)
     assert notes == ["resampled:200.16"]
     np.testing.assert_allclose(moved[:, 0], np.arange(len(moved)) * 0.005, atol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.55, 0.6, 0.65])
+@pytest.mark.parametrize("gap", [0, 2000])
+def test_a_sensor_between_the_rows_of_a_faster_log_has_its_own_rate(share: float, gap: int) -> None:
+    """The rate was that of every second row, with the note that its samples jitter."""
+    rows = np.ceil(np.arange(1200) / share)  # each value is logged by the next row
+    rows[700:] += gap
+    source = conform.clock(rows / 500)
+    assert (source.rate, source.steady) == (pytest.approx(500 * share), False)
+
+
+@pytest.mark.parametrize("count", [2, 4, 8])
+@pytest.mark.parametrize("extra", [0, 1])
+def test_samples_in_bursts_have_their_mean_rate(count: int, extra: int) -> None:
+    """The rate was that within a burst: 500 samples per second became 10,000."""
+    number = np.arange(1000 + extra)
+    time = number // count * count * 0.002 + number % count * 0.0001
+    time[500:] += 30.0  # a pause
+    source = conform.clock(time)
+    assert (source.rate, source.bursts) == (500.0, True)
+
+
+def test_a_gap_of_a_short_recording_makes_no_bursts() -> None:
+    time = np.delete(np.arange(30) * 0.1, np.r_[10:18])
+    assert conform.clock(time) == conform.Clock(0.1, False)

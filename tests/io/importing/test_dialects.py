@@ -237,6 +237,15 @@ def test_a_measurement_of_labview_without_times_states_its_rate(delta: str, tmp_
     forces(read_source(tmp_path / "run.lvm", "csv"))
 
 
+@pytest.mark.parametrize("unit", ["N*m", "N·m", "Nm", "Newton-Meter"])
+def test_a_measurement_of_labview_states_the_unit_of_moments(unit: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.lvm"
+    measurement(path, "X_Value\tFx\tMx", "0.01\t0.01", [f"\t{row[0]}\t{row[1]}" for row in WRENCH])
+    path.write_text(path.read_text().replace("Newton\t\n", f"Newton\t{unit}\n"))
+    imported = read_source(path, "csv")
+    assert (imported.recordings.axes, imported.mapping.units) == (("Fx", "Mx"), ("N", "Nm"))
+
+
 @pytest.mark.parametrize(("samples", "segments"), [(5, 4), (15, 2), (100, 3)])
 def test_several_segments_of_labview_are_refused(samples: int, segments: int, tmp_path: Path) -> None:
     path, pairs = tmp_path / "run.lvm", list(zip(TIME, WRENCH, strict=True))

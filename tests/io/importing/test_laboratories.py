@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -149,6 +150,16 @@ def test_the_unit_of_a_whole_wrench_is_not_that_of_its_moments(tmp_path: Path) -
     same(read_source(tmp_path), units=("N",) * 3 + ("",) * 3)
 
 
+@pytest.mark.parametrize("units", ["N, Nm", ["N", "Nm"], "N,N,N,Nm,Nm,Nm"])
+@pytest.mark.parametrize("key", ["units", "Unit"])
+def test_two_units_of_a_whole_wrench_are_of_its_forces_and_moments(key: str, units: Any, tmp_path: Path) -> None:
+    """Fx was in N, and no unit was known of the other axes."""
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["time"], file["wrench"] = TIME, WRENCH
+        file["wrench"].attrs[key] = units
+    same(read_source(tmp_path), units=("N",) * 3 + ("Nm",) * 3)
+
+
 @pytest.mark.parametrize("form", ["('{}', '{}')", "/'{}'/'{}'"])
 def test_names_of_several_levels_in_parquet(form: str, tmp_path: Path) -> None:
     names = [form.format(word, axis) for word in ("force", "torque") for axis in "xyz"]
@@ -224,6 +235,16 @@ def test_python_objects_beside_arrays_are_left_out_and_told(tmp_path: Path) -> N
     np.savez(tmp_path / "run.npz", wrench=np.array([WRENCH, WRENCH[:9]], object))
     with pytest.raises(InputError, match="Python objects, which are never loaded"):
         read_source(tmp_path)
+    np.savez(tmp_path / "run.npz", wrench=np.array([WRENCH, WRENCH[:9]], object), labels=np.array([0, 1, 0]))
+    with pytest.raises(InputError, match=r"it has 'labels'\. Arrays of another shape .* left out: 'wrench'\."):
+        read_source(tmp_path)
+
+
+def test_a_note_of_the_file_makes_no_notes_of_the_import(tmp_path: Path) -> None:
+    """What followed a semicolon was counted as a note of its own, here as a gap."""
+    lines = [f"{time},{row[0]},slipped;gap:9" for time, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["t,Fz,note", *lines]))
+    assert read_source(tmp_path).recordings.note.tolist() == ["slipped,gap:9"]
 
 
 @pytest.mark.parametrize(

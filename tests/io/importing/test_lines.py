@@ -222,3 +222,42 @@ def test_words_of_western_europe_remain_so(word: str, tmp_path: Path) -> None:
 def test_a_line_that_is_none_of_a_table_has_a_delimiter_all_the_same(line: bytes) -> None:
     assert delimiter_of(line) == ";"
     assert split(line, ";") == [line.decode()]
+
+
+@pytest.mark.parametrize("head", ["# rate: 100\n# Fx [N],Fy,Fz,Mx,My,Mz\n", "# rate: 100\nFx [N],Fy,Fz,Mx,My,Mz\n"])
+@pytest.mark.parametrize("blanks", [True, False])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_comments_after_a_mark_of_the_encoding_are_comments(
+    head: str, blanks: bool, encoding: str, tmp_path: Path
+) -> None:
+    """The rate was not found, and an axis was called "# Fx"."""
+    text = head + "".join(line.partition(",")[2] + "\n" for line in ROWS.splitlines())
+    imported = read(tmp_path, text.replace(",", " ") if blanks else text, encoding)
+    same(imported)
+    assert imported.mapping.units[0] == "N"
+
+
+@pytest.mark.parametrize("day", ["", "2024-05-01 "])
+def test_times_of_day_with_decimal_commas_below_lines_of_a_logger(day: str, tmp_path: Path) -> None:
+    """More commas than semicolons made them the marks between cells."""
+    rows = [line.replace(".", ",").split("\t") for line in ROWS.replace(",", "\t").splitlines()]
+    lines = [";".join([f"{day}12:34:56,{10 * k:03}", *row[1:]]) for k, row in enumerate(rows)]
+    text = "Recorder 3000\nOperator: Bob\n\n" + HEAD.replace(",", ";") + "\n".join(lines)
+    same(read(tmp_path, text), "preamble:3")
+
+
+def test_names_and_words_in_quotes_between_blanks(tmp_path: Path) -> None:
+    names = " ".join(f'"{name}"' for name in [*HEAD.strip().split(","), "phase"])
+    rows = [
+        line.replace(",", " ") + (' "free air"' if k < 20 else ' "push"') for k, line in enumerate(ROWS.splitlines())
+    ]
+    imported = read(tmp_path, "\n".join([names, *rows]))
+    same(imported)
+    assert imported.recordings.annotations.names().tolist() == ["free air", "push"]
+
+
+def test_a_time_that_counts_half_milliseconds_is_doubted(tmp_path: Path) -> None:
+    """Stamps of 2 kHz in ms, without a unit, were those of two samples per second, without a word."""
+    rows = [",".join([f"{0.5 * k}", *line.split(",")[1:]]) for k, line in enumerate(ROWS.splitlines())]
+    [(_, doubt)] = read(tmp_path, HEAD + "\n".join(rows)).report.warnings
+    assert doubt == "has 2 samples per second. Is the unit of time right?"
