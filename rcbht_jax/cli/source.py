@@ -62,9 +62,9 @@ class Source(RuleCommand):
     starts: Annotated[
         str,
         option(
-            "Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = the first "
-            "track, harmonised = its corrected variant if there is one, none = no sub-tasks, detected = found by "
-            "the model (train-online --detect)."
+            "Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = that of the "
+            "model's task, or the first track, harmonised = its corrected variant if there is one, none = no "
+            "sub-tasks, detected = found by the model (train-online --detect)."
         ),
     ] = "harmonised"
     topic: Annotated[str, unset()] = ""
@@ -369,7 +369,7 @@ class Source(RuleCommand):
             recordings = read_recordings(path)
             if model is not None:
                 model.check_axes(recordings.axes, recordings.units, str(path))
-            return play(recordings, self.trial, self.arm, starts, str(path))
+            return play(recordings, self.trial, self.arm, starts, str(path), model.subtasks if model else "")
         if path.is_dir():
             return read_folder(path, self.arm, starts)
         if path.is_file():
