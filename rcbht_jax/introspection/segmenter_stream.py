@@ -1,4 +1,4 @@
-"""A segmenter as a reader of a stream: the class of the newest sample, 40 times per second, as beliefs."""
+"""A segmenter as a reader of a stream: the class of the newest sample, about 40 times per second, as beliefs."""
 
 from __future__ import annotations
 
