@@ -123,6 +123,8 @@ class TrainOnline(RuleCommand):
         from rcbht_jax.learning.task_choice import chosen_task
         from rcbht_jax.learning.tasks import TaskSpec, track_of
 
+        if self.relative and self.families:
+            raise InputError("--relative is a choice of feature families; leave it out, or leave out --families.")
         names = self.task or (chosen_task("", recordings),)
         filters = TaskSpec(
             "", sources=self.source, sessions=self.session, outcomes=self.outcome or None, seconds=self.first_seconds
