@@ -150,7 +150,6 @@ class Source(RuleCommand):
             InputError: no such model, no such source, or options that contradict each other.
         """
         from rcbht_jax._util import compile_cache
-        from rcbht_jax._util.signals import check_axes
         from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session, paced
@@ -180,9 +179,6 @@ class Source(RuleCommand):
         if snaps := detector_of(self.snap, 1 / introspector.config.dt):
             introspector = Together(introspector, readers=[snaps])
         if readers:
-            units = dict(zip(introspector.axes, introspector.units, strict=True))
-            for _, own in readers:
-                check_axes(own.axes, [units.get(axis, "") for axis in own.axes], own.axes, own.units, self.source)
             introspector = Together(introspector, readers=[reader for reader, _ in readers])
         return Session(introspector, self.max_gap, self.tare), messages if live else paced(messages, self.pace)
 
