@@ -67,8 +67,9 @@ class TrainOnline(RuleCommand):
     false_alarms: Annotated[
         float,
         option(
-            "Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above the "
-            'certainty of "rcbht stream --certainty".'
+            "Rate of false alarms per nominal trial that lasts no longer than those of the training (or their "
+            "--first-seconds), for the task outcome, such as 0.02; 0 = alarm above the certainty of "
+            '"rcbht stream --certainty".'
         ),
     ] = 0.0
     first_seconds: float = 0.0
