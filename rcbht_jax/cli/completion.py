@@ -61,6 +61,16 @@ def options_of(command: type[Command]) -> Options:
     return options
 
 
+def of_several_values(command: type[Command]) -> set[str]:
+    """The options of a command that take any number of values."""
+    hints = typing.get_type_hints(command, include_extras=True)
+    return {f"--{name.replace('_', '-')}" for name, hint in hints.items() if _has_tuple(hint)}
+
+
+def _has_tuple(hint: Any) -> bool:
+    return typing.get_origin(hint) is tuple or any(map(_has_tuple, typing.get_args(hint)))
+
+
 def _choices(hint: Any) -> tuple[str, ...]:
     """The strings of a Literal, also within a tuple or a union."""
     if typing.get_origin(hint) is Literal:

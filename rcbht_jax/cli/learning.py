@@ -238,8 +238,9 @@ class Classify(Command):
 
     The table has a row per sentence: source, trial, arm, session, start and end in seconds, predicted class, true class
     (empty if the store has none), and a decision value for each pair of classes, positive for the first. If the store
-    has true classes, the accuracy is printed, separately for trials that the model was trained on. The rate, the axes,
-    their units and the encoder of the labels must be those of the training.
+    has true classes, the accuracy is printed, separately for trials that the model was trained on; sentences of classes
+    that it has not learned are counted apart. The rate, the axes, their units and the encoder of the labels must be
+    those of the training.
 
     Example: rcbht classify new.zarr --model states.model -o classes.csv
     """
@@ -287,6 +288,7 @@ class Classify(Command):
             "accuracy": classification.accuracy(),
             "trained_on": int((classification.known & classification.seen).sum()),
             "accuracy_of_those": classification.accuracy(seen=True),
+            "not_learned": classification.not_learned,
         }
 
     def _tracks(self, model: TrainedModel) -> TrackBatches:
@@ -309,7 +311,8 @@ class Classify(Command):
         counts = ", ".join(f"{name} {count}" for name, count in result["classes"].items())
         lines = [f"{result['out']}: {result['sentences']} sentences; {counts}"]
         lines += left_out(result["dropped"])
-        if result["accuracy"] is None and result["accuracy_of_those"] is None:
+        strange = result["not_learned"]
+        if result["accuracy"] is None and result["accuracy_of_those"] is None and not strange:
             lines.append("The store has no true classes to compare with.")
         if result["accuracy"] is not None:
             lines.append(f"accuracy: {result['accuracy']:.3f} on {result['known']} sentences of known class")
@@ -318,6 +321,10 @@ class Classify(Command):
                 f"accuracy on training data: {result['accuracy_of_those']:.3f} on {result['trained_on']} sentences, "
                 "which does not apply to new trials"
             )
+        if strange:
+            count = plural(sum(strange.values()), "sentence")
+            names = ", ".join(map(repr, strange))
+            lines.append(f"not counted: {count} of {names}, which the model has not learned, so that none can be right")
         return "\n".join(lines)
 
 

@@ -228,14 +228,18 @@ def parse(name: str, words: list[str]) -> Command | None:
     with needs_extra("all"):
         import tyro
 
-        from rcbht_jax.cli.completion import COMMON, options_of
+        from rcbht_jax.cli.completion import COMMON, of_several_values, options_of
         from rcbht_jax.cli.constructors import RULES
 
         described: Any = command_class(name)
     words = _current_spelling(words, described.FORMER)
     known = [*options_of(described), *COMMON]
+    several, given = of_several_values(described), set[str]()
     for word in words:
         option = word.partition("=")[0].replace("_", "-")
+        if option in several & given:  # of which only the last would count
+            raise InputError(f"{option} is given twice; write all its values after one {option}.")
+        given.add(option)
         if option.startswith("--") and option not in ("--", *known):
             close = _similar(option, known)
             raise InputError(

@@ -147,8 +147,9 @@ class PlotBeliefs(Command):
     starts: Annotated[
         str,
         option(
-            "Track of annotations whose intervals begin the sub-tasks; recorded = the first track, harmonised = "
-            "its corrected variant if there is one, detected = found by the model (train-online --detect)."
+            "Track of annotations whose intervals begin the sub-tasks; recorded = that of the model's task, or the "
+            "first track, harmonised = its corrected variant if there is one, none = no sub-tasks, detected = found "
+            "by the model (train-online --detect)."
         ),
     ] = "harmonised"
     rate: BeliefRate = None
@@ -170,9 +171,9 @@ class PlotBeliefs(Command):
         recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
         session = Session(Introspector(model, belief_rate(self.rate), detect=detect))
         starts = NONE if detect else self.starts
-        events = list(session.run(play(recordings, (), arm, starts, str(self.store))))
+        events = list(session.run(play(recordings, (), arm, starts, str(self.store), model.subtasks)))
         beliefs = sum(isinstance(event, Belief) for event in events)
-        track = "" if starts == NONE else recordings.annotations.choose(track_of_starts(recordings.annotations, starts))
+        track = "" if starts == NONE else track_of_starts(recordings.annotations, starts, model.subtasks)
         how = f"beginnings of the track {track}" if track else "beginnings detected" if detect else "no beginnings"
         save(belief_map(events, ", ".join(filter(None, (self.trial, title_of(arm), how)))), self.out)
         return {"figure": str(self.out), "trial": self.trial, "arm": arm, "beliefs": beliefs}

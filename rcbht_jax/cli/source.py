@@ -62,9 +62,9 @@ class Source(RuleCommand):
     starts: Annotated[
         str,
         option(
-            "Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = the first "
-            "track, harmonised = its corrected variant if there is one, none = no sub-tasks, detected = found by "
-            "the model (train-online --detect)."
+            "Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = that of the "
+            "model's task, or the first track, harmonised = its corrected variant if there is one, none = no "
+            "sub-tasks, detected = found by the model (train-online --detect)."
         ),
     ] = "harmonised"
     topic: Annotated[str, unset()] = ""
@@ -150,7 +150,6 @@ class Source(RuleCommand):
             InputError: no such model, no such source, or options that contradict each other.
         """
         from rcbht_jax._util import compile_cache
-        from rcbht_jax._util.signals import check_axes
         from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session, paced
@@ -180,9 +179,6 @@ class Source(RuleCommand):
         if snaps := detector_of(self.snap, 1 / introspector.config.dt):
             introspector = Together(introspector, readers=[snaps])
         if readers:
-            units = dict(zip(introspector.axes, introspector.units, strict=True))
-            for _, own in readers:
-                check_axes(own.axes, [units.get(axis, "") for axis in own.axes], own.axes, own.units, self.source)
             introspector = Together(introspector, readers=[reader for reader, _ in readers])
         return Session(introspector, self.max_gap, self.tare), messages if live else paced(messages, self.pace)
 
@@ -369,7 +365,7 @@ class Source(RuleCommand):
             recordings = read_recordings(path)
             if model is not None:
                 model.check_axes(recordings.axes, recordings.units, str(path))
-            return play(recordings, self.trial, self.arm, starts, str(path))
+            return play(recordings, self.trial, self.arm, starts, str(path), model.subtasks if model else "")
         if path.is_dir():
             return read_folder(path, self.arm, starts)
         if path.is_file():

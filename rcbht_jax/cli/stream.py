@@ -67,8 +67,9 @@ class TrainOnline(RuleCommand):
     false_alarms: Annotated[
         float,
         option(
-            "Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above the "
-            'certainty of "rcbht stream --certainty".'
+            "Rate of false alarms per nominal trial that lasts no longer than those of the training (or their "
+            "--first-seconds), for the task outcome, such as 0.02; 0 = alarm above the certainty of "
+            '"rcbht stream --certainty".'
         ),
     ] = 0.0
     first_seconds: float = 0.0
@@ -123,6 +124,8 @@ class TrainOnline(RuleCommand):
         from rcbht_jax.learning.task_choice import chosen_task
         from rcbht_jax.learning.tasks import TaskSpec, track_of
 
+        if self.relative and self.families:
+            raise InputError("--relative is a choice of feature families; leave it out, or leave out --families.")
         names = self.task or (chosen_task("", recordings),)
         filters = TaskSpec(
             "", sources=self.source, sessions=self.session, outcomes=self.outcome or None, seconds=self.first_seconds

@@ -165,6 +165,11 @@ class IntrospectionModel:
         """Units of the axes; "" = not stated."""
         return tuple(self.extra.get("units", [UNIT_OF.get(axis, "") for axis in self.axes]))
 
+    @property
+    def subtasks(self) -> str:
+        """The task whose sub-tasks the classifiers see, the first if there are several; "" = whole trials alone."""
+        return next((head.name for head in self.heads if head.scope == "subtask"), "")
+
     def check_axes(self, axes: Sequence[str], units: Sequence[str], where: str) -> None:
         """Check a signal's axes and units against the model's; see :func:`~rcbht_jax._util.signals.check_axes`."""
         check_axes(axes, units, self.axes, self.units, where)

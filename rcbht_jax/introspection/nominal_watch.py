@@ -49,7 +49,7 @@ class NominalWatch(Copyable):
 
     def __init__(self, file: MonitorFile, false_alarms: float = 0.05) -> None:
         monitor = self._monitor = file.monitor
-        self.axes, self.dt = file.axes, 1 / monitor.rate
+        self.axes, self.units, self.dt = file.axes, file.units, 1 / monitor.rate
         self.threshold = monitor.threshold(false_alarms)
         self._hold = monitor.memory
         self._restart()

@@ -60,7 +60,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             recordings of ``fit``.
 
     Attributes:
-        classes_: sorted class indices; one without a sample at a decision (every 25 ms) is never believed.
+        classes_: sorted class indices; one without a sample at a decision, about every 25 ms, is never believed.
         axes_: names of the axes and their units.
         thresholds_: gradient thresholds of the words.
         tolerance_: tolerances ``[axis]`` of the words; None by the paper's rule.

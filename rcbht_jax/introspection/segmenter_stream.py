@@ -1,4 +1,4 @@
-"""A segmenter as a reader of a stream: the class of the newest sample, 40 times per second, as beliefs."""
+"""A segmenter as a reader of a stream: the class of the newest sample, about 40 times per second, as beliefs."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class SegmenterStream(Copyable):
     _fixed = ("_file",)
 
     def __init__(self, file: SegmenterFile, certainty: float = 0.7) -> None:
-        self._file, self.dt = file, file.encoder.dt
+        self._file, self.units, self.dt = file, file.units, file.encoder.dt
         self.head = SegmenterHead(file.track, file.classes)
         self._every = decision_period(self.dt)
         self._encoder = Encoder(file.encoder, file.limits) if file.words else None

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import read_chunk
+from rcbht_jax._util.signals import check_axes, read_chunk
 from rcbht_jax._util.values import Copyable
 from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.errors import InputError
@@ -48,7 +48,8 @@ class Together(Copyable):
             :class:`rcbht_jax.introspection.segmenter_stream.SegmenterStream`; each gets its axes by name.
 
     Raises:
-        InputError: their axes or their sampling periods differ, or two classifiers have the same name.
+        InputError: their axes or their sampling periods differ, a reader has learned an axis in another unit, or two
+            classifiers have the same name.
 
     Example:
         >>> import rcbht_jax as rj
@@ -77,6 +78,10 @@ class Together(Copyable):
         if twice := [name for name in names if names.count(name) > 1]:
             raise InputError(f"Two classifiers of the stream are named {twice[0]}; use one of them.")
         self._readers = [(reader, reader.columns(main.axes, main.config.dt)) for reader in readers]
+        for reader, columns in self._readers:
+            read = [main.axes[column] for column in columns]
+            learned = getattr(reader, "units", ())  # of a reader that has learned from recordings
+            check_axes(read, [main.units[column] for column in columns], read, learned, "The stream")
         self._waiting: list[Reader] = []
 
     @property

@@ -123,7 +123,8 @@ class HeadSpec:
     relative: bool = False  # the recipe without time and absolute level
     rate: float = 10.0  # snapshots per second
     phase: bool = False  # states from the features of the whole trial, to find out when a sub-task begins
-    false_alarms: float = 0.0  # per nominal trial, for the classifier that alarms; 0 = the introspector's own level
+    # per nominal trial as long as those of the task, for the classifier that alarms; 0 = the introspector's own level
+    false_alarms: float = 0.0
     hold: float = 0.1  # s, for which that alarm must last
     weighing: tuple[str, ...] = ()  # of labels in the family histogram, see FeatureSpec
     ranks: bool = False  # of a whole trial: features as ranks, as those of a sub-task are; for long tails

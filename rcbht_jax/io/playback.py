@@ -9,22 +9,23 @@ import numpy as np
 from jaxtyping import Float
 
 from rcbht_jax._util.arms import chosen_arm, title_of
-from rcbht_jax.annotations import Annotations
+from rcbht_jax.annotations import Annotations, corrected_variant
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample
 from rcbht_jax.robots.snap_assembly import STATES
 from rcbht_jax.types import Recordings
 
-NONE, RECORDED = "none", "recorded"
+NONE, RECORDED, USUAL = "none", "recorded", "harmonised"
 
 
 def play(
     recordings: Recordings,
     trials: tuple[str, ...] = (),
     arm: str = "",
-    starts: str = "harmonised",
+    starts: str = USUAL,
     name: str = "the data set",
+    learnt: str = "",
 ) -> Iterator[Message]:
     """Trials of a data set one after the other, each after a reset.
 
@@ -32,9 +33,10 @@ def play(
         recordings: the data set.
         trials: names; default all.
         arm: for example "left"; "" = the last by name, as the right one.
-        starts: a sub-task begins with each interval of a track of annotations: of the one of this name; "recorded" =
-            of the first; "harmonised" = of its corrected variant where there is one; "none" = never.
+        starts: a sub-task begins with each interval of a track of annotations, see :func:`track_of_starts`; "none" =
+            never.
         name: of the data set, for errors.
+        learnt: track whose sub-tasks a model has learned.
 
     Raises:
         InputError: the data set has no such trial or arm.
@@ -46,23 +48,41 @@ def play(
     chosen = (recordings.arm == arm) & (np.isin(recordings.trial, trials) if trials else True)
     if not chosen.any():
         raise InputError(f"{name} has no recording of {title_of(arm)} among the chosen trials.")
-    track = track_of_starts(recordings.annotations, starts)
+    track = "" if starts == NONE else track_of_starts(recordings.annotations, starts, learnt)
     for row in np.flatnonzero(chosen).tolist():
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
         time = np.arange(len(wrench)) * recordings.dt
         yield Reset(str(recordings.trial[row]))
-        begins = recordings.annotations.begins(row, len(wrench), recordings.dt, track) if starts != NONE else {}
+        begins = recordings.annotations.begins(row, len(wrench), recordings.dt, track) if track else {}
         yield from _trial(time, wrench, begins)
 
 
-def track_of_starts(annotations: Annotations, starts: str) -> str:
-    """The track whose intervals begin the sub-tasks; "" = the usual one, see :meth:`Annotations.choose`."""
-    if starts == RECORDED:
-        return next(iter(annotations.labels), "")
-    return "" if starts in ("harmonised", NONE) else annotations.choose(starts)
+def track_of_starts(annotations: Annotations, starts: str = USUAL, learnt: str = "") -> str:
+    """The track whose intervals begin the sub-tasks; "" = there is none.
+
+    Args:
+        annotations: of the data set.
+        starts: a track; "recorded" = the learnt one, or the first if that is not there; "harmonised" = the corrected
+            variant of this, where there is one.
+        learnt: track whose sub-tasks a model has learned; "" = none.
+
+    Raises:
+        InputError: there is no such track.
+
+    Example:
+        >>> marks = Annotations.from_rows([(0, "tool", "light", 0.0, 1.0), (0, "phase", "push", 0.5, 1.0)])
+        >>> track_of_starts(marks), track_of_starts(marks, learnt="phase"), track_of_starts(marks, "tool", "phase")
+        ('tool', 'phase', 'tool')
+    """
+    if starts not in (USUAL, RECORDED):
+        return annotations.choose(starts)
+    wanted = (learnt, corrected_variant(learnt), *annotations.labels)
+    track = next((name for name in wanted if name in annotations.labels), "")
+    variant = corrected_variant(track)
+    return variant if starts == USUAL and variant in annotations.labels else track
 
 
-def read_folder(path: Path, arm: str = "", starts: str = "harmonised") -> Iterator[Message]:
+def read_folder(path: Path, arm: str = "", starts: str = USUAL) -> Iterator[Message]:
     """One trial folder in HIRO's layout (``R_Torques.dat`` and so on).
 
     Raises:
@@ -79,7 +99,7 @@ def read_folder(path: Path, arm: str = "", starts: str = "harmonised") -> Iterat
         raise InputError(problems[0] if problems else f"{path} has no arm {arm}.")
     record = records[0]
     table = record.table
-    onset = record.onset_harmonised if starts == "harmonised" else record.onset
+    onset = record.onset_harmonised if starts == USUAL else record.onset
     marks = Annotations.from_starts("state", STATES, onset, table.time[-1:])
     begins = marks.begins(0, len(table.time), float(np.median(np.diff(table.time)))) if starts != NONE else {}
     yield from _trial(table.time, table.values.astype(np.float64), begins)

@@ -8,9 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.learning.task_items import trial_names
 from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Recordings
+
+_DIVISIONS = 200  # that are tried: where any trains all classes, one of the first dozen did
+_Splits = list[tuple[NDArray[np.int64], NDArray[np.int64]]]  # rows to train on, rows to test on
 
 
 def groups_of_classes(y: NDArray[Any], groups: NDArray[Any], classes: Iterable[Any]) -> NDArray[np.int64]:
@@ -57,3 +61,36 @@ def inner_groups(y: NDArray[Any], groups: NDArray[Any], trials: NDArray[Any]) ->
 def fewest_groups(y: NDArray[Any], groups: NDArray[Any]) -> int:
     """Number of groups of the class that has the fewest."""
     return int(groups_of_classes(y, groups, np.unique(y)).min())
+
+
+def training_all(splits: _Splits, y: NDArray[Any], groups: NDArray[Any], seed: int) -> _Splits:
+    """Folds all of which train every class: these, or else as many of the groups in a seeded order, if there are such.
+
+    Stratified folds have similar numbers of items, for which all groups of a class may come into one of them.
+
+    Args:
+        splits: folds, rows to train on and rows to test on.
+        y: class ``[item]``.
+        groups: of each ``[item]``.
+        seed: of the order.
+
+    Example:
+        >>> y, trials = np.array([0, 1, 0, 1, 0, 0]), np.array([0, 0, 1, 1, 2, 3])
+        >>> both = np.isin(trials, [0, 1])  # the trials with class 1
+        >>> splits = [(np.flatnonzero(~both), np.flatnonzero(both)), (np.flatnonzero(both), np.flatnonzero(~both))]
+        >>> [np.unique(y[train]).tolist() for train, _ in training_all(splits, y, trials, seed=0)]
+        [[0, 1], [0, 1]]
+    """
+    classes, code = np.unique(y, return_inverse=True)
+    if all(len(np.unique(code[train])) == len(classes) for train, _ in splits):
+        return splits
+    number, folds = group_numbers(groups), range(len(splits))
+    has = np.zeros((number.max() + 1, len(classes)), bool)  # [group, class]
+    has[number, code] = True
+    rng = np.random.default_rng(seed)
+    for tried in range(_DIVISIONS):  # first into equal numbers of groups
+        equal = tried < _DIVISIONS // 2
+        fold = rng.permutation(len(has)) % len(splits) if equal else rng.integers(len(splits), size=len(has))
+        if all((fold == held).any() and has[fold != held].any(0).all() for held in folds):
+            return [(np.flatnonzero(fold[number] != held), np.flatnonzero(fold[number] == held)) for held in folds]
+    return splits

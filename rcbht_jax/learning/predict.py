@@ -6,6 +6,7 @@ For probabilities during a stream, see :mod:`rcbht_jax.introspection`.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -56,6 +57,12 @@ class Classification:
     def known(self) -> NDArray[np.bool_]:
         """Items whose class the data set names, and the model knows ``[item]``."""
         return np.isin(self.items.name, self.classes)
+
+    @property
+    def not_learned(self) -> dict[str, int]:
+        """Classes of the data set that the model does not know, and how many items they have; none counts as known."""
+        strange = self.items.name[~self.known & (self.items.name != "")].tolist()
+        return dict(sorted(Counter(strange).items()))
 
     def accuracy(self, seen: bool = False) -> float | None:
         """Share right of the known sentences that were not trained on (or those that were); None without any."""

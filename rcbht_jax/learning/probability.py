@@ -125,7 +125,8 @@ def held_out_decisions(
     for train, test in splits:
         if len(absent := np.setdiff1d(y, y[train])):
             raise InputError(
-                f"A fold holds every group of {classes[absent[0]]}; choose other folds, or smaller groups."
+                f"A fold holds every group of {classes[absent[0]]}; add groups with it, or choose other folds or "
+                "smaller groups."
             )
         counted = None if sample_weight is None else sample_weight[train]
         out[test] = fit(x[train], y[train], classes, spec, weight, counted).decision(x[test])

@@ -24,7 +24,7 @@ from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.class_groups import fewest_groups, groups_of_classes
+from rcbht_jax.learning.class_groups import fewest_groups, groups_of_classes, training_all
 from rcbht_jax.learning.scaling import Scale, fit_scale
 
 KERNELS = ("linear", "poly", "rbf")
@@ -36,9 +36,7 @@ Ints = NDArray[np.integer[Any]]
 Weight = NDArray[np.float64] | None  # positive: [feature] multiplies scaled features, [item] counts; None = ones
 Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
 
-# Bound on the solver's iterations while selecting, reached only by costs that are hopeless for overlapping classes.
-_MIN_ITERATIONS = 20_000
-_PER_ITEM = 100
+_MIN_ITERATIONS, _PER_ITEM = 20_000, 100  # bounds of the solver while selecting: costs that reach them are hopeless
 
 
 @dataclass(frozen=True)
@@ -270,6 +268,8 @@ def _check(x: Matrix, y: Ints, classes: Sequence[str]) -> None:
 def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, group: str = "trial") -> list[Split]:
     """Stratified folds that keep groups together, in a seeded order: scikit-learn's StratifiedGroupKFold.
 
+    Where one of these would not train every class, the groups are divided otherwise, if they can be.
+
     Args:
         y: class index ``[item]``.
         groups: trial ``[item]``.
@@ -278,7 +278,7 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         group: what a group is called where there are too few.
 
     Raises:
-        InputError: a class has fewer groups than folds, or the splitter divides a group, has an empty side, or is none.
+        InputError: too few groups of a class, or the splitter divides a group, has an empty side, or is none.
     """
     with needs_extra("learn"):
         from sklearn.model_selection import StratifiedGroupKFold
@@ -299,8 +299,8 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
             raise InputError(f"The rarest class has {fewest} {group}; cross-validation needs two of every class.")
         possible = "2" if fewest == 2 else f"2 to {fewest}"
         raise InputError(f"{folds} folds: the rarest class has {fewest} {group}s, so choose {possible} folds.")
-    splitter = StratifiedGroupKFold(folds, shuffle=True, random_state=seed)
-    return [(a.astype(np.int64), b.astype(np.int64)) for a, b in splitter.split(y, y, groups)]
+    found = StratifiedGroupKFold(folds, shuffle=True, random_state=seed).split(y, y, groups)
+    return training_all([(a.astype(np.int64), b.astype(np.int64)) for a, b in found], y, groups, seed)
 
 
 def _inner_folds(y: Ints, groups: NDArray[Any], most: int, seed: int) -> list[Split]:

@@ -20,6 +20,7 @@ from rcbht_jax.events import Belief
 from rcbht_jax.introspection.description import describe_recording
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.io.export.dataset import words
+from rcbht_jax.io.playback import track_of_starts
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTracks, Recordings
 
@@ -40,11 +41,12 @@ class Beliefs:
 def infer_beliefs(introspector: Introspector, recordings: Recordings, row: int) -> list[Beliefs]:
     """Stream one recording through a model.
 
-    The model is given the starts of the annotated intervals, as a controller would announce its sub-tasks.
+    The model is given the starts of the annotated intervals of its task, as a controller would announce its sub-tasks.
     """
     introspector.reset()
     samples = int(recordings.length[row])
-    inner = [start for start in recordings.annotations.begins(row, samples, recordings.dt) if start]
+    track = track_of_starts(recordings.annotations, learnt=introspector.model.subtasks)
+    inner = [start for start in recordings.annotations.begins(row, samples, recordings.dt, track) if start]
     events: dict[str, list[Belief]] = {head.name: [] for head in introspector.model.heads}
     for start, stop in zip([0, *inner], [*inner, samples], strict=True):
         if start:

@@ -198,6 +198,7 @@ def test_grammars_stand_side_by_side_or_are_chosen_from(
         ("encode", "STORE", "--rule", "fit", "--mode", "offline", "--name", "none"),
         ("train-online", "STORE", "--tolerance", "1"), ("segment", "STORE", "--tolerance", "1"),
         ("train-online", "STORE", "--rule", "fit", "--tolerance", "1", "2"),
+        ("train-online", "STORE", "--task", "states", "--relative", "--families", "levels"),
         ("report", "STORE", "-o", "x.html", "--rule", "fit", "--tracks", "none"),
         ("export", "STORE", "-o", "x", "--tolerance", "1"),
         ("train", "STORE", "--features", "levels", "--weighing", "time"),

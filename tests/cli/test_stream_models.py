@@ -16,11 +16,13 @@ from rcbht_jax.cli.main import main
 from rcbht_jax.cli.stream import Serve
 from rcbht_jax.introspection import model as model_files
 from rcbht_jax.introspection import nominal_file, session
+from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.nominal import NominalMonitor
 from rcbht_jax.introspection.opening import read_opening
 from rcbht_jax.io.messages import Sample
 from rcbht_jax.io.rosbags import McapWriter, read_bag
 from rcbht_jax.io.store import write_recordings
+from rcbht_jax.report.pack import infer_beliefs
 from tests.support.introspection_models import model, trial
 
 
@@ -195,3 +197,27 @@ def test_provisional_words_after_a_gap_are_new_ones(capsys, monkeypatch, rule):
     ]  # fmt: skip
     assert len(shown[0]) >= 4
     assert shown[0] == shown[1]
+
+
+@pytest.mark.parametrize("starts", [(), ("--starts", "recorded"), ("--starts", "tool")])
+def test_sub_tasks_begin_by_the_track_that_the_model_has_learned(model_path, tmp_path, capsys, starts):
+    """By the first track, as before, its beliefs were about stretches that are none of its sub-tasks."""
+    marks = [(0, "tool", "light", 0.0, 0.3), (0, "tool", "camera", 0.3, 1.5)]
+    marks += [(0, "states", "push", 0.0, 0.75), (0, "states", "mate", 0.75, 1.5)]
+    recordings = rj.Recordings.from_arrays([trial(1, 4, 300)], rate=200, annotations=marks)
+    write_recordings(tmp_path / "s.zarr", recordings, {})
+    assert main(["stream", str(tmp_path / "s.zarr"), "--model", str(model_path), *starts]) == 0
+    events = map(json.loads, capsys.readouterr().out.splitlines())
+    began = [(event["begin"], event["label"]) for event in events if event["event"] == "SubtaskStarted"]
+    assert began == ([(60, "camera")] if "tool" in starts else [(150, "mate")])
+
+
+def test_beliefs_of_the_report_are_about_the_sub_tasks_of_the_model():
+    marks = [(0, "tool", "light", 0.0, 0.3), (0, "tool", "camera", 0.3, 1.5), (0, "states", "mate", 0.75, 1.5)]
+    recordings = rj.Recordings.from_arrays([trial(1, 4, 300)], rate=200, annotations=marks)
+    introspector = Introspector(model())
+    introspector.push(recordings.wrench[0, :150])
+    introspector.begin()
+    introspector.push(recordings.wrench[0, 150:])
+    states = next(b for b in infer_beliefs(Introspector(model()), recordings, 0) if b.head == "states")
+    np.testing.assert_allclose(states.probability[-1], introspector.latest["states"].probabilities, rtol=1e-6)

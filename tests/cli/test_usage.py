@@ -68,6 +68,9 @@ def test_help_is_as_quick_as_importing_jax() -> None:
         ("train x.zarr --feature ngram", "did you mean --features?"),
         ("info x.zarr --jsn", "did you mean --json?"),
         ("train x.zarr --qqqq=1", '"rcbht train --help" lists the options'),
+        ("train x.zarr --session A --session B", "--session is given twice; write all its values after one --session."),
+        ("monitor fit x.zarr --where=skill=4 --where day=2", "--where is given twice"),
+        ("classify x.zarr --model m --source a -o o.csv --source=b", "--source is given twice"),
     ],
 )
 def test_mistyped_words_get_suggestions(words: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -97,3 +97,13 @@ def test_a_stream_needs_its_axes_and_its_rate() -> None:
         watch().columns(("Fz",), 0.05)
     with pytest.raises(InputError, match=r"^The monitor needs samples at 20 Hz; the stream has 100 Hz\.$"):
         watch().columns(("Fz", "grip"), 0.01)
+
+
+def test_a_stream_in_another_unit_is_refused() -> None:
+    """The command refused it; the ROS 2 node, and Python, compared newtons with millinewtons without a word."""
+    words = WordIntrospector(EncoderConfig(dt=0.05), preset("hiro", ["grip", "Fz"]), ["grip", "Fz"], ["", "N"])
+    learned = MonitorFile(MONITOR, ("Fz", "grip"), (), ("mN", "mm"))
+    with pytest.raises(InputError, match=r"^The stream has Fz in N; the model learned it in mN\.$"):
+        Together(words, readers=[NominalWatch(learned, 0.1)])
+    unstated = Together(words, readers=[NominalWatch(MonitorFile(MONITOR, ("Fz", "grip"), (), ("N", "mm")), 0.1)])
+    assert any(isinstance(event, AnomalyScore) for event in unstated.push(FAULT[:, ::-1]))

@@ -11,10 +11,14 @@ import pytest
 
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli.main import main
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.introspection.segmenter_file import SegmenterFile, load, save
 from rcbht_jax.introspection.segmenter_stream import SegmenterStream
+from rcbht_jax.introspection.together import Together
+from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.learning.segment_metrics import UNKNOWN
 from rcbht_jax.types import Recordings
@@ -92,6 +96,9 @@ def test_what_cannot_be_streamed_is_refused(tmp_path: Path) -> None:
         stream.columns(("Fx", "Fz"), 0.01)
     with pytest.raises(InputError, match="The segmenter needs samples at 100 Hz; the stream has 200 Hz"):
         stream.columns(file.axes, 0.005)
+    words = WordIntrospector(EncoderConfig(dt=1 / RATE), preset(axes=file.axes), file.axes, ("N", "N", "Nmm"))
+    with pytest.raises(InputError, match="The stream has My in Nmm; the model learned it in Nm"):
+        Together(words, readers=[stream])
     for samples in (np.zeros((4, 2)), np.full((4, 3), np.nan)):
         with pytest.raises(InputError, match="expected finite"):
             stream.push(samples)

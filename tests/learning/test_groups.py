@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from sklearn import config_context
 from sklearn.calibration import CalibratedClassifierCV
 from sklearn.ensemble import BaggingClassifier, RandomForestClassifier, VotingClassifier
@@ -155,9 +157,32 @@ def test_mean_recall_without_a_mistake_knows_little_of_a_rare_class():
     assert found["accuracy"]["low"] == pytest.approx(wilson(100, 100)[0])
 
 
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.lists(st.integers(0, 8), min_size=3, max_size=3), min_size=3, max_size=6), st.integers(0, 9))
+def test_every_fold_trains_all_classes_if_any_division_of_the_groups_does(counts, seed):
+    """All trials of a class came into one fold where that made the folds of more equal size; then nothing was left."""
+    items = np.array(counts)  # [group, class]
+    assume(((items > 0).sum(0) > 1).all())
+    y, groups = (np.repeat(part.ravel(), items.ravel()) for part in np.indices(items.shape)[::-1])
+    trained = all(len(np.unique(y[train])) == 3 for train, _ in grouped_folds(y, groups, 2, seed))
+    divisions = np.array(list(itertools.product([False, True], repeat=len(items))))  # [division, group]
+    both = [(items[side] > 0).any(0).all() and (items[~side] > 0).any(0).all() for side in divisions]
+    assert trained == any(both)
+
+
+def test_classes_of_few_trials_are_learned():
+    """Two of five trials have contacts, most of them one: "rcbht train" ended with an error of scikit-learn."""
+    items = np.array([[3, 1], [3, 0], [3, 7], [3, 0], [1, 0]])
+    y, groups = (np.repeat(part.ravel(), items.ravel()) for part in np.indices(items.shape)[::-1])
+    x = y[:, None] + np.random.default_rng(0).normal(0, 0.1, (len(y), 1))
+    assert select({"": x}, y, groups, replace(QUICK, inner=5), 0).kernel == "linear"
+    machine = SvmClassifier(probability=True, random_state=0).fit(x, y, groups=groups)
+    assert (machine.predict(x) == y).all()
+
+
 def test_a_class_that_a_fold_cannot_learn_is_named():
-    y = np.array([1, 2, 1, 0, 0, 1, 2, 1])
-    operator = np.array([0, 2, 0, 4, 0, 0, 1, 1])
+    y = np.array([0, 1, 0, 1, 1, 2, 2, 0])
+    operator = np.array([0, 0, 0, 1, 1, 1, 2, 2])  # two of three hold all of a class, however they are divided
     part = np.array(["a", "b", "c"])[y]
     made = Recordings.from_arrays(np.random.default_rng(0).normal(size=(8, 400, 6)), part=part, operator=operator)
     protocol = EvaluationProtocol(folds=2, repeats=1, seed=169, grid=Grid(("linear",), (1.0,), (True,)))

@@ -86,6 +86,22 @@ def test_it_says_what_the_machine_says(
     assert result["trained_on"] == 0
 
 
+def test_sentences_of_a_class_that_the_model_has_not_learned_are_counted_apart(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All of them are wrong, and the accuracy was printed as if there were none."""
+    words, model = ("classify", str(place / "set.zarr"), "--out", str(tmp_path / "c.csv")), tmp_path / "three.model"
+    learned = load(place / "one.model")
+    others = replace(learned, svm=replace(learned.svm, classes=("approach", "rotation", "insertion", "other")))
+    save(model, others)
+    result = run(capsys, *words[1:], "--model", model)
+    assert result["not_learned"] == {"mating": 12}
+    assert result["known"] + result["trained_on"] == result["sentences"] - 12
+    assert main([*words, "--model", str(model)]) == 0
+    assert "not counted: 12 sentences of 'mating', which the model has not learned" in capsys.readouterr().out
+    assert run(capsys, *words[1:], "--model", place / "one.model")["not_learned"] == {}
+
+
 def test_trials_trained_on_are_told_apart(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = (place / "set.zarr", "--model", place / "one.model", "-o", tmp_path / "classes.jsonl")
     result = run(capsys, *words)
