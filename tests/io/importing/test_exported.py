@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
@@ -22,6 +23,7 @@ from rcbht_jax.io.rosbags import McapWriter, topics_of
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.types import Recordings
+from tests.support.store_cases import same
 
 
 def recordings() -> Recordings:
@@ -224,3 +226,50 @@ def test_every_interval_of_every_track_is_an_event_in_mcap(tmp_path: Path) -> No
         ("phase", "rest", 0.5, None),
     ]  # fmt: skip
     assert len(read_source(tmp_path / "out").recordings.annotations) == 4
+
+
+@pytest.mark.parametrize("kind", ["csv", "mcap", "parquet"])
+def test_a_sorted_table_of_trials_still_says_which_signals_are_whose(kind: str, tmp_path: Path) -> None:
+    """Sorted in a spreadsheet, it gave every outcome to the signals of another recording."""
+    export(DataSet.of(recordings()), tmp_path / "out", kind)
+    if kind == "parquet":
+        trials = pd.read_parquet(tmp_path / "out/trials.parquet")
+        trials.sort_values("outcome", ignore_index=True).to_parquet(tmp_path / "out/trials.parquet")
+    else:
+        header, *rows = (tmp_path / "out/trials.csv").read_text().splitlines(keepends=True)
+        (tmp_path / "out/trials.csv").write_text("".join([header, *rows[::-1]]))
+    same(read_source(tmp_path / "out").recordings, recordings())
+
+
+@pytest.mark.parametrize(
+    ("file", "lines", "sentence"),
+    [
+        ("trials.csv", [0, 1, 3], "does not number its recordings from 0 on"),
+        ("trials.csv", [0, 1, 2], "000002.csv has no row in the table of trials"),
+        ("wrench/000001.csv", range(40), "recording 1 has 39 samples; the table of trials states 50"),
+        ("wrench/000001.csv", [0, *range(9, 51), *range(1, 9)], "the column sample is not that of an export"),
+        ("wrench/000000.csv", None, "000000.csv: the column recording is not that of an export"),
+    ],
+)
+def test_files_that_contradict_each_other_are_refused(
+    file: str, lines: Sequence[int] | None, sentence: str, tmp_path: Path
+) -> None:
+    """Signals were taken for those of the next recording, and what was left of a cut file for all of it."""
+    wrench = np.random.default_rng(0).normal(size=(3, 50, 6))
+    export(DataSet.of(Recordings.from_arrays(list(wrench), 200.0)), tmp_path / "out", "csv")
+    path = tmp_path / "out" / file
+    if lines is None:
+        path.write_bytes((path.parent / "000001.csv").read_bytes())
+    else:
+        found = path.read_text().splitlines(keepends=True)
+        path.write_text("".join(found[line] for line in lines))
+    with pytest.raises(InputError, match=sentence):
+        read_source(tmp_path / "out")
+
+
+def test_parquet_signals_in_another_order_are_refused(tmp_path: Path) -> None:
+    export(DataSet.of(recordings()), tmp_path / "out", "parquet")
+    path = tmp_path / "out" / "wrench.parquet"
+    pd.read_parquet(path).sort_values(["sample", "recording"]).to_parquet(path, index=False)
+    with pytest.raises(InputError, match=r"wrench.parquet: the column recording is not that of an export"):
+        read_source(tmp_path / "out")
