@@ -21,6 +21,7 @@ from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store import count_recordings, open_store, read_table, recording_rows
+from rcbht_jax.io.store_reader import replaced
 from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.tasks import TrackBatches
@@ -79,7 +80,7 @@ def write_batches(
         created: creation date to store; default now.
 
     Raises:
-        InputError: as for :func:`write_tracks`.
+        InputError: as for :func:`write_tracks`, or another store was put in the place of this one meanwhile.
     """
     zarr_io.check_writable(path)
     rows, folder = recording_rows(path), _folder(path, name)
@@ -134,6 +135,7 @@ def _write_draft(
     created: str | None,
 ) -> None:
     """Label tracks in a folder of their own, complete with checksums."""
+    own = open_store(path).attrs[HASH]
     ends = np.searchsorted(rows, [layout.span(number).stop for number in range(len(layout))]).tolist()
     sizes = np.diff([0, *ends]).tolist()
     for number, batch in enumerate(label_parts.regroup(batches, sizes)):
@@ -143,6 +145,8 @@ def _write_draft(
         places = rows[ends[number] - sizes[number] : ends[number]] - span.start
         label_parts.write_part(draft, number, label_parts.spread(batch, places, span.stop - span.start))
     label_parts.finish(draft, path)
+    if zarr_io.open_group(draft).attrs[LABELLED] != own:
+        raise replaced(path)
 
 
 def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any]]:

@@ -79,6 +79,15 @@ class Stored:
             raise self.other_gaps() from None
         return np.flatnonzero(used)
 
+    def check_unchanged(self) -> None:
+        """Refuse a store in whose place another one was put since it was opened, as ``--overwrite`` does.
+
+        Raises:
+            InputError: it is another one.
+        """
+        if self.finished and open_store(self.path).attrs.get(HASH) != self.group.attrs[HASH]:
+            raise replaced(self.path)
+
     def other_gaps(self) -> InputError:
         """The error for a list of rows without a recording that cannot be."""
         return InputError(
@@ -89,6 +98,11 @@ class Stored:
     def damaged(self, what: str) -> InputError:
         """The error for content that does not match its checksum."""
         return InputError(f"{self.path} is damaged: {what} does not match its checksum. Import or copy it again.")
+
+
+def replaced(path: Path) -> InputError:
+    """The error for a store in whose place another one was put while it was in use."""
+    return InputError(f"{path} was replaced by another store while it was read; run the command again.")
 
 
 def read_all(stored: Stored) -> Recordings:
@@ -234,6 +248,7 @@ def read_small(stored: Stored, number: int) -> Arrays:
     rows, fields = stored.schema.layout.span(number), digested(stored.schema.fields)
     with zarr_io.reading(stored.path):
         small = {name: parts.read(stored.group, name, rows, made) for name, made in fields.items()}
+        stored.check_unchanged()  # wrenches, which are read later, are compared with digests read now
         if parts.digest_of(small, fields) != parts.digest(stored.group, number):
             raise stored.damaged(f"part {number}")
     return small
@@ -304,6 +319,7 @@ def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = (
     with zarr_io.reading(stored.path):
         rows = stored.schema.layout.span(number)
         arrays = {name: parts.read(sub, name, rows, fields[name]) for name in names or sorted(fields)}
+        stored.check_unchanged()
         if not names and parts.digest_of(arrays, fields) != parts.digest(sub, number):
             raise stored.damaged(f"the simulation of part {number}")
     return arrays
