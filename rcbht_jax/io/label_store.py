@@ -88,9 +88,14 @@ def write_batches(
         raise InputError(f"{path} has label tracks {name} already; choose another name.")
     layout = Layout(int(rows[-1]) + 1, min(label_parts.PART, int(rows[-1]) + 1))
     # The draft is outside the store: readers list every folder inside it.
-    with atomic_folder(folder, near=path) as draft:
-        _write_draft(draft, path, rows, layout, batches, attrs, created)
-        _require_group(path)
+    try:
+        with atomic_folder(folder, near=path) as draft:
+            _write_draft(draft, path, rows, layout, batches, attrs, created)
+            _require_group(path)
+    except InputError:
+        if uncollected_tracks(path):  # another process took the name meanwhile: these are there under another one
+            collect(path)
+        raise
     collect(path)
 
 
