@@ -24,6 +24,7 @@ from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.io.joining import KEPT, importer_of
 from rcbht_jax.io.simulation import origin_of
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
@@ -87,10 +88,18 @@ def not_read(folder: Path) -> list[str]:
     return ["labels", *(["the table of the simulation"] if simulated else [])]
 
 
-def origin_of_export(folder: Path) -> str:
-    """Whether the trials of an export were recorded or simulated, see :func:`rcbht_jax.io.simulation.origin_of`."""
+def attrs_of_export(folder: Path) -> dict[str, str]:
+    """What an export states of the origin of its trials, as attributes of a store.
+
+    They are whether the trials were recorded or simulated (:func:`rcbht_jax.io.simulation.origin_of`), what had
+    imported them, which the thresholds of "rcbht encode" depend on, and the frames of their axes.
+    """
     about = read_object(folder / "dataset.json").get("store")
-    return origin_of(about) if isinstance(about, dict) else ""
+    if not isinstance(about, dict):
+        return {"origin": ""}
+    stated = {**about, "origin": origin_of(about), "importer": importer_of(about)}
+    texts = {name: stated.get(name) for name in ("origin", *KEPT)}
+    return {name: value for name, value in texts.items() if isinstance(value, str) and (value or name == "origin")}
 
 
 def _period(folder: Path, about: Mapping[str, Any]) -> float:

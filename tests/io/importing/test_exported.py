@@ -6,6 +6,7 @@ import json
 import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,12 +14,14 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import FORMATS, DataSet, export, load, write
 from rcbht_jax.io.export.card import card
 from rcbht_jax.io.export.tables import COLUMNS
 from rcbht_jax.io.importing.importer import import_source, read_source
 from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.label_store import read_tracks_attrs
 from rcbht_jax.io.rosbags import McapWriter, topics_of
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.labels import AXES, UNITS
@@ -206,6 +209,23 @@ def test_simulated_trials_stay_simulated(kind: str, tmp_path: Path) -> None:
     report = import_source(tmp_path / "out", tmp_path / "back.zarr", kind).report
     assert "but for labels and the table of the simulation." in report.remarks[0]
     assert "3 recordings of 3 simulated trials" in card(load(tmp_path / "back.zarr"), "")
+
+
+@pytest.mark.parametrize("attrs", [{"importer": "hiro", "frames": "as logged"}, {"simulated": {"seed": 1}}])
+def test_what_made_the_trials_and_their_frames_come_back(attrs: dict[str, Any], tmp_path: Path) -> None:
+    """Words of HIRO's trials were made with other thresholds under the same name, and the card stated no frames."""
+    made = Recordings.from_arrays([np.random.default_rng(0).normal(size=(30, 6))], 200.0)
+    write_recordings(tmp_path / "a.zarr", made, attrs)
+    export(load(tmp_path / "a.zarr"), tmp_path / "out", "csv")
+    import_source(tmp_path / "out", tmp_path / "back.zarr")
+    assert main(["encode", str(tmp_path / "back.zarr")]) == 0
+    assert read_tracks_attrs(tmp_path / "back.zarr", "online-W5")["thresholds_from"]["robot"] == "hiro"
+    frames = card(load(tmp_path / "back.zarr"), "")
+    assert ("as logged" in frames) == ("frames" in attrs)
+    about = json.loads((tmp_path / "out/dataset.json").read_text())
+    for store in ({"importer": "", "frames": 1}, ["hiro"]):
+        (tmp_path / "out/dataset.json").write_text(json.dumps(about | {"store": store}))
+        assert {"importer", "frames"}.isdisjoint(read_source(tmp_path / "out").attrs)
 
 
 def test_every_interval_of_every_track_is_an_event_in_mcap(tmp_path: Path) -> None:
