@@ -164,11 +164,13 @@ def atomic_folder(path: Path, near: Path | None = None, *, replace: bool = False
         flush_all([*draft.rglob("*"), draft])  # before what it replaces is deleted
         if _identity(path) != before:
             raise _kept(path, draft)
-        _swap(draft, path)
+        with uninterrupted():
+            _swap(draft, path)
         _flush(path.parent)
         _noted(_followed(path))
     except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
+        with uninterrupted():  # a second Ctrl-C would leave a part of the draft
+            shutil.rmtree(draft, ignore_errors=True)
         raise
 
 

@@ -21,7 +21,7 @@ from rcbht_jax.labels import UNITS
 from rcbht_jax.types import Recordings
 
 _Seen = tuple[Path, bytes, Recordings, int]  # store, digest of the samples, its recordings, row
-_KEPT = ("importer", "frames")  # attributes that the joined store has where all stores agree
+KEPT = ("importer", "frames")  # attributes that the joined store has where all stores agree
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def _attrs(paths: Sequence[Path], taken: dict[str, int], tare_seconds: float) ->
     origins = {origin_of(attrs) for attrs, one in zip(every, joined, strict=True) if one["recordings"]}
     origin = "" if "" in origins else origins.pop() if len(origins) == 1 else ORIGINS[-1]
     every = [{**attrs, "importer": importer_of(attrs)} for attrs in every]
-    values_of = {name: {str(attrs.get(name, "")) for attrs in every} for name in _KEPT}
+    values_of = {name: {str(attrs.get(name, "")) for attrs in every} for name in KEPT}
     same = {name: values.pop() for name, values in values_of.items() if len(values) == 1}
     kept = {"importer": "joined", "origin": origin, **{name: value for name, value in same.items() if value}}
     return {**kept, "joined": joined, "tare_s": tare_seconds}

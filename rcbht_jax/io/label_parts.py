@@ -113,7 +113,10 @@ def check_part(folder: Path, number: int) -> None:
     Raises:
         InputError: it is missing or damaged.
     """
-    _read_part(folder, zarr_io.open_group(folder), number)
+    group = zarr_io.open_group(folder)
+    with zarr_io.reading(folder):
+        stored = parts.digest(group, number)
+    _read_part(folder, group, number, stored)
 
 
 def read(folder: Path, rows: NDArray[np.int64]) -> Iterator[LabelTracks]:
@@ -136,7 +139,7 @@ def read(folder: Path, rows: NDArray[np.int64]) -> Iterator[LabelTracks]:
         span = layout.span(number)
         first, last = np.searchsorted(rows, [span.start, span.stop]).tolist()
         if first < last:
-            yield taken(_read_part(folder, group, number), rows[first:last] - span.start)
+            yield taken(_read_part(folder, group, number, digests[number]), rows[first:last] - span.start)
 
 
 def regroup(batches: Iterable[LabelTracks], sizes: Iterable[int]) -> Iterator[LabelTracks]:
@@ -239,12 +242,12 @@ def _digest_of(store: Path) -> str:
     return parts.whole_digest(schema_in(group).header, [digest or "" for digest in parts.digests(group)])
 
 
-def _read_part(folder: Path, group: zarr.Group, number: int) -> LabelTracks:
+def _read_part(folder: Path, group: zarr.Group, number: int, digest: str | None) -> LabelTracks:
     made = _fields_in(group)
     with zarr_io.reading(folder):
         rows = parts.layout_of(group).span(number)
         values = {name: parts.read(group, name, rows, field) for name, field in made.items()}
-        if parts.digest_of(values, made) != parts.digest(group, number):
+        if parts.digest_of(values, made) != digest:
             raise _damaged(folder)
     layers = [LabelTrack(**{name: values[f"{layer}/{name}"] for name in FIELDS}) for layer in LAYERS]
     return LabelTracks(*layers)

@@ -22,6 +22,7 @@ from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store import count_recordings, open_store, read_table, recording_rows
+from rcbht_jax.io.store_reader import replaced
 from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.tasks import TrackBatches
@@ -81,7 +82,7 @@ def write_batches(
         created: creation date to store; default now.
 
     Raises:
-        InputError: as for :func:`write_tracks`.
+        InputError: as for :func:`write_tracks`, or another store was put in the place of this one meanwhile.
     """
     zarr_io.check_writable(path)
     rows, folder = recording_rows(path), _folder(path, name)
@@ -89,15 +90,20 @@ def write_batches(
         raise InputError(f"{path} has label tracks {name} already; choose another name.")
     layout = Layout(int(rows[-1]) + 1, min(label_parts.PART, int(rows[-1]) + 1))
     # The draft is outside the store: readers list every folder inside it.
-    with atomic_folder(folder, near=path) as draft:
-        _write_draft(draft, path, rows, layout, _of_its_rate(path, batches), attrs, created)
-        _require_group(path)
+    try:
+        with atomic_folder(folder, near=path) as draft:
+            _write_draft(draft, path, rows, layout, _of_its_rate(path, batches), attrs, created)
+            _require_group(path)
+    except InputError:
+        if uncollected_tracks(path):  # another process took the name meanwhile: these are there under another one
+            collect(path)
+        raise
     collect(path)
 
 
 def _of_its_rate(path: Path, batches: Iterable[LabelTracks]) -> Iterator[LabelTracks]:
     """The same batches, each checked not to be of another rate than the store."""
-    dt = read_table(path).dt
+    dt = float(zarr_io.read_array(open_store(path), "dt", "float64"))
     for batch in batches:
         check_rate(batch, dt, f"{path} has")
         yield batch
@@ -144,6 +150,7 @@ def _write_draft(
     created: str | None,
 ) -> None:
     """Label tracks in a folder of their own, complete with checksums."""
+    own = open_store(path).attrs[HASH]
     ends = np.searchsorted(rows, [layout.span(number).stop for number in range(len(layout))]).tolist()
     sizes = np.diff([0, *ends]).tolist()
     for number, batch in enumerate(label_parts.regroup(batches, sizes)):
@@ -153,6 +160,8 @@ def _write_draft(
         places = rows[ends[number] - sizes[number] : ends[number]] - span.start
         label_parts.write_part(draft, number, label_parts.spread(batch, places, span.stop - span.start))
     label_parts.finish(draft, path)
+    if zarr_io.open_group(draft).attrs[LABELLED] != own:
+        raise replaced(path)
 
 
 def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any]]:

@@ -79,6 +79,15 @@ class Stored:
             raise self.other_gaps() from None
         return np.flatnonzero(used)
 
+    def check_unchanged(self) -> None:
+        """Refuse a store in whose place another one was put since it was opened, as ``--overwrite`` does.
+
+        Raises:
+            InputError: it is another one.
+        """
+        if self.finished and open_store(self.path).attrs.get(HASH) != self.group.attrs[HASH]:
+            raise replaced(self.path)
+
     def other_gaps(self) -> InputError:
         """The error for a list of rows without a recording that cannot be."""
         return InputError(
@@ -89,6 +98,11 @@ class Stored:
     def damaged(self, what: str) -> InputError:
         """The error for content that does not match its checksum."""
         return InputError(f"{self.path} is damaged: {what} does not match its checksum. Import or copy it again.")
+
+
+def replaced(path: Path) -> InputError:
+    """The error for a store in whose place another one was put while it was in use."""
+    return InputError(f"{path} was replaced by another store while it was read; run the command again.")
 
 
 def read_all(stored: Stored) -> Recordings:
@@ -174,9 +188,8 @@ def read_table(stored: Stored) -> Recordings:
 
     Chunks are verified by their CRC alone.
     """
-    fields = {name: made for name, made in stored.schema.fields.items() if name not in ("wrench", WRENCH_HASH)}
     with zarr_io.reading(stored.path):
-        small = {name: parts.read(stored.group, name, slice(None), made) for name, made in fields.items()}
+        small = {name: _whole(stored, name) for name in stored.schema.fields if name not in ("wrench", WRENCH_HASH)}
         used = (small["length"] > 0) & _there(stored)
     if not used.all():
         small = {name: values[used] for name, values in small.items()}
@@ -206,7 +219,7 @@ def first_trials(path: Path, count: int) -> list[str]:
 
 def read_lengths(stored: Stored) -> NDArray[np.int32]:
     """Samples of each recording, as far as they are there."""
-    length = parts.read(stored.group, "length", slice(None), stored.schema.fields["length"])
+    length = _whole(stored, "length")
     return length[(length > 0) & _there(stored)]
 
 
@@ -220,9 +233,9 @@ def read_summary(stored: Stored) -> Summary:
 
 def read_digests(stored: Stored) -> NDArray[np.uint8]:
     """Digest of the samples of each recording ``[recording, 32]``."""
-    kept, made = stored.rows(), stored.schema.fields[WRENCH_HASH]
+    kept = stored.rows()
     with zarr_io.reading(stored.path):
-        return parts.read(stored.group, WRENCH_HASH, slice(None), made)[kept]
+        return _whole(stored, WRENCH_HASH)[kept]
 
 
 def read_small(stored: Stored, number: int) -> Arrays:
@@ -234,6 +247,7 @@ def read_small(stored: Stored, number: int) -> Arrays:
     rows, fields = stored.schema.layout.span(number), digested(stored.schema.fields)
     with zarr_io.reading(stored.path):
         small = {name: parts.read(stored.group, name, rows, made) for name, made in fields.items()}
+        stored.check_unchanged()  # wrenches, which are read later, are compared with digests read now
         if parts.digest_of(small, fields) != parts.digest(stored.group, number):
             raise stored.damaged(f"part {number}")
     return small
@@ -251,7 +265,7 @@ def check_whole(stored: Stored) -> None:
         dt, time = (zarr_io.read_array(stored.group, name, "float64") for name in ("dt", "time"))
         if dt != stored.schema.dt or not np.array_equal(time, np.arange(len(time)) * stored.schema.dt):
             raise InputError(f"{stored.path} is damaged: its times are not those of its rate. Import or copy it again.")
-        used = np.flatnonzero(parts.read(stored.group, "length", slice(None), stored.schema.fields["length"]))
+        used = np.flatnonzero(_whole(stored, "length"))
     if not np.array_equal(used, stored.rows()):  # no digest covers the list
         raise stored.other_gaps()
 
@@ -304,6 +318,7 @@ def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = (
     with zarr_io.reading(stored.path):
         rows = stored.schema.layout.span(number)
         arrays = {name: parts.read(sub, name, rows, fields[name]) for name in names or sorted(fields)}
+        stored.check_unchanged()
         if not names and parts.digest_of(arrays, fields) != parts.digest(sub, number):
             raise stored.damaged(f"the simulation of part {number}")
     return arrays
@@ -328,6 +343,11 @@ def read_simulation(stored: Stored, names: tuple[str, ...] = ()) -> Iterator[Arr
         if len(mine):
             whole = len(mine) == span.stop - span.start
             yield part if whole else {name: values[mine] for name, values in part.items()}
+
+
+def _whole(stored: Stored, name: str) -> NDArray[Any]:
+    """All rows of an array, which must have as many as its parts."""
+    return parts.read(stored.group, name, slice(0, stored.schema.layout.rows), stored.schema.fields[name])
 
 
 def _there(stored: Stored) -> NDArray[np.bool_]:

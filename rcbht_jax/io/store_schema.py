@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,13 +82,13 @@ def schema_of(
         recordings: any part.
         simulation: its arrays for the group ``simulation/``.
         rows: recordings of the whole store; default: these.
-        part: recordings in a part; default: so many that a part has about 64 MiB.
+        part: recordings in a part; default: so many that no array of a part has more than about 64 MiB.
     """
     rows = len(recordings) if rows is None else rows
     if part is not None and not (isinstance(part, int) and part >= 1):
         raise InputError(f"A part has {part} recordings; expected a whole number, 1 or more.")
     if part is None:
-        most = max(1, min(MOST_ROWS, PART_BYTES // max(1, recordings.wrench[0].nbytes), rows))
+        most = max(1, min(MOST_ROWS, PART_BYTES // max(1, recordings.wrench[0].nbytes, *_widths(recordings)), rows))
         part = 1 << (most - 1).bit_length() if most == rows else 1 << (most.bit_length() - 1)
     return Schema(
         Layout(rows, part), recordings.dt, recordings.axes, recordings.units,
@@ -99,6 +99,13 @@ def schema_of(
             for name, values in sorted((simulation or {}).items())
         },
     )  # fmt: skip
+
+
+def _widths(recordings: Recordings) -> Iterator[int]:
+    """Bytes that one recording has at most in each array of texts."""
+    texts = [np.asarray(getattr(recordings, name)) for name, dtype in VARIABLES.items() if dtype == "string"]
+    texts += [values for values in recordings.columns.values() if values.dtype.kind == "U"]
+    return (values.dtype.itemsize for values in texts)
 
 
 def schema_in(group: zarr.Group) -> Schema:

@@ -184,7 +184,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         leave_out(dropped, why, int((~known & ~doubtful).sum()))
         found = whole_items(recordings, rows[known], values[known], spec.seconds, dropped)
         order = tuple(sorted(set(found.label.tolist())))
-    classes = tuple(name for name in spec.classes or order if name in found.label.tolist())
+    classes = tuple(name for name in spec.classes or order if (found.label == name).any())
     if len(classes) < 2:
         raise InputError(
             f"the task {spec.task} finds {_listed('class', classes)} in {plural(len(rows), 'trial')} that passed the "

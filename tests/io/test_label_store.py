@@ -7,6 +7,7 @@ import json
 import shutil
 import tempfile
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -213,3 +214,17 @@ def test_of_two_that_write_at_the_same_time_the_later_one_collects_both(
         list(pool.map(lambda name: label_store.write_tracks(path, name, label_tracks(), {}), ["a", "b"]))
     assert most == [1, 1]
     assert label_store.uncollected_tracks(path) == []
+
+
+def test_labels_kept_under_another_name_are_collected(path: Path) -> None:
+    """Of two that write the same name at the same time, the later one made a store that doctor calls damaged."""
+
+    def batches() -> Iterator[LabelTracks]:
+        label_store.write_tracks(path, "a", label_tracks(), {})
+        yield label_tracks()
+
+    with pytest.raises(InputError, match=r"Another process changed .*/labels/a meanwhile.* is .*/labels/a-2"):
+        label_store.write_batches(path, "a", batches(), {})
+    assert label_store.list_tracks(path) == ["a", "a-2"]
+    assert label_store.uncollected_tracks(path) == []
+    label_store.verify_tracks(path, "a-2")

@@ -35,6 +35,23 @@ def test_a_refused_part_changes_nothing(parted: Path) -> None:
     store.verify(str(parted))
 
 
+@pytest.mark.parametrize("rows", [5, 0])
+@pytest.mark.parametrize("name", ["session", "length", "annotations/track", "wrench_sha256"])
+def test_an_array_of_other_rows_than_its_store_is_one_sentence(
+    name: str, rows: int, parted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table with a column that was too short ended the export with a ValueError."""
+    file = parted / name / "zarr.json"
+    content = json.loads(file.read_text())
+    content["shape"][0] = rows
+    file.write_text(json.dumps(content))
+    assert main(["export", str(parted), "--format", "csv", "-o", str(tmp_path / "out")]) == 2
+    assert f"{name} has {rows} of 11 rows; import or copy it again" in capsys.readouterr().err
+    read = {"length": store.read_lengths, "wrench_sha256": store.read_digests}.get(name, store.read_table)
+    with pytest.raises(InputError, match=f"{name} has {rows} of 11 rows"):
+        read(parted)
+
+
 @pytest.mark.parametrize("small", [True, False])
 def test_info_check_reads_all_of_a_store_of_any_size(
     parted: Path, small: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

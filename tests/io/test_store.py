@@ -22,7 +22,7 @@ from hypothesis import given
 
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import parts, store, store_reader
+from rcbht_jax.io import bounded_chunks, parts, store, store_reader, store_schema
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.summary import COUNTING
 from rcbht_jax.labels import AXES
@@ -60,6 +60,16 @@ def test_the_sign_of_zero_survives(tmp_path: Path) -> None:
     zeros = dataclasses.replace(simple(), wrench=np.full((3, 50, 6), -0.0, np.float32))
     store.write_recordings(tmp_path / "x.zarr", zeros, {})
     same(store.read_recordings(tmp_path / "x.zarr"), zeros)
+
+
+def test_long_texts_are_in_parts_that_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A part of short recordings with one long text each was written, and then taken for a bomb."""
+    monkeypatch.setattr(store_schema, "PART_BYTES", 2**18)
+    monkeypatch.setattr(bounded_chunks, "SMALL", 2**18)
+    text = np.full(600, "of all recordings " * 50)
+    made = Recordings.from_arrays([np.full((3, 6), n) for n in range(600)], 200.0, remark=text, note=text)
+    store.write_recordings(tmp_path / "a.zarr", made, {})
+    same(store.read_recordings(tmp_path / "a.zarr"), made)
 
 
 def test_xarray_reads_it_without_a_warning(path: Path) -> None:

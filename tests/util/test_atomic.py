@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -120,12 +121,53 @@ def test_a_folder_is_replaced_by_the_complete_new_one(
         return exchanged[-1]
 
     monkeypatch.setattr(atomic, "_exchanged", exchange)
-    with atomic_folder(path, replace=True) as draft:
-        draft.mkdir()
-        (draft / "new").touch()
+    replaced_folder(path)
     assert [entry.name for entry in path.iterdir()] == ["new"]
     assert list(tmp_path.iterdir()) == [path]
     assert exchanged == [at_once] or sys.platform != "linux"
+
+
+def test_a_second_ctrl_c_leaves_no_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ended the deletion that the first one had begun, although the command says that nothing is left."""
+    real = shutil.rmtree
+
+    def pressed(path: Path, ignore_errors: bool) -> None:
+        signal.raise_signal(signal.SIGINT)
+        real(path, ignore_errors)
+
+    monkeypatch.setattr(atomic.shutil, "rmtree", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_folder(tmp_path / "store")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_while_two_folders_change_places_loses_neither(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the system cannot exchange them at once, the old one has another name for a moment."""
+    path, real = tmp_path / "store", Path.rename
+    path.mkdir()
+
+    def pressed(one: Path, other: Path) -> None:
+        real(one, other)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(atomic, "_exchanged", lambda *_: False)
+    monkeypatch.setattr(Path, "rename", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        replaced_folder(path)
+    assert list(tmp_path.iterdir()) == [path]
+    assert [entry.name for entry in path.iterdir()] == ["new"]
+
+
+def replaced_folder(path: Path) -> None:
+    with atomic_folder(path, replace=True) as draft:
+        draft.mkdir()
+        (draft / "new").touch()
+
+
+def interrupted_folder(path: Path) -> None:
+    with atomic_folder(path) as draft:
+        draft.mkdir()
+        raise KeyboardInterrupt
 
 
 def overtaken(path: Path, overwrite: bool) -> None:

@@ -31,6 +31,8 @@ from rcbht_jax.io.store import (
     read_sample,
     read_table,
 )
+from rcbht_jax.io.store_reader import replaced
+from rcbht_jax.io.store_schema import HASH
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
@@ -105,7 +107,7 @@ def load(
         raise InputError("--rule and --tolerance need --window, which makes new labels; add it, or leave them out.")
     if window is not None and tracks:
         raise InputError("Labels are either read from the store or made anew; give --tracks or --window, not both.")
-    labels = _Labels()
+    labels, attrs = _Labels(), read_attrs(store)  # first: all that is read later must be of the same store
     if window is not None:
         labels = _made_now(store, window, rule, tolerance, thresholds)
     elif tracks or list_tracks(store):
@@ -119,8 +121,8 @@ def load(
         return Block(some, label_store.read_rows(store, labels.name, numbers) if labels.name else None)
 
     return DataSet(
-        read_table(store), lambda: _blocks(store, labels), rows, read_digests(store), longest_of(store),
-        labels.name, labels.attrs, read_attrs(store),
+        read_table(store), lambda: _blocks(store, labels, attrs), rows, read_digests(store), longest_of(store),
+        labels.name, labels.attrs, attrs,
         lambda: simulation_batches(store),
     )  # fmt: skip
 
@@ -148,8 +150,10 @@ def _made_now(store: Path, window: int, rule: str, tolerance: Sequence[float], t
     return _Labels(f"online-W{window}" + ("-fit" if rule == "fit" else ""), attrs, encode)
 
 
-def _blocks(store: Path, labels: _Labels) -> Iterator[Block]:
+def _blocks(store: Path, labels: _Labels, attrs: dict[str, Any]) -> Iterator[Block]:
     first, waiting = 0, deque[Recordings]()
+    if read_attrs(store).get(HASH) != attrs.get(HASH):
+        raise replaced(store)
 
     def sizes() -> Iterator[int]:
         for batch in read_batches(store):

@@ -24,6 +24,7 @@ from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.io.joining import KEPT, importer_of
 from rcbht_jax.io.simulation import origin_of
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
@@ -38,6 +39,7 @@ def read_export(folder: Path) -> Recordings:
     """The recordings of an export, equal to those of the exported store.
 
     Text and numbers of further columns are distinguished by ``column_types`` of ``dataset.json``, else by their form.
+    The table of trials may have been sorted: its numbers of recordings say which signals a row is about.
 
     >>> from rcbht_jax.io.export import export, load
     >>> export(load(Path("trials.zarr"), window=5), Path("exported"), "csv")
@@ -50,19 +52,22 @@ def read_export(folder: Path) -> Recordings:
     about = read_object(folder / "dataset.json")
     dt, axes, units = _period(folder, about), *_axes(folder, about)
     if (folder / "meta" / "info.json").is_file():
-        values, table = _lerobot(folder, axes), _episodes(folder, about)
+        values, table = _lerobot(folder, axes), _in_order(folder, _episodes(folder, about))
     else:
-        table = _table(folder, "trials", about)
+        table = _in_order(folder, _table(folder, "trials", about))
         count = len(table.get("trial", ()))
         if (folder / "wrench.parquet").is_file():
             values = list(_parquet(folder / "wrench.parquet", axes, count))
         elif (folder / "wrench").is_dir():
-            values = [_csv(folder / "wrench" / f"{number:06d}.csv", axes) for number in range(count)]
+            files = _files(folder / "wrench", "csv", count)
+            values = [_csv(path, axes, number) for number, path in enumerate(files)]
         else:
-            values = [_mcap(folder / f"{number:06d}.mcap", axes, units) for number in range(count)]
+            values = [_mcap(path, axes, units) for path in _files(folder, "mcap", count)]
     if not values or any(len(column) != len(values) for column in table.values()):
         raise InputError(f"{folder} has {plural(len(values), 'recording')}; its table of trials has another number.")
     types = _types(about)
+    if "samples" not in types:  # computed ones, not a column of the store
+        _check_lengths(folder, table, [len(one) for one in values])
     columns: dict[str, Any] = {name: column for name, column in table.items() if name not in _OURS or name in types}
     for name in _TEXTS:
         if name in columns:
@@ -83,10 +88,18 @@ def not_read(folder: Path) -> list[str]:
     return ["labels", *(["the table of the simulation"] if simulated else [])]
 
 
-def origin_of_export(folder: Path) -> str:
-    """Whether the trials of an export were recorded or simulated, see :func:`rcbht_jax.io.simulation.origin_of`."""
+def attrs_of_export(folder: Path) -> dict[str, str]:
+    """What an export states of the origin of its trials, as attributes of a store.
+
+    They are whether the trials were recorded or simulated (:func:`rcbht_jax.io.simulation.origin_of`), what had
+    imported them, which the thresholds of "rcbht encode" depend on, and the frames of their axes.
+    """
     about = read_object(folder / "dataset.json").get("store")
-    return origin_of(about) if isinstance(about, dict) else ""
+    if not isinstance(about, dict):
+        return {"origin": ""}
+    stated = {**about, "origin": origin_of(about), "importer": importer_of(about)}
+    texts = {name: stated.get(name) for name in ("origin", *KEPT)}
+    return {name: value for name, value in texts.items() if isinstance(value, str) and (value or name == "origin")}
 
 
 def _period(folder: Path, about: Mapping[str, Any]) -> float:
@@ -122,6 +135,45 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     known, pairs = _types(about), zip(rows[0], content, strict=True)
     texts = (*_TEXTS, "track", "label")
     return {key: _typed(path, key, cells, "text" if key in texts else known.get(key, "")) for key, cells in pairs}
+
+
+def _in_order(folder: Path, table: Columns) -> Columns:
+    """The table of trials in the order of its recordings, in which another program need not have left it.
+
+    Raises:
+        InputError: the numbers of its recordings are not those from 0 on.
+    """
+    numbers = table.get("recording", np.zeros(0))
+    order = np.argsort(numbers, kind="stable")
+    if table and not np.array_equal(numbers[order], np.arange(len(numbers))):
+        raise InputError(
+            f"{folder}: the table of trials does not number its recordings from 0 on, each once, so that signals would "
+            "be taken for those of another recording. Export again, and leave its rows complete."
+        )
+    return {key: values[order] for key, values in table.items()}
+
+
+def _files(folder: Path, suffix: str, count: int) -> list[Path]:
+    """The files of the signals of so many recordings.
+
+    Raises:
+        InputError: there is one more.
+    """
+    paths = [folder / f"{number:06d}.{suffix}" for number in range(count + 1)]
+    if paths[-1].exists():
+        raise InputError(f"{paths[-1]} has no row in the table of trials. Export again, and leave its rows complete.")
+    return paths[:-1]
+
+
+def _check_lengths(folder: Path, table: Columns, lengths: list[int]) -> None:
+    stated = table.get("samples", lengths)
+    wrong = [row for row, (one, other) in enumerate(zip(stated, lengths, strict=True)) if one != other]
+    if wrong:
+        row = wrong[0]
+        raise InputError(
+            f"{folder}: recording {row} has {plural(lengths[row], 'sample')}; the table of trials states "
+            f"{stated[row]}. A file was cut or changed: export again."
+        )
 
 
 def _types(about: Mapping[str, Any]) -> dict[str, str]:
@@ -176,9 +228,35 @@ def _typed(path: Path, key: str, cells: tuple[str, ...], kind: str) -> NDArray[A
     return np.array(cells, np.str_)
 
 
-def _csv(path: Path, axes: tuple[str, ...]) -> NDArray[np.float32]:
+def _csv(path: Path, axes: tuple[str, ...], number: int) -> NDArray[np.float32]:
     [table] = read_csv(path, path.name)
-    return _wrench(path, {text_of(name): values for name, values in table.columns.items()}, axes)
+    columns = {text_of(name): values for name, values in table.columns.items()}
+    wrench = _wrench(path, columns, axes)
+    _check_places(path, columns, np.array([0, len(wrench)]), number)
+    return wrench
+
+
+def _check_places(path: Path, columns: Mapping[str, Any], bounds: NDArray[np.intp], first: int = 0) -> None:
+    """Compare the numbers of recordings and samples, which a file of signals states, with those of its rows.
+
+    Args:
+        path: of the file.
+        columns: of it.
+        bounds: first row of each recording, and the end of the last one.
+        first: number of the first recording.
+
+    Raises:
+        InputError: rows are missing, doubled, or in another order.
+    """
+    lengths = np.diff(bounds)
+    recording = first + np.repeat(np.arange(len(lengths)), lengths)
+    sample = np.arange(bounds[-1]) - np.repeat(bounds[:-1], lengths)
+    for name, expected in (("recording", recording), ("sample", sample)):
+        if not np.array_equal(columns.get(name), expected):  # type: ignore[arg-type]
+            raise InputError(
+                f"{path}: the column {name} is not that of an export; rows are missing, doubled or in another order. "
+                "Export again."
+            )
 
 
 def _wrench(path: Path, columns: Mapping[str, NDArray[Any]], axes: tuple[str, ...]) -> NDArray[np.float32]:
@@ -193,6 +271,7 @@ def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[
         raise InputError(f"{path} has no column recording.")
     wrench = _wrench(path, columns, axes)
     bounds = np.searchsorted(columns["recording"], np.arange(count + 1))
+    _check_places(path, columns, bounds)
     for first, last in pairwise(bounds.tolist()):
         yield wrench[first:last]
 
@@ -226,11 +305,13 @@ def _episodes(folder: Path, about: Mapping[str, Any]) -> Columns:
     """The table of trials that is among LeRobot's of the episodes, which keeps numbers as 64 bits."""
     types = {**dict.fromkeys(_TEXTS, "text"), **_types(about)}
     table = _table(folder / "meta" / "episodes" / "chunk-000", "file-000", about)
-    return {
+    known = {
         key: values if types[key] == "text" else values.astype(types[key])
         for key, values in table.items()
         if key in types
     }
+    places = {"recording": "episode_index", "samples": "length"}  # as the tables of the other formats call them
+    return {ours: table[theirs] for ours, theirs in places.items() if theirs in table} | known
 
 
 def _are_texts(names: Any) -> bool:

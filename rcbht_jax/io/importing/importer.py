@@ -29,7 +29,7 @@ from rcbht_jax.io.importing.blocks import read_blocks
 from rcbht_jax.io.importing.bounds import bounded
 from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
-from rcbht_jax.io.importing.exported import not_read, origin_of_export, read_export
+from rcbht_jax.io.importing.exported import attrs_of_export, not_read, read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
 from rcbht_jax.io.importing.given import from_start, on_clock
 from rcbht_jax.io.importing.guess import Understood, guess, interleaved, more_wrenches, nameless, some, stated_words
@@ -200,7 +200,7 @@ def _exported(source: Path, item: Item, others: list[str]) -> Imported:
     report = ImportReport(names, remarks=[told])
     report.remarks += _unread(source, others)
     report.content_sha256 = _digest(source, [item])
-    return Imported(recordings, Mapping(), report, {"origin": origin_of_export(item.path)})
+    return Imported(recordings, Mapping(), report, attrs_of_export(item.path))
 
 
 def _read(

@@ -6,22 +6,27 @@ import json
 import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import FORMATS, DataSet, export, load, write
 from rcbht_jax.io.export.card import card
 from rcbht_jax.io.export.tables import COLUMNS
 from rcbht_jax.io.importing.importer import import_source, read_source
 from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.label_store import read_tracks_attrs
 from rcbht_jax.io.rosbags import McapWriter, topics_of
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.types import Recordings
+from tests.support.store_cases import same
 
 
 def recordings() -> Recordings:
@@ -206,6 +211,23 @@ def test_simulated_trials_stay_simulated(kind: str, tmp_path: Path) -> None:
     assert "3 recordings of 3 simulated trials" in card(load(tmp_path / "back.zarr"), "")
 
 
+@pytest.mark.parametrize("attrs", [{"importer": "hiro", "frames": "as logged"}, {"simulated": {"seed": 1}}])
+def test_what_made_the_trials_and_their_frames_come_back(attrs: dict[str, Any], tmp_path: Path) -> None:
+    """Words of HIRO's trials were made with other thresholds under the same name, and the card stated no frames."""
+    made = Recordings.from_arrays([np.random.default_rng(0).normal(size=(30, 6))], 200.0)
+    write_recordings(tmp_path / "a.zarr", made, attrs)
+    export(load(tmp_path / "a.zarr"), tmp_path / "out", "csv")
+    import_source(tmp_path / "out", tmp_path / "back.zarr")
+    assert main(["encode", str(tmp_path / "back.zarr")]) == 0
+    assert read_tracks_attrs(tmp_path / "back.zarr", "online-W5")["thresholds_from"]["robot"] == "hiro"
+    frames = card(load(tmp_path / "back.zarr"), "")
+    assert ("as logged" in frames) == ("frames" in attrs)
+    about = json.loads((tmp_path / "out/dataset.json").read_text())
+    for store in ({"importer": "", "frames": 1}, ["hiro"]):
+        (tmp_path / "out/dataset.json").write_text(json.dumps(about | {"store": store}))
+        assert {"importer", "frames"}.isdisjoint(read_source(tmp_path / "out").attrs)
+
+
 def test_every_interval_of_every_track_is_an_event_in_mcap(tmp_path: Path) -> None:
     """Only those of the first track were, and of several that begin together the last."""
     rows = [(0, "phase", "push", 0.5, 1.0), (0, "contact", "touch", 0.5, 0.7), (0, "phase", "rest", 0.5, np.nan)]
@@ -224,3 +246,50 @@ def test_every_interval_of_every_track_is_an_event_in_mcap(tmp_path: Path) -> No
         ("phase", "rest", 0.5, None),
     ]  # fmt: skip
     assert len(read_source(tmp_path / "out").recordings.annotations) == 4
+
+
+@pytest.mark.parametrize("kind", ["csv", "mcap", "parquet"])
+def test_a_sorted_table_of_trials_still_says_which_signals_are_whose(kind: str, tmp_path: Path) -> None:
+    """Sorted in a spreadsheet, it gave every outcome to the signals of another recording."""
+    export(DataSet.of(recordings()), tmp_path / "out", kind)
+    if kind == "parquet":
+        trials = pd.read_parquet(tmp_path / "out/trials.parquet")
+        trials.sort_values("outcome", ignore_index=True).to_parquet(tmp_path / "out/trials.parquet")
+    else:
+        header, *rows = (tmp_path / "out/trials.csv").read_text().splitlines(keepends=True)
+        (tmp_path / "out/trials.csv").write_text("".join([header, *rows[::-1]]))
+    same(read_source(tmp_path / "out").recordings, recordings())
+
+
+@pytest.mark.parametrize(
+    ("file", "lines", "sentence"),
+    [
+        ("trials.csv", [0, 1, 3], "does not number its recordings from 0 on"),
+        ("trials.csv", [0, 1, 2], "000002.csv has no row in the table of trials"),
+        ("wrench/000001.csv", range(40), "recording 1 has 39 samples; the table of trials states 50"),
+        ("wrench/000001.csv", [0, *range(9, 51), *range(1, 9)], "the column sample is not that of an export"),
+        ("wrench/000000.csv", None, "000000.csv: the column recording is not that of an export"),
+    ],
+)
+def test_files_that_contradict_each_other_are_refused(
+    file: str, lines: Sequence[int] | None, sentence: str, tmp_path: Path
+) -> None:
+    """Signals were taken for those of the next recording, and what was left of a cut file for all of it."""
+    wrench = np.random.default_rng(0).normal(size=(3, 50, 6))
+    export(DataSet.of(Recordings.from_arrays(list(wrench), 200.0)), tmp_path / "out", "csv")
+    path = tmp_path / "out" / file
+    if lines is None:
+        path.write_bytes((path.parent / "000001.csv").read_bytes())
+    else:
+        found = path.read_text().splitlines(keepends=True)
+        path.write_text("".join(found[line] for line in lines))
+    with pytest.raises(InputError, match=sentence):
+        read_source(tmp_path / "out")
+
+
+def test_parquet_signals_in_another_order_are_refused(tmp_path: Path) -> None:
+    export(DataSet.of(recordings()), tmp_path / "out", "parquet")
+    path = tmp_path / "out" / "wrench.parquet"
+    pd.read_parquet(path).sort_values(["sample", "recording"]).to_parquet(path, index=False)
+    with pytest.raises(InputError, match=r"wrench.parquet: the column recording is not that of an export"):
+        read_source(tmp_path / "out")
