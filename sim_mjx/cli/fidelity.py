@@ -73,7 +73,7 @@ class Fidelity(Command):
         return {**report, "folder": str(self.out), "seconds": time.perf_counter() - start}
 
     def text(self, result: dict[str, Any]) -> str:
-        drawn = any(name.startswith("session ") and row["mated"] for name, row in result.items())
+        drawn = any(map(_is_drawn, result, result.values()))
         files = f"report.json, report.txt{', pictures' if drawn else ''}"
         return f"{table(result)}\n\n{result['folder']}: {files} ({result['seconds']:.0f} s)"
 
@@ -120,19 +120,21 @@ class Fidelity(Command):
         return -(-self.trials // len(set(self.session)))
 
     def _part(self, name: str, job: Callable[[], Measured]) -> dict[str, Any]:
-        """Measure one part, unless an earlier run with the same options, data and code measured it."""
+        """Measure one part, unless an earlier run with the same options, data and code has and its picture is there."""
         from rcbht_jax._util import checkpoint
 
         path = self.out / "parts" / f"{name.replace(' ', '-')}.json"
+        picture = self.out / f"{path.stem}.png"
         made_by = self._made_by()
         with suppress(InputError):  # of other options or code, or damaged: measured again
-            if (earlier := checkpoint.load(path, made_by)) is not None:
+            earlier = checkpoint.load(path, made_by)
+            if earlier is not None and (picture.is_file() or not _is_drawn(name, earlier)):
                 return earlier
         result, figure = job()
         if figure is not None:
             from rcbht_jax.plots import save
 
-            save(figure, self.out / f"{name.replace(' ', '-')}.png")
+            save(figure, picture)
         checkpoint.save(path, made_by, result)
         return result
 
@@ -147,6 +149,11 @@ class Fidelity(Command):
         folder = None if self.data is None else _state_of(self.data)
         versions = [version(name) for name in ("jax", "mujoco", "numpy")]
         return [code_hash(), versions, self._trials_of_each(), self.max_seconds, self.seed, data, folder]
+
+
+def _is_drawn(name: str, row: Any) -> bool:
+    """Whether a measurement of the report has a picture."""
+    return name.startswith("session ") and bool(row["mated"])
 
 
 def _state_of(folder: Path) -> str:

@@ -63,7 +63,9 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
         logs = command.out.absolute().with_name(f"{command.out.name}.jobs")
         return lambda look: launch.slurm(words, count or 1, gpus, options, logs, look, notice)
     if command.devices is not None:
-        environments = _environments(command.devices, gpus)
+        checked(command.devices)
+    if command.devices is not None and gpus:
+        environments = _environments(command.devices)
     else:
         environments = [{}] * (count or (1 if gpus else default_processes(command.trials, command.shard)))
     if len(environments) < 2:
@@ -98,13 +100,10 @@ def _number(value: str) -> int | float | str:
     return float(value) if value.replace(".", "", 1).isdecimal() else value
 
 
-def _environments(devices: str, gpus: bool) -> list[dict[str, str]]:
-    """For each GPU to use the variables of its worker; engines without a GPU have one worker."""
+def _environments(devices: str) -> list[dict[str, str]]:
+    """For each GPU to use the variables of its worker."""
     from sim_mjx.synthesis import launch
 
-    if not gpus:
-        checked(devices)
-        return [{}]
     present = launch.visible_devices()
     return [{launch.DEVICES: name} for name in present[: wanted(devices, len(present))]]
 

@@ -63,7 +63,7 @@ def film(
     check(path)
     rate = RATE[path.suffix.lower()]
     last = len(replay.qpos) - 1
-    samples = np.append(np.arange(0, last, max(speed / rate / replay.dt, 1.0)), last).astype(int)  # also the end
+    samples = np.append(np.arange(0, last, speed / rate / replay.dt), last).astype(int)  # also the end
     pictures = _pictures(replay, recordings, row, samples, progress)
     with atomic_write(path) as draft:
         (_write_gif if rate == RATE[".gif"] else _write_mp4)(draft, pictures, rate)
@@ -84,12 +84,15 @@ def _pictures(
     cursor = _forces(figure, recordings, row)
     figure.suptitle(plain(fill(headline(replay, recordings, row), WIDE)), x=0.03, y=0.99, ha="left", fontsize=11)
     canvas: Any = FigureCanvasAgg(figure)
+    shown, picture = -1, np.zeros((0, 0, 3), np.uint8)
     for count, sample in enumerate(samples.tolist()):
-        for drawing in drawings:
-            drawing.show(replay.qpos[sample], replay.past[sample])
-        cursor.set_xdata([sample * replay.dt] * 2)
-        canvas.draw()
-        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        if sample != shown:  # a slow film has several pictures of a sample
+            for drawing in drawings:
+                drawing.show(replay.qpos[sample], replay.past[sample])
+            cursor.set_xdata([sample * replay.dt] * 2)
+            canvas.draw()
+            shown, picture = sample, np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        yield picture
         if progress is not None:
             progress(count + 1, len(samples))
 

@@ -38,7 +38,10 @@ ABOVE = View(0, 1, -1.0)  # from above: x to the right, y up
 
 
 def outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int, view: View) -> Float64[np.ndarray, "corner 2"]:
-    """The silhouette of one geom, m: sphere, capsule, cylinder or box; empty for any other shape."""
+    """The silhouette of one geom, m: sphere, capsule, cylinder or box; of a mesh or any other shape its bounding box.
+
+    What has no end, a plane, and height fields have none.
+    """
     kind, size = model.geom_type[geom], model.geom_size[geom]
     center, turn = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
     plane = [view.right, view.up]
@@ -53,9 +56,10 @@ def outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int, view: View) -
         half = np.array([[0.0, 0.0, size[1]]])
         ends = np.concatenate([rim + half, rim - half])
         return _hull((center + ends @ turn.T)[:, plane])
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return _hull((center + (CORNERS * size) @ turn.T)[:, plane])
-    return np.zeros((0, 2))
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE or kind == mujoco.mjtGeom.mjGEOM_HFIELD:  # "in" would not find NumPy's int
+        return np.zeros((0, 2))
+    middle, half = np.split(model.geom_aabb[geom], 2)
+    return _hull((center + (middle + CORNERS * half) @ turn.T)[:, plane])
 
 
 def _hull(points: Floats) -> Floats:
@@ -80,18 +84,30 @@ def _turns_right(a: Floats, b: Floats, c: Floats) -> bool:
 class Drawing:
     """A scene in one axes; ``show`` moves it to other positions.
 
-    Nothing in front of the body ``cut_at`` is drawn; ``missing`` are tabs that have broken off.
+    Args:
+        ax: in which it is drawn.
+        model: of the scene. view: from where.
+        cut_at: body in front of whose middle nothing of it is drawn.
+        missing: tabs that have broken off.
+        marks: geoms that decide success, of an assembly other than the camera's, whose names mean nothing here.
     """
 
     def __init__(
-        self, ax: Axes, model: mujoco.MjModel, view: View, cut_at: str = "", missing: tuple[str, ...] = ()
+        self,
+        ax: Axes,
+        model: mujoco.MjModel,
+        view: View,
+        cut_at: str = "",
+        missing: tuple[str, ...] = (),
+        marks: tuple[str, ...] = (),
     ) -> None:
-        self._model, self._data, self._view = model, mujoco.MjData(model), view
+        self._model, self._data, self._view, self._camera = model, mujoco.MjData(model), view, not marks
         names = [model.geom(i).name for i in range(model.ngeom)]
-        hidden = _in_front(model, view, cut_at) if cut_at else [name.startswith(HIDDEN) for name in names]
+        hidden = _in_front(model, view, cut_at) if cut_at else [self._is(i, *HIDDEN) for i in range(model.ngeom)]
         gone = [name.endswith(missing) and _out_of_reach(model, i) for i, name in enumerate(names)]
         self._geoms = [i for i, name in enumerate(names) if not (hidden[i] or gone[i])]
-        self._tips = [next((t for t, tab in enumerate(_tabs(model)) if tab == i), None) for i in self._geoms]
+        self._tabs = [model.geom(name).id for name in marks] or _tabs(model)
+        self._tips = [next((t for t, tab in enumerate(self._tabs) if tab == i), None) for i in self._geoms]
         self._collection = PolyCollection([], linewidths=0.6)
         ax.add_collection(self._collection, autolim=False)
         ax.set_aspect("equal")
@@ -103,7 +119,7 @@ class Drawing:
         depth = self._data.geom_xpos[self._geoms, self._view.depth] * self._view.away
         # tips and lips on top: they show the assembly
         pairs = zip(self._geoms, self._tips, strict=True)
-        top = np.array([tip is not None or "LIP" in self._name(geom) for geom, tip in pairs])
+        top = np.array([tip is not None or self._is(geom, "LIP") for geom, tip in pairs])
         order = np.lexsort((-depth, top))
         shapes = [outline(self._model, self._data, self._geoms[i], self._view) for i in order]
         colors = [self._color(self._geoms[i], self._tips[i], past) for i in order]
@@ -116,18 +132,19 @@ class Drawing:
         return self._data.body(body).xpos[[self._view.right, self._view.up]]
 
     def tips(self) -> Float64[np.ndarray, "tab 2"]:
-        """Where the tips of the tabs are in the picture, m, as last shown."""
-        return self._data.geom_xpos[_tabs(self._model)][:, [self._view.right, self._view.up]]
+        """Where the tips of the tabs, or the marks, are in the picture, m, as last shown."""
+        return self._data.geom_xpos[self._tabs][:, [self._view.right, self._view.up]]
 
-    def _name(self, geom: int) -> str:
-        return str(self._model.geom(geom).name)
+    def _is(self, geom: int, *kinds: str) -> bool:
+        """Whether a geom is one of the camera's parts of some kinds, by which its name begins."""
+        return self._camera and str(self._model.geom(geom).name).startswith(kinds)
 
     def _color(self, geom: int, tip: int | None, past: NDArray[np.bool_]) -> Any:
         if tip is not None:
             return SEATED if past[tip] else FREE
-        if "LIP" in self._name(geom):
+        if self._is(geom, "LIP"):
             return LIP
-        if self._name(geom).startswith("SEAT"):
+        if self._is(geom, "SEAT"):
             return SEAT
         return tuple(float(c) for c in self._model.geom_rgba[geom])
 

@@ -63,7 +63,7 @@ def trial_overview(
         pair[0].set_title(heading, fontsize=11, loc="left", pad=4)
     panels = [figure.add_subplot(grid[1])]
     panels += [figure.add_subplot(grid[i], sharex=panels[0]) for i in (2, 3, 4)]
-    _tabs(panels[0], replay)
+    trial_tabs(panels[0], replay)
     _wrench(panels[1], recordings, row, range(3), "force, N")
     _wrench(panels[2], recordings, row, range(3, 6), "moment, Nm")
     used = _labels(panels[3], tracks, row, recordings.dt)
@@ -141,7 +141,10 @@ def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Draw
 
 def _parts_and_arm(pair: tuple[Axes, Axes], replay: Replay, index: int) -> tuple[Drawing, Drawing]:
     """Any assembly: the whole arm, and the parts cut open, both from the side."""
-    whole, cut = Drawing(pair[0], replay.model, SIDE), Drawing(pair[1], replay.model, SIDE, cut_at="MOUNT")
+    whole, cut = (
+        Drawing(ax, replay.model, SIDE, cut_at, marks=replay.marks)
+        for ax, cut_at in zip(pair, ("", "MOUNT"), strict=True)
+    )
     for drawing in (whole, cut):
         drawing.show(replay.qpos[index], replay.past[index])
     x, y = cut.place("MOUNT")
@@ -166,15 +169,17 @@ def _look_at(ax: Axes, x: float, y: float, half: float) -> None:
     ax.set(ylim=(y - half * max(1.0 / wide, 1.0), y + half * max(1.0 / wide, 1.0)))
 
 
-def _tabs(ax: Axes, replay: Replay) -> None:
+def trial_tabs(ax: Axes, replay: Replay) -> None:
+    """Height of each tab, or of each mark, over time, in one axes."""
     times = np.arange(len(replay.height)) * replay.dt
-    for tab, (color, style) in enumerate(zip(TAB_COLORS, TAB_STYLES, strict=True)):
-        if tab < len(replay.marks):
-            name = replay.marks[tab].removeprefix("TIP_").lower() if replay.of_parts else replay.marks[tab]
-            gone = name in replay.missing
-            height = np.full(len(times), np.nan) if gone else replay.height[:, tab] * 1e3
-            label = f"{name} (missing)" if gone else name
-            ax.plot(times, height, color=color, linestyle=style, linewidth=1.8, label=label)
+    for tab, mark in enumerate(replay.marks):
+        name = mark.removeprefix("TIP_").lower() if replay.of_parts else mark
+        gone = name in replay.missing
+        height = np.full(len(times), np.nan) if gone else replay.height[:, tab] * 1e3
+        color = TAB_COLORS[tab % len(TAB_COLORS)]
+        style = TAB_STYLES[tab] if tab < len(TAB_STYLES) else "dotted"
+        label = f"{name} (missing)" if gone else name
+        ax.plot(times, height, color=color, linestyle=style, linewidth=1.8, label=label)
     if replay.of_parts:
         ax.set_ylabel("part above\nits socket, mm", fontsize=11)
         _legend(ax, 4, 0.7)

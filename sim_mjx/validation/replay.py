@@ -38,6 +38,7 @@ Floats = NDArray[np.float64]
 Positions = Float64[np.ndarray, "time nq"]  # of the model, m and rad
 Past = Bool[np.ndarray, "time tab"]  # tabs past their lips, order of parts.TABS
 PASSES = " past lip"  # follows a tab's name in the names of events
+MIDDLE = "mid-rotation"  # the only event of a state that is not its start, which is the touch
 
 
 @dataclass(frozen=True)
@@ -243,7 +244,10 @@ def events(replay: Replay, recordings: Recordings, row: int) -> dict[str, float]
 
 
 def moments(replay: Replay, onset: Float64[np.ndarray, " 4"]) -> dict[str, float]:
-    """Key events of a trial, name -> s, in order: the states it entered, and when tabs passed their lips for good.
+    """Key events of a trial, name -> s, in order.
+
+    They are the touch, with which the rotation begins, the middle of the rotation, the starts of insertion and mating,
+    the passes of tabs that stay past their lips, and the end.
 
     Args:
         replay: of the trial.
@@ -257,7 +261,7 @@ def moments(replay: Replay, onset: Float64[np.ndarray, " 4"]) -> dict[str, float
         passes[f"{parts.TABS[tab]}{PASSES}"] = first * replay.dt
     met = touch if np.isfinite(touch) else min(passes.values(), default=0.0)  # a hand may jam before it feels a touch
     events = {"before touch": max(met - 0.6, 0.0)}
-    for name, at in (("touch", touch), ("rotation", (touch + turned) / 2), ("insertion", turned), ("mating", mating)):
+    for name, at in (("touch", touch), (MIDDLE, (touch + turned) / 2), ("insertion", turned), ("mating", mating)):
         if np.isfinite(at):
             events[name] = at
     events |= passes | {"end": (len(replay.qpos) - 1) * replay.dt}

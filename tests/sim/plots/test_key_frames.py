@@ -7,7 +7,7 @@ import pytest
 from sim_mjx.plots.trial_overview import FRAMES, choose
 
 MOMENTS = {
-    "before touch": 4.58, "touch": 5.17, "FL past lip": 6.07, "FR past lip": 6.66, "rotation": 8.35,
+    "before touch": 4.58, "touch": 5.17, "FL past lip": 6.07, "FR past lip": 6.66, "mid-rotation": 8.35,
     "RL past lip": 10.99, "RR past lip": 11.01, "insertion": 11.53, "mating": 12.01, "end": 33.01,
 }  # fmt: skip
 
@@ -17,7 +17,7 @@ def test_names_of_earlier_moments_carry_their_own_times() -> None:
         "before touch": 4.58,
         "touch": 5.17,
         "FL (6.07 s) FR past lip": 6.66,
-        "rotation": 8.35,
+        "mid-rotation": 8.35,
         "RL RR past lip": 11.01,
         "insertion (11.53 s), mating": 12.01,
         "end": 33.01,

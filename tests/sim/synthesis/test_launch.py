@@ -117,16 +117,16 @@ def test_a_worker_has_the_words_of_the_job(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.parametrize(("cores", "trials", "engine", "count"), [
     (32, 5000, "native", 8), (32, 600, "native", 2), (32, 255, "native", None),
-    (32, 5000, "warp", None), (7, 5000, "native", None),
+    (32, 5000, "warp", None), (7, 5000, "native", None), (32, 5000, "native --devices 2", 8),
 ])  # fmt: skip
 def test_many_cores_have_several_processes(
     cores: int, trials: int, engine: str, count: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each with enough to do; a GPU and few cores have one."""
+    """Each with enough to do; a GPU and few cores have one. The native engine has no use for --devices."""
     begun: list[int] = []
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
     monkeypatch.setattr(launch, "local", lambda _, environments, *__: begun.append(len(environments)))
-    command = parse("simulate", [str(tmp_path / "t.zarr"), "--trials", str(trials), "--engine", engine])
+    command = parse("simulate", [str(tmp_path / "t.zarr"), "--trials", str(trials), "--engine", *engine.split()])
     assert isinstance(command, Simulate)
     start = simulate_workers.helpers(command, lambda _: None)
     if start is not None:
@@ -137,14 +137,13 @@ def test_many_cores_have_several_processes(
 def test_each_device_has_a_worker_that_sees_it_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(launch, "visible_devices", lambda: ["0", "3", "GPU-7"])
     environments = simulate_workers._environments
-    assert environments("all", True) == [{launch.DEVICES: name} for name in ("0", "3", "GPU-7")]
-    assert environments("2", True) == [{launch.DEVICES: "0"}, {launch.DEVICES: "3"}]
-    assert environments("all", False) == [{}]  # the native engine has all cores
+    assert environments("all") == [{launch.DEVICES: name} for name in ("0", "3", "GPU-7")]
+    assert environments("2") == [{launch.DEVICES: "0"}, {launch.DEVICES: "3"}]
     with pytest.raises(InputError, match="--devices is 4; expected at most 3"):
-        environments("4", True)
+        environments("4")
     for wrong in ("0", "some", "-1"):
         with pytest.raises(InputError, match="expected"):
-            environments(wrong, True)
+            environments(wrong)
 
 
 def test_devices_are_those_that_this_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:

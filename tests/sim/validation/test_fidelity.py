@@ -261,6 +261,25 @@ def test_other_data_or_versions_are_measured_again(tmp_path: Path, monkeypatch: 
     assert command._made_by() != second
 
 
+def test_a_picture_that_is_gone_is_drawn_again(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    made: list[int] = []
+
+    def job() -> tuple[dict[str, Any], Figure | None]:
+        made.append(len(made))
+        return {"mated": mated}, Figure() if mated else None
+
+    for mated, times in ((3, 2), (0, 1)):  # without a trial that mated there is no picture to miss
+        name, picture = f"session {mated}", tmp_path / f"session-{mated}.png"
+        made.clear()
+        for _ in range(2):
+            assert Fidelity(out=tmp_path)._part(name, job) == {"mated": mated}
+            assert len(made) == 1
+        picture.unlink(missing_ok=True)
+        assert Fidelity(out=tmp_path)._part(name, job) == {"mated": mated}
+        assert (len(made), picture.is_file()) == (times, bool(mated))
+
+
 def test_without_a_contact_nothing_is_certified() -> None:
     said = fidelity.convergence(preset("C"), trials=2, longest=0.3)
     assert (said["step"]["force"], said["touched"], said["holds"]) == (0.0, 0, False)

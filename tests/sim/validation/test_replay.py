@@ -69,6 +69,16 @@ def test_a_stored_trial_is_simulated_again_exactly(simulated: Path, shown: repla
     assert list(frames)[-1].endswith("end")
 
 
+def test_an_event_with_the_name_of_a_state_is_its_start() -> None:
+    model = mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>")
+    still = replay.Replay(model, np.zeros((2001, 0)), 0.005, np.zeros((2001, 4), bool), np.zeros((2001, 4)), "made up")
+    onset = {"approach": 0.0, "rotation": 3.0, "insertion": 7.0, "mating": 8.0}
+    found = replay.moments(still, np.array(list(onset.values())))
+    assert found["touch"] == onset["rotation"]
+    assert found["mid-rotation"] == 5.0
+    assert {name: found[name] for name in onset.keys() & found} == {"insertion": 7.0, "mating": 8.0}
+
+
 def test_a_changed_trial_is_said_to_differ(simulated: Path, tmp_path: Path) -> None:
     recordings = read_recordings(simulated)
     recordings.wrench[1, 100, 2] += 3.0
