@@ -248,6 +248,21 @@ def _check_apart(items: LabelledIntervals, recordings: Recordings, track: str) -
         )
 
 
+def _check_same_beginnings(recordings: Recordings, specs: tuple[HeadSpec, ...]) -> None:
+    """Refuse tracks whose intervals begin at different times: those of one track begin the sub-tasks of a stream."""
+    begins = dict[str, set[tuple[int, int]]]()
+    for track in filter(None, (track_of(recordings, spec.task) for spec in specs)):
+        lengths = enumerate(recordings.length.tolist())
+        found = ((row, recordings.annotations.begins(row, length, recordings.dt, track)) for row, length in lengths)
+        begins[track] = {(row, sample) for row, samples in found for sample in samples if sample}
+    first = next(iter(begins), "")
+    if other := next((track for track in begins if begins[track] != begins[first]), ""):
+        raise InputError(
+            f"Intervals of {first} and {other} begin at different times; a stream has one sub-task at a time. Train a "
+            "model for each of these tracks."
+        )
+
+
 def _progress(
     machine: ProbabilisticSvm,
     items: LabelledIntervals,
@@ -308,14 +323,15 @@ def train_model(
     (:func:`rcbht_jax.encoding.rules.limits_for`).
 
     Raises:
-        InputError: as from :func:`train_head`, two classifiers would have the same name, or a rate of false alarms
-            without the task outcome.
+        InputError: as from :func:`train_head`, two classifiers would have the same name, two tracks have intervals
+            that begin at different times, or a rate of false alarms without the task outcome.
     """
     if any(spec.false_alarms for spec in specs) and all(spec.task.task != OUTCOME for spec in specs):
         raise InputError(f"The rate of false alarms is for the task {OUTCOME}; add that task, or leave the rate out.")
     config = config or EncoderConfig(dt=recordings.dt)
     limits = preset(axes=recordings.axes, units=recordings.units) if thresholds is None else thresholds
     names = _names(specs)
+    _check_same_beginnings(recordings, specs)
     trained = (train_head(recordings, spec, config, limits, seed, progress) for spec in specs)
     heads = tuple(replace(head, name=name) for head, name in zip(trained, names, strict=True))
     extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}

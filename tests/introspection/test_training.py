@@ -104,6 +104,19 @@ def test_names_of_classifiers_are_known_before_they_are_trained(monkeypatch):
         training.train_model(Recordings.from_arrays(np.zeros((4, 200, 6)), 200), (states, states))
 
 
+@pytest.mark.parametrize(("onset", "refused"), [(0.7, True), (0.5, False)])
+def test_tracks_of_one_model_begin_together(monkeypatch, onset, refused):
+    """A stream begins the sub-tasks of one track; beliefs about the other were of stretches that are none of its."""
+    marks = [(0, "tool", "light", -1.0, 0.5), (0, "tool", "camera", 0.5, 1.0)]
+    marks += [(0, "phase", "rest", 0.0, onset), (0, "phase", "push", onset, 1.0)]
+    data = Recordings.from_arrays(np.zeros((1, 200, 6)), 200, annotations=marks)
+    monkeypatch.setattr(training, "train_head", lambda *args: pytest.fail("work was begun"))
+    specs = (HeadSpec(TaskSpec("tool")), HeadSpec(TaskSpec("outcome")), HeadSpec(TaskSpec("phase")))
+    text = "tool and phase begin at different times" if refused else "work was begun"
+    with pytest.raises(InputError if refused else pytest.fail.Exception, match=text):
+        training.train_model(data, specs)
+
+
 @pytest.mark.parametrize("time_alone", [False, True])
 def test_a_complete_sentence_counts_several_times(time_alone):
     items = sentences_of([400] * 12)
