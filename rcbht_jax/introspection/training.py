@@ -249,18 +249,18 @@ def _check_apart(items: LabelledIntervals, recordings: Recordings, track: str) -
 
 
 def _check_same_beginnings(recordings: Recordings, specs: tuple[HeadSpec, ...]) -> None:
-    """Refuse tracks whose intervals begin at different times: those of one track begin the sub-tasks of a stream."""
-    begins = dict[str, set[tuple[int, int]]]()
+    """Refuse tracks that begin at different times in one recording: those of one track begin a stream's sub-tasks."""
+    lengths, begins = recordings.length.tolist(), dict[str, dict[int, set[int]]]()
     for track in filter(None, (track_of(recordings, spec.task) for spec in specs)):
-        lengths = enumerate(recordings.length.tolist())
-        found = ((row, recordings.annotations.begins(row, length, recordings.dt, track)) for row, length in lengths)
-        begins[track] = {(row, sample) for row, samples in found for sample in samples if sample}
-    first = next(iter(begins), "")
-    if other := next((track for track in begins if begins[track] != begins[first]), ""):
-        raise InputError(
-            f"Intervals of {first} and {other} begin at different times; a stream has one sub-task at a time. Train a "
-            "model for each of these tracks."
-        )
+        every = (recordings.annotations.begins(row, size, recordings.dt, track) for row, size in enumerate(lengths))
+        begins[track] = {row: set(found) - {0} for row, found in enumerate(every) if found}
+    first, *others = begins.items() or [("", {})]
+    for name, own in others:
+        if any(own[row] != found for row, found in first[1].items() if row in own):
+            raise InputError(
+                f"Intervals of {first[0]} and {name} begin at different times; a stream has one sub-task at a time. "
+                "Train a model for each of these tracks."
+            )
 
 
 def _progress(

@@ -109,7 +109,8 @@ def test_tracks_of_one_model_begin_together(monkeypatch, onset, refused):
     """A stream begins the sub-tasks of one track; beliefs about the other were of stretches that are none of its."""
     marks = [(0, "tool", "light", -1.0, 0.5), (0, "tool", "camera", 0.5, 1.0)]
     marks += [(0, "phase", "rest", 0.0, onset), (0, "phase", "push", onset, 1.0)]
-    data = Recordings.from_arrays(np.zeros((1, 200, 6)), 200, annotations=marks)
+    marks += [(1, "tool", "light", 0.0, 0.4), (1, "tool", "camera", 0.4, 1.0)]  # of which no phase is known
+    data = Recordings.from_arrays(np.zeros((2, 200, 6)), 200, annotations=marks)
     monkeypatch.setattr(training, "train_head", lambda *args: pytest.fail("work was begun"))
     specs = (HeadSpec(TaskSpec("tool")), HeadSpec(TaskSpec("outcome")), HeadSpec(TaskSpec("phase")))
     text = "tool and phase begin at different times" if refused else "work was begun"
