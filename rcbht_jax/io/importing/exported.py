@@ -125,7 +125,7 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
         return {}
     check_file(path, MAX_TEXT_BYTES)
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets write a mark of the byte order
             rows = [[text_of(cell) for cell in row] for row in csv.reader(file)]
     except (csv.Error, ValueError) as error:
         raise InputError(f"{path} cannot be read: {error}.") from None
@@ -141,11 +141,18 @@ def _in_order(folder: Path, table: Columns) -> Columns:
     """The table of trials in the order of its recordings, in which another program need not have left it.
 
     Raises:
-        InputError: the numbers of its recordings are not those from 0 on.
+        InputError: the numbers of its recordings are missing, or are not those from 0 on.
     """
-    numbers = table.get("recording", np.zeros(0))
+    if not table:
+        return table
+    if "recording" not in table:
+        raise InputError(
+            f"{folder}: the table of trials has no column recording; expected the columns as they were written, "
+            "separated by commas."
+        )
+    numbers = table["recording"]
     order = np.argsort(numbers, kind="stable")
-    if table and not np.array_equal(numbers[order], np.arange(len(numbers))):
+    if not np.array_equal(numbers[order], np.arange(len(numbers))):
         raise InputError(
             f"{folder}: the table of trials does not number its recordings from 0 on, each once, so that signals would "
             "be taken for those of another recording. Export again, and leave its rows complete."

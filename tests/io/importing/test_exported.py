@@ -257,7 +257,7 @@ def test_a_sorted_table_of_trials_still_says_which_signals_are_whose(kind: str, 
         trials.sort_values("outcome", ignore_index=True).to_parquet(tmp_path / "out/trials.parquet")
     else:
         header, *rows = (tmp_path / "out/trials.csv").read_text().splitlines(keepends=True)
-        (tmp_path / "out/trials.csv").write_text("".join([header, *rows[::-1]]))
+        (tmp_path / "out/trials.csv").write_text("".join([header, *rows[::-1]]), encoding="utf-8-sig")
     same(read_source(tmp_path / "out").recordings, recordings())
 
 
@@ -284,6 +284,14 @@ def test_files_that_contradict_each_other_are_refused(
         found = path.read_text().splitlines(keepends=True)
         path.write_text("".join(found[line] for line in lines))
     with pytest.raises(InputError, match=sentence):
+        read_source(tmp_path / "out")
+
+
+def test_a_table_of_trials_with_other_separators_is_refused(tmp_path: Path) -> None:
+    export(DataSet.of(recordings()), tmp_path / "out", "csv")
+    path = tmp_path / "out" / "trials.csv"
+    path.write_text(path.read_text().replace(",", ";"))
+    with pytest.raises(InputError, match="no column recording; expected the columns as they were written"):
         read_source(tmp_path / "out")
 
 
