@@ -163,7 +163,7 @@ def peg(name: str, sides: int, search: Phase, lean: float = 0.0) -> Assembly:
     Args:
         name: of the assembly.
         sides: of peg and hole.
-        search: how the hole is found. lean: rad, of the hand while it searches.
+        search: how the hole is found. lean: rad, as of :class:`sim_mjx.assemblies.pressing.PressTask`.
     """
     phases = (APPROACH, search, Phase("insertion", press, at_bottom), Phase("rest", press, rested))
     return Assembly(

@@ -36,7 +36,7 @@ class PressTask:
     moment_gain: Float[Array, "*batch"]  # rad/s per Nm
     pitch: Float[Array, "*batch"]  # m, between two turns of the spiral
     search_speed: Float[Array, "*batch"]  # m/s, along the spiral
-    lean: Float[Array, "*batch"]  # rad, while searching; 0 = upright
+    lean: Float[Array, "*batch"]  # rad, angle of ``tilt`` while searching, of which the hand reaches 79 %; 0 = upright
     drop: Float[Array, "*batch"]  # m, below the touch, where the hole is found
     bottom: Float[Array, "*batch"]  # m, height of the tip below which the part is in
     pull: Float[Array, "*batch"]  # N, of the pull after the press
@@ -84,7 +84,7 @@ def search(sense: Sense, task: PressTask) -> Twist:
 
 
 def search_leaning(sense: Sense, task: PressTask) -> Twist:
-    """As :func:`search`, with the hand leaning in a direction that rotates once per second."""
+    """As :func:`search`, with the hand leaning in a direction that rotates once per second; see :func:`tilt`."""
     pressed = admittance(sense, upward(task.press), task.gain) * jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     return pressed + spiral(sense, task.pitch, task.search_speed) + tilt(sense, task.lean, 1.0)
 

@@ -81,7 +81,11 @@ def spiral(sense: Sense, pitch: Scalar, speed: Scalar) -> Twist:
 
 
 def tilt(sense: Sense, angle: Scalar, period: Scalar) -> Twist:
-    """Lean the hand by an angle, rad, in a direction that rotates once per period, s."""
+    """Lean the hand in a direction that rotates once per period, s, by up to an angle, rad.
+
+    The hand follows the rotating direction with a lag, as :func:`keep_turn` turns it, and leans by less the shorter the
+    period is: by 98 % of the angle with 4 s, 93 % with 2 s, 79 % with 1 s.
+    """
     round_ = 2 * math.pi * sense.time / period
     lean = angle * jnp.minimum(1.0, 4 * sense.time / period)
     wanted = jnp.stack([lean * jnp.cos(round_), lean * jnp.sin(round_), jnp.zeros_like(round_)])

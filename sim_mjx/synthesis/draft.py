@@ -77,7 +77,7 @@ class Draft:
         """
         (params, faults), index = drawn, np.array(indices(self.job, shard))
         rows = _without(arrays, arrays["diverged"])
-        outcome = tables.outcomes(self.scenario, rows, self.job.spec.longest)
+        outcome = tables.outcomes(self.scenario, rows, params, self.job.spec.longest)
         recordings = tables.recordings_of(self.job.preset, self.scenario, rows, rows["wrench"], index, faults, outcome)
         recordings = replace(recordings, outcome=np.where(recordings.length == 0, "diverged", recordings.outcome))
         simulation = tables.simulation_of(self.scenario, rows, index, params, faults, outcome)

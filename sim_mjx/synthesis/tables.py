@@ -78,17 +78,24 @@ def recordings_of(
     return Recordings(**trials, annotations=Annotations.join([marks, *tracks]), columns=columns)
 
 
-def outcomes(scenario: Scenario, rows: Arrays, longest: float | None) -> NDArray[np.str_]:
+def outcomes(scenario: Scenario, rows: Arrays, params: Any, longest: float | None) -> NDArray[np.str_]:
     """The outcome of each trial: "success" if all its tabs are seated, else "failure" or "unfinished".
 
-    A trial that the controller's own limit ends has failed. One that ``longest`` (s) ends sooner is unfinished: tabs
-    might have been seated later.
+    A trial that ends by itself, or by the controller's own limit, has failed. One that ``longest`` (s) ends sooner is
+    unfinished: tabs might have been seated later.
+
+    Args:
+        scenario: what was simulated.
+        rows: as of :func:`recordings_of`.
+        params: of the trials, cut to ``longest``. A fault may have given them a limit of their own.
+        longest: s; None = nothing is cut.
     """
     found = np.where(rows["seated"].all(1), "success", "failure")
-    if longest is None or longest >= scenario.timeout:
+    if longest is None or longest == scenario.timeout:
         return found
-    ended = rows["length"] >= round(longest / CONTROL_PERIOD)
-    return np.where((found == "failure") & ended, "unfinished", found)
+    limit = np.asarray((params.task if scenario.recorded else params).timeout)
+    last = np.round(np.float32(longest) / np.float32(CONTROL_PERIOD))  # as controllers do; the first sample is number 0
+    return np.where((found == "failure") & (limit >= longest) & (rows["length"] > last), "unfinished", found)
 
 
 def simulation_of(

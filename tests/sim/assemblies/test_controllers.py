@@ -67,6 +67,14 @@ def test_tilt_leans_all_round_and_keep_turn_undoes_it() -> None:
     assert float(back[3]) < 0
 
 
+@pytest.mark.parametrize(("period", "share"), [(4.0, 98), (2.0, 93), (1.0, 79)])
+def test_the_lag_of_a_tilt_is_as_documented(period: float, share: int) -> None:
+    turns = followed(lambda seen: tilt(seen, 0.05, period), 3 * period)[:, 3:]
+    lean = np.linalg.norm(turns[round(2 * period / PERIOD) :], axis=1).mean()
+    assert round(100 * lean / 0.05) == share
+    assert f"{share} % " in " ".join(str(tilt.__doc__).split())
+
+
 def test_admittance_rests_at_the_wanted_force_against_a_spring() -> None:
     stiffness = 1e4
     wanted = jnp.array([0.0, 0.0, 12.0])

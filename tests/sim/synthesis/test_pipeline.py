@@ -251,16 +251,26 @@ def test_waves_are_equally_large_and_fit_into_the_memory(
 
 
 @pytest.mark.parametrize(
-    ("longest", "ended"), [(None, "failure"), (0.3, "unfinished"), (39.9, "unfinished"), (40.0, "failure")]
-)
-def test_a_trial_that_is_ended_before_the_controllers_limit_is_unfinished(longest: float | None, ended: str) -> None:
-    """It is 40 s in session A. A trial that ended by itself, or is seated, is not affected."""
-    last = round((longest or 40.0) / 0.005) + 1
+    ("longest", "limit", "ended"),
+    [
+        (None, 40.0, "failure"), (0.3, 40.0, "unfinished"), (39.9, 40.0, "unfinished"), (40.0, 40.0, "failure"),
+        (0.3, 0.2999, "failure"), (41.0, 50.0, "unfinished"), (41.0, 40.0, "failure"),
+    ],
+)  # fmt: skip
+def test_a_trial_that_is_ended_before_the_controllers_limit_is_unfinished(
+    longest: float | None, limit: float, ended: str
+) -> None:
+    """It is 40 s in session A, or what a fault makes of it. A trial that ended by itself, or is seated, is not cut."""
+    end = min(limit, longest or limit)
+    last = round(end / 0.005) + 1
     rows = {
         "seated": np.array([[False, True], [False, True], [True, True]]),
-        "length": np.array([last, last - 2, last]),
+        "length": np.array([last, last - 1, last]),
     }
-    assert tables.outcomes(get_scenario("hooked-A"), rows, longest).tolist() == [ended, "failure", "success"]
+    scenario = get_scenario("hooked-A")
+    params, _ = scenario.draw_batch(0, range(3), scenario.spec())
+    params = replace(params, task=replace(params.task, timeout=np.full(3, end)))
+    assert tables.outcomes(scenario, rows, params, longest).tolist() == [ended, "failure", "success"]
 
 
 def test_an_unfinished_trial_has_not_failed_in_a_state_and_has_no_class(tmp_path: Path) -> None:
@@ -269,7 +279,7 @@ def test_an_unfinished_trial_has_not_failed_in_a_state_and_has_no_class(tmp_path
 
     synthesise(tmp_path / "t.zarr", replace(SMALL, shard=12, spec=short()), simulate=changed(stop))
     recordings, simulation = read_recordings(tmp_path / "t.zarr"), read_simulation(tmp_path / "t.zarr")
-    cut = (recordings.length >= 20) & ~simulation["seated"].all(1)
+    cut = (recordings.length > 20) & ~simulation["seated"].all(1)
     assert np.array_equal(recordings.outcome == "unfinished", cut)
     assert 0 < cut[:9].sum() < 9
     assert np.array_equal(simulation["failed_in"] != "", recordings.outcome == "failure")
