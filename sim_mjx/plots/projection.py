@@ -131,6 +131,13 @@ class Drawing:
         """Where a body is in the picture, m, as last shown."""
         return self._data.body(body).xpos[[self._view.right, self._view.up]]
 
+    def arm(self) -> Float64[np.ndarray, "body 2"]:
+        """Where the bodies from the hand to the robot's base are in the picture, m, as last shown."""
+        bodies = [self._model.body("HAND").id]
+        while parent := int(self._model.body_parentid[bodies[-1]]):
+            bodies.append(parent)
+        return self._data.xpos[bodies][:, [self._view.right, self._view.up]]
+
     def tips(self) -> Float64[np.ndarray, "tab 2"]:
         """Where the tips of the tabs, or the marks, are in the picture, m, as last shown."""
         return self._data.geom_xpos[self._tabs][:, [self._view.right, self._view.up]]
@@ -140,13 +147,14 @@ class Drawing:
         return self._camera and str(self._model.geom(geom).name).startswith(kinds)
 
     def _color(self, geom: int, tip: int | None, past: NDArray[np.bool_]) -> Any:
-        if tip is not None:
+        rgba = tuple(float(c) for c in self._model.geom_rgba[geom])
+        if tip is not None and rgba[3] > 0:  # a mark may be invisible
             return SEATED if past[tip] else FREE
         if self._is(geom, "LIP"):
             return LIP
         if self._is(geom, "SEAT"):
             return SEAT
-        return tuple(float(c) for c in self._model.geom_rgba[geom])
+        return rgba
 
 
 def _out_of_reach(model: mujoco.MjModel, geom: int) -> bool:

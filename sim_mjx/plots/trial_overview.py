@@ -8,6 +8,7 @@ from textwrap import fill
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
@@ -131,7 +132,7 @@ def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Draw
         drawing.show(replay.qpos[index], replay.past[index])
     x, y = far.place("MOUNT")
     _look_at(pair[0], *((0.16, y + 0.22, 0.27) if one else (0.2, 0.0, 0.33)))
-    _look_closely(pair[1], close, *((x - 0.02, y + 0.018, 0.034) if one else (x - 0.02, y - 0.015, 0.035)))
+    _look_for(pair[1], close.tips(), *((x - 0.02, y + 0.018, 0.034) if one else (x - 0.02, y - 0.015, 0.035)))
     for ax in pair:
         ax.set(xticks=[], yticks=[])
         for spine in ax.spines.values():
@@ -148,16 +149,16 @@ def _parts_and_arm(pair: tuple[Axes, Axes], replay: Replay, index: int) -> tuple
     for drawing in (whole, cut):
         drawing.show(replay.qpos[index], replay.past[index])
     x, y = cut.place("MOUNT")
-    _look_at(pair[0], x / 2, y + 0.25, 0.42)
-    _look_closely(pair[1], cut, x, y + 0.021, 0.042)
+    _look_for(pair[0], whole.arm(), x / 2, y + 0.25, 0.42)
+    _look_for(pair[1], cut.tips(), x, y + 0.021, 0.042)
     for ax in pair:
         ax.set(xticks=[], yticks=[])
     return whole, cut
 
 
-def _look_closely(ax: Axes, drawing: Drawing, x: float, y: float, half: float) -> None:
-    """As :func:`_look_at`, from farther away where the tips of the part would be outside."""
-    away = np.abs(drawing.tips() - (x, y)).max(initial=0.0)
+def _look_for(ax: Axes, places: Float64[np.ndarray, "place 2"], x: float, y: float, half: float) -> None:
+    """As :func:`_look_at`, from farther away where one of the places would be outside."""
+    away = np.abs(places - (x, y)).max(initial=0.0)
     _look_at(ax, x, y, half if away < half else away + half / 2)
 
 

@@ -22,7 +22,7 @@ PARTS = """<mujoco><worldbody><body name="MOUNT">
 <geom name="TIP_0" size=".001" rgba="0 0 1 1"/><geom name="TIP_1" size=".001" pos="0 0 .01" rgba="0 0 1 1"/>
 <geom name="BLOCK_0" type="box" size=".01 .01 .01" rgba="0 1 1 1"/><geom name="LIP_0" size=".002" rgba="1 0 1 1"/>
 <geom name="SEAT_0" size=".002" rgba="1 1 0 1"/><geom name="HOOK" size=".003" pos="0 0 .03"/>
-</body></worldbody></mujoco>"""
+</body><body pos="0 0 2"><body name="HAND" pos="1 0 -1"/></body></worldbody></mujoco>"""
 
 
 def replayed(*marks: str, samples: int = 5) -> Replay:
@@ -42,6 +42,16 @@ def test_names_of_geoms_mean_nothing_but_those_of_the_marks(seconds: float, colo
         (drawn,) = ax.collections
         own = [(0, 0, 1, 1), (0, 0, 1, 1), (0, 1, 1, 1), (1, 0, 1, 1), (1, 1, 0, 1)]
         assert sorted(map(tuple, drawn.get_facecolor().tolist())) == sorted([*map(to_rgba, own), to_rgba(color)])
+
+
+def test_a_large_arm_is_whole() -> None:
+    axes = new_figure((8.0, 4.0), 50).subplots(1, 2)
+    still(tuple(axes), replayed("HOOK"), 0.0)
+    far, close = axes
+    for x, z in ((0.0, 2.0), (1.0, 1.0), (0.0, 0.0)):  # base, hand and mount
+        assert far.get_xlim()[0] < x < far.get_xlim()[1]
+        assert far.get_ylim()[0] < z < far.get_ylim()[1]
+    assert np.ptp(close.get_ylim()) < 0.2  # m; the parts alone
 
 
 def test_every_mark_has_a_line() -> None:
