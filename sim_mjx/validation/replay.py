@@ -159,9 +159,11 @@ def _difference(wrench: NDArray[np.float32], recordings: Recordings, row: int) -
     if samples != stored:
         seconds = (samples * recordings.dt, stored * recordings.dt)
         return "simulated again; differs from the stored trial: {:.2f} s, stored {:.2f} s".format(*seconds)
-    gap = np.abs(wrench - recordings.wrench[row, :samples])[:, :3].max()
-    agreement = "equal to the stored trial" if gap == 0 else f"forces within {gap:.2g} N of the stored trial"
-    return f"simulated again; {agreement}"
+    gap = np.abs(wrench - recordings.wrench[row, :samples])
+    if not gap.any():
+        return "simulated again; equal to the stored trial"
+    force, moment = gap[:, :3].max(), gap[:, 3:].max()
+    return f"simulated again; forces within {force:.2g} N of the stored trial, moments within {moment:.2g} Nm"
 
 
 def recorded(folder: Path, recordings: Recordings, row: int) -> Replay:

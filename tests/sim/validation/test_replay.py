@@ -82,7 +82,14 @@ def test_an_event_with_the_name_of_a_state_is_its_start() -> None:
 def test_a_changed_trial_is_said_to_differ(simulated: Path, tmp_path: Path) -> None:
     recordings = read_recordings(simulated)
     recordings.wrench[1, 100, 2] += 3.0
-    assert "forces within 3 N" in replay.simulated(simulated, recordings, 1).how
+    assert (
+        "forces within 3 N of the stored trial, moments within 0 Nm" in replay.simulated(simulated, recordings, 1).how
+    )
+    recordings = read_recordings(simulated)
+    recordings.wrench[1, 100, 4] += 0.5
+    assert (
+        "forces within 0 N of the stored trial, moments within 0.5 Nm" in replay.simulated(simulated, recordings, 1).how
+    )
     recordings.length[1] -= 10
     assert "differs from the stored trial" in replay.simulated(simulated, recordings, 1).how
 
