@@ -188,6 +188,8 @@ def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
         if len(row) != len(columns):
             blocks = len(columns) == 1 and len(row) == 6  # rows of a wrench below a word
             hint = "Read the blocks of a UCI file with: rcbht import uci." if blocks else "Is the line cut off?"
+            if len(row) == len(columns) + 1 > 1 and not columns[0].count and number == lines[0][0]:
+                hint = "Are these the names of rows, which R writes without a name above? Write row.names = FALSE."
             if [column.name for column in columns] == ["header:"]:
                 hint = "Messages that ros2 topic echo prints are no table; print them with --csv, or record a bag."
             raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(columns)}. {hint}")

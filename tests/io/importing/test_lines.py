@@ -261,3 +261,11 @@ def test_a_time_that_counts_half_milliseconds_is_doubted(tmp_path: Path) -> None
     rows = [",".join([f"{0.5 * k}", *line.split(",")[1:]]) for k, line in enumerate(ROWS.splitlines())]
     [(_, doubt)] = read(tmp_path, HEAD + "\n".join(rows)).report.warnings
     assert doubt == "has 2 samples per second. Is the unit of time right?"
+
+
+@pytest.mark.parametrize("mark", [" ", ","])
+def test_names_of_rows_as_r_writes_them_are_refused_with_the_remedy(mark: str, tmp_path: Path) -> None:
+    """The advice was that the first row may be cut off, where it has a cell more than the names."""
+    rows = "".join(f'"{number}",{line}\n' for number, line in enumerate(ROWS.splitlines(), 1))
+    with pytest.raises(InputError, match=r"line 2: 8 cells; expected 7. Are these .* row.names = FALSE"):
+        read(tmp_path, (HEAD + rows).replace(",", mark))
