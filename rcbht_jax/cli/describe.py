@@ -17,8 +17,10 @@ class Describe(Command):
     duration is the time from a tenth to nine tenths of it, and its sentence begins at the tenth.
 
     Without --snap, a snap is a force that falls within 40 ms by at least the smallest reported change of the force that
-    changes most; at 12.5 samples per second or less, none can be seen. Use "rcbht import --tare": a constant offset
-    counts as a load, and a brief contact can look like its release. A fall by more than the load is marked as such.
+    changes most; at 12.5 samples per second or less, none can be seen. Its size is how far the force had fallen along
+    the words that published it, which may be half of the fall; the sentence of the fall has all of it. Use "rcbht
+    import --tare": a constant offset counts as a load, and a brief contact can look like its release. A size larger
+    than the load is marked as such.
 
     Example: rcbht describe hiro.zarr 20121127-HIROSA-S-05
     """

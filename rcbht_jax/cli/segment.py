@@ -101,7 +101,8 @@ class Segment(Command):
         if self.write_model is not None:
             save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes))
         model = {} if self.write_model is None else {"model": str(self.write_model)}
-        how = {"causal": not self.offline, "rule": self.rule, "remarks": remarks}
+        missing = sum(not len(labels) for labels in result.predicted)
+        how = {"causal": not self.offline, "rule": self.rule, "unlabelled": missing, "remarks": remarks}
         return {"out": str(self.out), **model, **how, **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -117,7 +118,9 @@ class Segment(Command):
             lines.append(f"  {shown:32}{_with_interval(value, *result['interval'][name])}{unit}")
         lines.append(f"  {'most frequent class':32}{result['majority']:.3f}")
         model = [f"{result['model']}: trained on all annotated recordings"] if "model" in result else []
-        return "\n".join([*lines, f"{result['protocol']}, {how}", *model, *result["remarks"]])
+        missing = result["unlabelled"]
+        none = f"Not in the table: {plural(missing, 'recording')}, as none of another {self.group} has two classes."
+        return "\n".join([*lines, f"{result['protocol']}, {how}", *model, *[none] * bool(missing), *result["remarks"]])
 
 
 def _with_interval(value: float | None, low: float | None, high: float | None) -> str:

@@ -5,21 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-import numpy as np
 import tyro
 
-from rcbht_jax._util.arms import rows_of_arm
-from rcbht_jax._util.left_out import reasons_of
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_number
 from rcbht_jax.cli.command import Command, Flag, Folder, OutStore, Store, Stores, option, progress_bar
-from rcbht_jax.errors import InputError
-
-if TYPE_CHECKING:
-    from rcbht_jax.learning.wrench_facts import WrenchFacts
-    from rcbht_jax.types import Recordings
 
 FIRST = 5  # trials whose names are shown
 
@@ -122,7 +114,9 @@ class Info(Command):
         from rcbht_jax.io.store import SMALL_BYTES, progress_of, read_attrs, read_summary, verify
         from rcbht_jax.io.store_reader import first_trials
         from rcbht_jax.io.summary import summary_of
+        from rcbht_jax.learning.confounds import examined
         from rcbht_jax.learning.task_choice import task_names
+        from rcbht_jax.learning.tasks import TaskSpec
 
         there, expected, axes, size = progress_of(self.store)
         attrs, tasks, verified = read_attrs(self.store), dict[str, Any](), self.check
@@ -132,7 +126,8 @@ class Info(Command):
             recordings, facts = table_and_facts(self.store)
             summary, verified = summary_of(recordings), True
             trials = list(dict.fromkeys(recordings.trial.tolist()))
-            tasks = {name: _task(recordings, name, facts) for name in task_names(recordings)}
+            found = {name: examined(recordings, TaskSpec(name), facts) for name in task_names(recordings)}
+            tasks = {name: {"classes": classes, "sentences": texts} for name, (classes, texts) in found.items()}
         else:
             summary, trials = read_summary(self.store), first_trials(self.store, FIRST)
         dt = checked_number(f"{self.store}: dt", attrs["dt"])
@@ -199,28 +194,6 @@ def _group(group: list[Any], dt: float) -> dict[str, Any]:
         "recordings": sum(lengths.values()),
         "seconds": [round(samples * dt, 6) for samples in quantiles(lengths)],
     }
-
-
-def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, Any]:
-    """Intervals of each class, and sentences about confounds and what is left out."""
-    from rcbht_jax.learning.class_groups import groups_of_classes
-    from rcbht_jax.learning.confounds import confounds
-    from rcbht_jax.learning.rare_classes import learnable
-    from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
-
-    try:
-        items, _ = learnable(labelled_intervals(recordings, TaskSpec(name)))
-    except InputError as error:
-        return {"classes": {}, "sentences": [str(error)]}
-    trials = groups_of_classes(items.y, items.trial, range(len(items.classes)))
-    if trials.min() < 2:
-        several = (trials > 1).sum()
-        text = f"{several} of its {len(trials)} classes are in two trials or more; two such classes are needed."
-        return {"classes": {}, "sentences": [text]}
-    counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
-    left = [f"{what} left out: {reason}." for what, reason in reasons_of(items.dropped)]
-    sentences = [*confounds(items, facts), *left, *rows_of_arm(recordings.arm, "")[1]]
-    return {"classes": dict(zip(items.classes, counts, strict=True)), "sentences": sentences}
 
 
 def _counts(labels: dict[str, list[int]]) -> str:

@@ -57,7 +57,8 @@ class Segmentation:
         recordings: the labelled recordings.
         protocol: the protocol, with the name of the track that was used.
         classes: by code.
-        predicted: class of each sample ``[sample]`` of each recording; with one shot, those of the last turn.
+        predicted: class of each sample ``[sample]`` of each recording; with one shot, those of the last turn, and none
+            of a recording of the only group that can be trained on.
         truth: the same from the annotations, UNKNOWN = not annotated.
         score: of the annotated recordings.
         interval: 95 % interval of every score, from groups drawn with replacement.

@@ -5,9 +5,47 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from rcbht_jax._util.arms import BOTH, rows_of_arm
+from rcbht_jax._util.left_out import reasons_of
+from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.tasks import LabelledIntervals
+from rcbht_jax.learning.class_groups import groups_of_classes
+from rcbht_jax.learning.rare_classes import learnable
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.learning.wrench_facts import WrenchFacts
+from rcbht_jax.types import Recordings
+
+
+def examined(
+    recordings: Recordings, spec: TaskSpec, facts: WrenchFacts | None = None
+) -> tuple[dict[str, int], list[str]]:
+    """What a data set has for a task: intervals of each class; sentences about confounds and what is not counted.
+
+    Args:
+        recordings: the data set; its samples are not needed.
+        spec: the task.
+        facts: of all wrenches, see :func:`confounds`.
+
+    Returns:
+        of a task that is not possible, no classes, and why.
+
+    Example:
+        >>> examined(Recordings.example(), TaskSpec("outcome"))
+        ({'failure': 4, 'success': 4}, [])
+    """
+    try:
+        items, _ = learnable(labelled_intervals(recordings, spec))
+    except InputError as error:
+        return {}, [str(error)]
+    trials = groups_of_classes(items.y, items.trial, range(len(items.classes)))
+    if trials.min() < 2:
+        several = (trials > 1).sum()
+        return {}, [f"{several} of its {len(trials)} classes are in two trials or more; two such classes are needed."]
+    counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
+    left = [f"{what} left out: {reason}." for what, reason in reasons_of(items.dropped)]
+    remarks = [] if spec.arms == BOTH else rows_of_arm(recordings.arm, spec.arms)[1]
+    sentences = [*confounds(items, facts), *left, *remarks]
+    return dict(zip(items.classes, counts, strict=True)), sentences
 
 
 def confounds(items: LabelledIntervals, facts: WrenchFacts | None = None) -> tuple[str, ...]:

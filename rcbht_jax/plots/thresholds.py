@@ -66,7 +66,7 @@ def threshold_figure(
                 panel.set_title(plain(name), fontsize=10)
             if column == 0:
                 panel.set_ylabel(f"{plain(axis)}\nwindows", fontsize=9)
-        panels[row, -1].annotate(f"{unit}/s", (1.01, 0), xycoords="axes fraction", fontsize=8)
+        panels[row, -1].annotate(f"{plain(unit or '1')}/s", (1.01, 0), xycoords="axes fraction", fontsize=8)
     figure.legend(loc="upper left", ncols=4, fontsize=8, frameon=False)
     figure.supxlabel(
         "absolute slope of a window (solid lines: thresholds, dotted lines: thresholds to compare with)", fontsize=9

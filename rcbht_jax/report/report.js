@@ -69,8 +69,8 @@ async function show(number) {
   if (view.number !== number) return; // another one was asked for meanwhile
   Object.assign(view, { trial, from: 0, to: trial.seconds, word: -1, drag: null });
   byId("trial").value = number;
-  const a = trial.about, arm = { R: "right arm", L: "left arm" }[a.arm] ?? a.arm;
-  byId("about").textContent = `${a.trial}: ${a.source}, session ${a.session}, ${a.facts}, ${arm}, ${trial.seconds.toFixed(2)} s`;
+  const a = trial.about, arm = a.arm_title && `${a.arm_title}, `; // an arm alone has no name
+  byId("about").textContent = `${a.trial}: ${a.source}, session ${a.session}, ${a.facts}, ${arm}${trial.seconds.toFixed(2)} s`;
   byId("word").textContent = "Point at a word, or move from word to word with the arrow keys.";
   byId("previous").disabled = number === 0;
   byId("description").replaceChildren(...a.description.map(([time, text]) => {
@@ -96,7 +96,7 @@ function say(l, a, index) {
   const known = word.emit < 0 ? "" : `, known at ${t(word.emit)} s`;
   byId("word").textContent = `${axes[a]} ${layer}: ${names[layer][word.code]} (${meanings[layer][word.code]}), ` +
     `${t(word.t0)} to ${t(word.t1)} s${known}; mean ${word.avg.toPrecision(3)}${unit}, slope ${word.grad.toPrecision(3)}${unit || " 1"}/s, ` +
-    `${word.vmin.toPrecision(3)} to ${word.vmax.toPrecision(3)}${unit}.` + believed(word.t1 * dt);
+    `lines from ${word.vmin.toPrecision(3)} to ${word.vmax.toPrecision(3)}${unit}.` + believed(word.t1 * dt);
   byId("word").style.borderLeftColor = colors[layer][word.code];
   byId("layer").value = l;
   requestAnimationFrame(draw);
@@ -117,7 +117,7 @@ function listWords() {
   if (!list.closest("details").open) return;
   const found = inView(l, a);
   byId("caption").textContent = `${axes[a]} ${layer}: ${found.length} word${found.length === 1 ? "" : "s"} between ${view.from.toFixed(2)} and ${view.to.toFixed(2)} s` +
-    (found.length > 300 ? "; the first 300 are listed" : "") + (units[a] ? `; means in ${units[a]}, slopes in ${units[a]}/s` : "");
+    (found.length > 300 ? "; the first 300 are listed" : "") + (units[a] ? `; means in ${units[a]}, slopes in ${units[a]}/s` : "") + "; smallest and largest of the fitted lines";
   list.replaceChildren(...found.slice(0, 300).map(word => {
     const line = document.createElement("tr"), t = n => (n * dt).toFixed(3), n = v => v.toPrecision(3);
     const texts = [`${names[layer][word.code]} (${meanings[layer][word.code]})`, t(word.t0), t(word.t1), word.emit < 0 ? "" : t(word.emit),
@@ -245,7 +245,7 @@ let box = null;
 facts.trials.forEach((trial, number) => {
   const title = `${trial.source}, ${trial.outcome}`;
   if (!box || box.label !== title) { box = document.createElement("optgroup"); box.label = title; byId("trial").append(box); }
-  box.append(new Option(`${trial.trial} (${trial.arm})`, number));
+  box.append(new Option(trial.arm ? `${trial.trial} (${trial.arm})` : trial.trial, number));
 });
 byId("axis").append(new Option("all", -1), ...axes.map((name, a) => new Option(name, a)));
 byId("layer").append(...layers.map((name, l) => new Option(name, l)));

@@ -74,6 +74,23 @@ def test_one_arm_is_labelled(store, tmp_path, capsys, monkeypatch):
         assert rows == {(str(first + number), named[0].upper()) for number in range(5)}
 
 
+def test_a_recording_that_nothing_labels_is_reported(store, tmp_path, capsys):
+    """The only one with two classes was missing from the table without a remark."""
+    data = read_recordings(store)
+    whole = data.annotations.of_recording(0)
+    rows = [(0, "contact", *row) for row in zip(whole.names().tolist(), whole.start.tolist(), [1.5, 3.0], strict=True)]
+    one = replace(data, annotations=Annotations.from_rows([*rows, (1, "contact", "free", 0.0, 1.0)]))
+    few, out = tmp_path / "few.zarr", tmp_path / "segments.csv"
+    write_recordings(few, one, {})
+    assert main(["segment", str(few), "--one-shot", "-o", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "\nNot in the table: 1 recording, as none of another trial has two classes." in printed
+    with out.open(newline="") as file:
+        assert {row["recording"] for row in csv.DictReader(file)} == {"1", "2", "3", "4"}
+    assert main(["segment", str(store), "--one-shot", "-o", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["unlabelled"] == 0
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 
 import rcbht_jax as rj
+from rcbht_jax.calibration.dataset import calibration_data
+from rcbht_jax.encoding.rules import config_of
+from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.events import Belief
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.plots import canvas, label_map, save, trial_figure
 from rcbht_jax.plots.beliefs import belief_map
+from rcbht_jax.plots.thresholds import threshold_figure
 from rcbht_jax.types import Recordings
 
 ODD = "a$\\frac$b\x1b[2J"
@@ -30,6 +35,20 @@ def test_they_are_text(tmp_path: Path) -> None:
         save(figure, tmp_path / "a.svg")
         ElementTree.parse(tmp_path / "a.svg")
     assert figures[-1].get_suptitle() == r"a\$\frac\$b\x1b[2J"
+
+
+@pytest.mark.filterwarnings("error")
+def test_units_of_slopes_are_text_and_none_is_left_out(tmp_path: Path) -> None:
+    """Dollar signs enclosed a formula, and a slope without a unit was in "/s"."""
+    wrench = np.random.default_rng(0).normal(size=(4, 400, 6)).cumsum(1)
+    recordings = Recordings.from_arrays(wrench, 100, units=["", "$\\frac$"] * 3, outcome=["x", "y"] * 2)
+    items = labelled_intervals(recordings, TaskSpec("outcome"))
+    data = calibration_data(recordings, items, config_of("paper", 5, recordings.dt))
+    limits = preset("hiro")
+    figure = threshold_figure(data, 5, limits, axes=recordings.axes, units=recordings.units)
+    save(figure, tmp_path / "a.svg")
+    texts = [text.get_text() for panel in figure.axes for text in panel.texts]
+    assert [text for text in texts if text.endswith("/s")] == ["1/s", r"\$\frac\$/s"] * 3
 
 
 @pytest.mark.filterwarnings("error")

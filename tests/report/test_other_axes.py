@@ -46,6 +46,28 @@ def test_report_of_any_number_of_axes(units: tuple[str, ...], tmp_path: Path) ->
         assert [entry["message"] for entry in driver.get_log("browser")] == []
 
 
+def test_arms_are_called_as_elsewhere_and_lines_are_not_called_samples(tmp_path: Path) -> None:
+    """An arm without a name left empty brackets, "left" was no arm; extremes of lines looked like those of samples."""
+    rng, store, page = np.random.default_rng(0), tmp_path / "s.zarr", tmp_path / "s.html"
+    force = rng.normal(size=(3, 401, 1))
+    write_recordings(store, Recordings.from_arrays(force, 200.0, axes=["Fz"], arm=["left", "ur5", ""]), {})
+    assert main(["report", str(store), "-o", str(page)]) == 0
+    with browser(1280, 900) as driver:
+        driver.get(page.as_uri())
+        driver.implicitly_wait(5)
+        assert driver.find_element("css selector", "#plot[aria-label^='trial-0']")
+        names = driver.execute_script("return Array.from(byId('trial').options, option => option.text)")
+        assert names == ["trial-0 (left)", "trial-1 (ur5)", "trial-2"]
+        about = "const done = arguments[1]; show(arguments[0]).then(() => done(byId('about').textContent.split(', ')))"
+        facts = [driver.execute_async_script(about, number)[2:] for number in range(3)]
+        assert facts == [["unknown", "left arm", "2.00 s"], ["unknown", "arm ur5", "2.00 s"], ["unknown", "2.00 s"]]
+        driver.execute_script("byId('list').closest('details').open = true; say(2, 0, 0); draw()")
+        assert driver.find_element("id", "caption").text.endswith("; smallest and largest of the fitted lines")
+        smallest, largest = driver.execute_script("const w = view.trial.words[2][0][0]; return [w.vmin, w.vmax]")
+        assert force[2].min() < smallest < largest < force[2].max()
+        assert "lines from" in driver.find_element("id", "word").text
+
+
 @pytest.mark.parametrize(("unit", "title"), [("A", "Signal introspection"), ("N", "Wrench introspection")])
 def test_what_is_no_force_is_not_called_a_wrench(unit: str, title: str, tmp_path: Path) -> None:
     values = np.random.default_rng(0).normal(size=(1, 400, 1)).cumsum(1)

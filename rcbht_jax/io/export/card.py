@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +11,14 @@ import numpy as np
 
 import rcbht_jax
 from rcbht_jax._util.columns import measured
-from rcbht_jax._util.left_out import reasons_of
 from rcbht_jax._util.printable import plural
-from rcbht_jax.errors import InputError
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
 from rcbht_jax.io.simulation import origin_of
 from rcbht_jax.labels import LAYERS, MEANING, name
 from rcbht_jax.learning import confounds as learning
-from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
+from rcbht_jax.learning.task_choice import task_names
+from rcbht_jax.learning.tasks import TaskSpec
 from rcbht_jax.types import Recordings
 
 _OMITTED = ("import_report", "diverged", "format", "format_version", "dt")  # too long, or stated elsewhere
@@ -30,9 +28,10 @@ OWN = "of the store, which has a column of this name; the computed one is left o
 
 def write_card(data: DataSet, folder: Path, layout: str, front: str = "") -> None:
     """Write ``dataset.json`` and ``README.md``; the arguments are those of :func:`card`."""
-    text = json.dumps(description(data), indent=1, ensure_ascii=False)
+    about = description(data)  # once: it reads all wrenches
+    text = json.dumps(about, indent=1, ensure_ascii=False)
     (folder / "dataset.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "README.md").write_text(card(data, layout, front), encoding="utf-8")
+    (folder / "README.md").write_text(card(data, layout, front, about), encoding="utf-8")
 
 
 def description(data: DataSet) -> dict[str, Any]:
@@ -60,19 +59,20 @@ def description(data: DataSet) -> dict[str, Any]:
     }
 
 
-def card(data: DataSet, layout: str, front: str = "") -> str:
+def card(data: DataSet, layout: str, front: str = "", about: dict[str, Any] | None = None) -> str:
     """The text of README.md.
 
     Args:
         data: what is exported.
         layout: Markdown about the files of this format.
         front: YAML between ``---`` lines, for hosts that read it.
+        about: of :func:`description`; default made here.
     """
+    about = description(data) if about is None else about
     recordings = data.recordings
     samples = int(recordings.length.sum())
     trials = set(zip(recordings.source.tolist(), recordings.trial.tolist(), strict=True))
     origin = origin_of(data.attrs)
-    about = description(data)
     parts = [
         f"{front}# {measured(recordings.axes, recordings.units).capitalize()} recordings",
         f"{plural(len(recordings), 'recording')} of {plural(len(trials), f'{origin} trial'.lstrip())}, "
@@ -101,17 +101,20 @@ def _axes(recordings: Recordings) -> str:
 
 def confounds(data: DataSet) -> Sequence[str]:
     """Confounds: what may be mistaken for a result on this data, one sentence each, derived from the data."""
-    recordings, sentences = data.recordings, list[str]()
-    tasks = [TaskSpec("outcome")]
-    tasks += [TaskSpec(track, "recorded", outcomes=()) for track in recordings.annotations.tracks[:1]]
-    for task in tasks:
-        with suppress(InputError):  # the data has no two classes of this task
-            items = labelled_intervals(recordings, task)
-            sentences += [f"Task {task.task}: {sentence}" for sentence in learning.confounds(items)]
-            sentences += [f"Task {task.task}: {what} left out: {why}." for what, why in reasons_of(items.dropped)]
-    if copies := learning.copies(data.digests):
+    recordings, facts, sentences = data.recordings, data.facts(), list[str]()
+    for task in task_names(recordings):
+        spec, of_all = TaskSpec(task), ""
+        if task in recordings.annotations.tracks:  # as the files hold it
+            spec, of_all = TaskSpec(task, "recorded", outcomes=()), " of all outcomes"
+        classes, found = learning.examined(recordings, spec, facts)
+        sentences += [f"Task {task}{of_all}: {sentence}" for sentence in found if classes]
+    copies = learning.copies(data.digests)  # also of recordings that are in no task
+    if copies and not any(sentence.endswith(copies) for sentence in sentences):
         sentences.append(copies)
-    return sentences or ["None was detected; that does not mean that there is none."]
+    sentences = sentences or ["None was detected; that does not mean that there is none."]
+    if facts is None:
+        sentences.append("The first seconds of the recordings were not compared, since the store is large.")
+    return sentences
 
 
 def _labels(data: DataSet) -> str:

@@ -23,7 +23,9 @@ from rcbht_jax.io.label_parts import taken
 from rcbht_jax.io.label_store import choose_name, list_tracks, read_tracks_attrs
 from rcbht_jax.io.simulation import simulation_batches
 from rcbht_jax.io.store import (
+    SMALL_BYTES,
     longest_of,
+    progress_of,
     read_attrs,
     read_batches,
     read_digests,
@@ -34,6 +36,7 @@ from rcbht_jax.io.store import (
 from rcbht_jax.io.store_reader import replaced
 from rcbht_jax.io.store_schema import HASH
 from rcbht_jax.labels import LAYERS
+from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 
@@ -59,6 +62,7 @@ class DataSet:
     tracks_attrs: dict[str, Any] = field(default_factory=dict)  # how the labels were made
     attrs: dict[str, Any] = field(default_factory=dict)  # of the store: provenance
     simulation: Callable[[], Iterator[dict[str, NDArray[Any]]]] = lambda: iter(())  # [recording, ...], in their order
+    facts: Callable[[], WrenchFacts | None] = lambda: None  # of all wrenches, which this reads; None = too many
 
     @staticmethod
     def of(recordings: Recordings, tracks: LabelTracks | None = None, **more: Any) -> DataSet:
@@ -73,6 +77,7 @@ class DataSet:
 
         digests = wrench_digests(recordings.wrench, recordings.length)
         samples = recordings.wrench.shape[1]
+        more = {"facts": lambda: WrenchFacts.of(recordings), **more}
         return DataSet(recordings, lambda: iter([Block(recordings, tracks)]), rows, digests, samples, **more)
 
     def data_hash(self) -> str:
@@ -120,10 +125,12 @@ def load(
             return Block(some, labels.encode(some))
         return Block(some, label_store.read_rows(store, labels.name, numbers) if labels.name else None)
 
+    table, longest = read_table(store), longest_of(store)
     return DataSet(
-        read_table(store), lambda: _blocks(store, labels, attrs), rows, read_digests(store), longest_of(store),
+        table, lambda: _blocks(store, labels, attrs), rows, read_digests(store), longest,
         labels.name, labels.attrs, attrs,
         lambda: simulation_batches(store),
+        lambda: WrenchFacts.of(table, _batches(store, attrs), longest) if _is_small(store) else None,
     )  # fmt: skip
 
 
@@ -150,13 +157,24 @@ def _made_now(store: Path, window: int, rule: str, tolerance: Sequence[float], t
     return _Labels(f"online-W{window}" + ("-fit" if rule == "fit" else ""), attrs, encode)
 
 
-def _blocks(store: Path, labels: _Labels, attrs: dict[str, Any]) -> Iterator[Block]:
-    first, waiting = 0, deque[Recordings]()
+def _is_small(store: Path) -> bool:
+    """Whether the store is read whole to describe it, as by "rcbht info"."""
+    return progress_of(store)[3] <= SMALL_BYTES
+
+
+def _batches(store: Path, attrs: dict[str, Any]) -> Iterator[Recordings]:
+    """All recordings of the store that had these attributes."""
     if read_attrs(store).get(HASH) != attrs.get(HASH):
         raise replaced(store)
+    return read_batches(store)
+
+
+def _blocks(store: Path, labels: _Labels, attrs: dict[str, Any]) -> Iterator[Block]:
+    first, waiting = 0, deque[Recordings]()
+    batches = _batches(store, attrs)
 
     def sizes() -> Iterator[int]:
-        for batch in read_batches(store):
+        for batch in batches:
             waiting.append(batch)
             yield len(batch)
 
