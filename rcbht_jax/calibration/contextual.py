@@ -36,11 +36,11 @@ class Context:
     impulse: Float[np.ndarray, " axis"]  # N/s or Nm/s, NaN where no trial has an insertion
     constant: Float[np.ndarray, " axis"]  # N/s or Nm/s, NaN where no trial has a rotation
     thresholds: GradientThresholds  # [6, 4]
-    trials: Int[np.ndarray, " 2"]  # numbers of trials behind the impulse and the constant limits
+    trials: Int[np.ndarray, "2 axis"]  # numbers of trials behind the impulse and the constant limit of each axis
 
     @property
     def ungraded(self) -> tuple[str, ...]:
-        """The axes whose limits are all one, because there the rotation is as steep as the insertion."""
+        """The axes whose limits are all one: insertion is hardly steeper than rotation, or than rest (``least``)."""
         rows = np.asarray(self.thresholds.limits, np.float64)
         return tuple(axis for axis, row in zip(AXES, rows, strict=True) if row[0] <= row[3] * (1 + 1e-5))
 
@@ -115,9 +115,9 @@ def combine(
         for copied, column in ((medians[0][rows[0]], 0), (medians[1][rows[1]], 3))
     )
     bottom = np.maximum(np.maximum(bottom, base[:, 3] * 1e-3), least)
-    # Where the rotation is steeper than the insertion the limits would be out of order.
+    # Where rotation or rest is steeper than the insertion the limits would be out of order.
     top = np.maximum(top, bottom * (1 + 1e-6))
-    trials = np.array([int((~np.isnan(values)).any(1).sum()) for values in (impulse, constant)])
+    trials = np.stack([(~np.isnan(x)).sum(0)[row] for x, row in zip((impulse, constant), rows, strict=True)])
     return Context(medians[0], medians[1], GradientThresholds(spectrum(top, bottom)), trials)
 
 
@@ -176,7 +176,7 @@ def calibrate(
     end = length * recordings.dt
     impulse, constant = trial_limits(tracks.primitive, _onsets(recordings)[rows], end, recordings.dt)
     context = combine(impulse, constant, base, copy, least)
-    if not context.trials.any():
+    if np.isnan([context.impulse, context.constant]).all():
         raise InputError(
             "No trial has a rotation or an insertion with a primitive in it; states may be missing, or the "
             "thresholds that label the primitives may be those of another robot."

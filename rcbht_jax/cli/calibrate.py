@@ -141,7 +141,7 @@ class Calibrate(RuleCommand):
 
     def interrupted(self) -> str:
         saved = f"the scores so far are in {self.checkpoint}, and the same command resumes"
-        return super().interrupted() if self.checkpoint is None else saved
+        return saved if self.checkpoint is not None and self.checkpoint.exists() else super().interrupted()
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache
@@ -278,7 +278,7 @@ class Calibrate(RuleCommand):
         if still := result.get("never_change"):
             lines.append(f"HIRO's limits stand for what never changes here: {', '.join(still)}.")
         if one := result.get("ungraded"):
-            lines.append(f"Rotation is as steep as insertion, so all limits are one: {', '.join(one)}.")
+            lines.append(f"Insertion is hardly steeper than rotation or rest, so all limits are one: {', '.join(one)}.")
         return "\n".join([*lines, "These trials chose the thresholds: evaluate on others."])
 
     @property
@@ -338,7 +338,8 @@ class Calibrate(RuleCommand):
         assert isinstance(config, EncoderConfig)  # run() refuses the fit rule
         every = np.arange(len(given.training))
         context = contextual.calibrate(given.training, every, config, given.base, copy, least)
-        facts = {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
+        trials = dict(zip(("impulse", "constant"), context.trials.tolist(), strict=True))
+        facts = {"trials_per_limit": trials, "own_axes": self.own_axes}
         return _Found(context.thresholds, {**facts, "ungraded": list(context.ungraded)})
 
     def _chosen_devices(self) -> list[jax.Device] | None:

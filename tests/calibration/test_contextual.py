@@ -67,7 +67,7 @@ def test_missing_states_are_silent_and_medians_ignore_them():
     values = np.tile([[1.0], [3.0], [50.0]], (1, 6))
     found = contextual.combine(np.concatenate([values * 10, silent]), np.concatenate([values, silent]), preset())
     np.testing.assert_allclose(found.thresholds.limits, np.tile([30, 21, 12, 3], (6, 1)))
-    assert found.trials.tolist() == [3, 3]
+    assert found.trials.tolist() == [[3] * 6, [3] * 6]
 
 
 def test_a_primitive_that_ends_with_the_rotation_is_inside_and_a_free_slot_is_nowhere() -> None:
@@ -96,6 +96,16 @@ def test_axes_copy_as_the_authors_do_and_the_preset_stands_in():
     assert (np.ptp(np.asarray(found.thresholds.limits)[[1, 2]], axis=1) < 1e-3).all()
     with pytest.raises(InputError, match="copying rule"):
         contextual.combine(impulse, constant, preset(), (("Fx", "Fx"),))
+
+
+def test_trials_are_counted_for_the_axis_that_a_limit_comes_from() -> None:
+    """The number was that of trials with a primitive on any axis."""
+    impulse = np.full((3, 6), np.nan)
+    impulse[0, 0], impulse[1:, 1], impulse[:, 2] = 9.0, 8.0, 7.0  # one, two and three trials
+    constant = np.where(np.arange(6) == 5, 0.5, np.full((3, 6), np.nan))
+    assert contextual.combine(impulse, constant, preset()).trials.tolist() == [[1, 3, 3, 0, 0, 0], [0] * 6]
+    own = contextual.combine(impulse, constant, preset(), contextual.OWN)
+    assert own.trials.tolist() == [[1, 2, 3, 0, 0, 0], [0, 0, 0, 0, 0, 3]]
 
 
 def recordings(trials: int = 8, seed: int = 0) -> Recordings:
@@ -129,14 +139,15 @@ def test_context_of_recordings_and_of_none():
     found = contextual.calibrate(some, np.arange(8), CONFIG)
     limits = np.asarray(found.thresholds.limits)
     assert (np.diff(limits, axis=1) < 0).all()
-    assert found.trials[0] == 8
+    assert (found.trials[0] == 8).all()
     with pytest.raises(InputError, match="no trial to calibrate"):
         contextual.calibrate(some, np.arange(0), CONFIG)
     nothing = marked(some, onset_harmonised=np.full((8, 4), np.nan))
     with pytest.raises(InputError, match="states may be missing"):
         contextual.calibrate(nothing, np.arange(8), CONFIG)
     onset = np.tile([0.0, np.nan, 1.0, 1.5], (8, 1))  # insertions alone are enough
-    assert contextual.calibrate(marked(some, onset_harmonised=onset), np.arange(8), CONFIG).trials.tolist() == [8, 0]
+    found = contextual.calibrate(marked(some, onset_harmonised=onset), np.arange(8), CONFIG)
+    assert found.trials.tolist() == [[8] * 6, [0] * 6]
 
 
 def test_a_user_s_track_without_corrections_serves_and_other_tracks_are_named() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import rcbht_jax as rj
 from rcbht_jax._util import compile_cache
-from rcbht_jax.calibration import sample, search
+from rcbht_jax.calibration import contextual, sample, search
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.limit_files import has_tolerances, read_limits, write_limits
@@ -61,6 +61,18 @@ def test_calibrated_thresholds_label_a_store(store, tmp_path, capsys, method, op
     _, attrs = read_tracks(store, f"online-W5-{method}")
     np.testing.assert_allclose(attrs["thresholds"], said["limits"])
     assert attrs["thresholds_from"]["method"] == method
+
+
+def test_axes_without_grades_are_named_also_where_rest_is_the_cause(store, tmp_path, monkeypatch, capsys):
+    """The sentence blamed the rotation alone."""
+    steep = contextual.calibrate
+    monkeypatch.setattr(contextual, "calibrate", lambda *what: steep(*what[:-1], 1e3))  # N/s at rest
+    words = ["--method", "context", "--robot", "hiro"]
+    assert main(["calibrate", str(store), "-o", str(tmp_path / "one.json"), *words]) == 0
+    named = "Insertion is hardly steeper than rotation or rest, so all limits are one: Fx, Fy, Fz, Mx, My, Mz."
+    assert named in capsys.readouterr().out.splitlines()
+    provenance = read_thresholds(tmp_path / "one.json")[1]
+    assert provenance["trials_per_limit"] == {"impulse": [4] * 6, "constant": [4] * 6}
 
 
 def test_a_search_is_not_scored_again(store, tmp_path, monkeypatch, capsys):

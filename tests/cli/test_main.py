@@ -219,6 +219,7 @@ def test_what_fails_while_a_recording_is_finished_is_not_hidden(
         ("fidelity", "what is finished is kept, and the same command resumes"),
         ("fidelity fit", "what is finished is kept, and the same command resumes"),
         ("calibrate", "the scores so far are in scores.json, and the same command resumes"),
+        ("calibrate", "no incomplete file was left, and what a stream had recorded is kept"),  # before the first scores
     ],
 )
 def test_an_interrupted_command_says_what_is_kept(
@@ -232,6 +233,8 @@ def test_an_interrupted_command_says_what_is_kept(
     }[command]  # fmt: skip
 
     def interrupted(self: Command) -> dict[str, object]:
+        if "scores.json" in kept:
+            (tmp_path / "scores.json").touch()
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
