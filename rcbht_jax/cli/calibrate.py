@@ -108,7 +108,7 @@ class Calibrate(RuleCommand):
     groups: Literal["axis", "kind", "all"] = "kind"
     """Thresholds for each axis, for each unit (forces, moments), or for all axes together (search)."""
     candidates: int = 1024
-    """Thresholds to score first, a power of two (search)."""
+    """Thresholds to score first; a power of two spreads them best (search)."""
     generations: int = 20
     """Generations of CMA-ES around the best candidates (search)."""
     rungs: tuple[float, ...] = (1.0,)

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int, UInt8
 
 from rcbht_jax._util.arms import BOTH, rows_of_arm
 from rcbht_jax._util.left_out import reasons_of
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.class_groups import groups_of_classes
@@ -147,10 +148,12 @@ def _median_of_others(values: Float[np.ndarray, " item"]) -> Float[np.ndarray, "
 
 def _single_samples(items: LabelledIntervals) -> list[str]:
     single = np.any([i.end - i.start == 1 for i in items.intervals], axis=0)
+    each = ((name, single[items.y == c]) for c, name in enumerate(items.classes))
+    counts = [(name, int(short.sum()), len(short)) for name, short in each]
     return [
-        f"{single[items.y == c].sum()} of {(items.y == c).sum()} intervals of {name} are one sample long."
-        for c, name in enumerate(items.classes)
-        if single[items.y == c].any()
+        f"{short} of {plural(count, 'interval')} of {name} {'is' if short == 1 else 'are'} one sample long."
+        for name, short, count in counts
+        if short
     ]
 
 

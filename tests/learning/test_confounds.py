@@ -56,7 +56,7 @@ def test_the_median_of_the_others_is_what_numpy_says(values):
         (labelled("CCAB", [20, 30, 30, 20], [0, 0, 1, 1]), "No session holds more than one class: A (success), B (suc"),
         (labelled("CAAA", [20, 30, 30, 20], [0, 0, 1, 1]), "a single class have 25% of the intervals: C (failure);"),
         (labelled("AAAA", [20, 21, 40, 41], [0, 0, 1, 1]), "balanced accuracy of 100% (chance 50%)"),
-        (labelled("AAAA", [1, 30, 30, 1], [0, 0, 1, 1]), "1 of 2 intervals of failure are one sample long."),
+        (labelled("AAAA", [1, 30, 30, 1], [0, 0, 1, 1]), "1 of 2 intervals of failure is one sample long."),
     ],
 )
 def test_each_confound_has_its_sentence(items, sentence):

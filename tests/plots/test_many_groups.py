@@ -16,7 +16,7 @@ def map_of(sessions: list[str], words: int = 4, states: int = 0) -> Figure:
     t0 = np.broadcast_to(np.arange(words, dtype=np.int32) * 10, code.shape)
     zero = np.zeros(code.shape)
     track = LabelTrack(code.astype(np.int8), t0, t0 + 10, t0 + 10, zero, zero, zero, zero)
-    marks = [(0, "step", f"step {number} " + "and so on " * 9, 0.01 * number, 0.5) for number in range(states)]
+    marks = [(0, "step", f"step {number} " + "and so on " * 9, 0.01 * number, 3.0) for number in range(states)]
     recordings = Recordings.from_arrays(
         np.zeros((len(sessions), 100, 1)), 100.0, axes=["Fz"], session=sessions, outcome=["success"] * len(sessions),
         annotations=marks,
