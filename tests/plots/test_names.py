@@ -28,7 +28,7 @@ def test_they_are_text(tmp_path: Path) -> None:
     wrench = np.random.default_rng(0).normal(size=(3, 400, 2)).cumsum(1)
     names = dict.fromkeys(("trial", "session", "source"), np.array([ODD, "$", "$x_$\x07"]))
     recordings = Recordings.from_arrays(wrench, rate=100, axes=[ODD, "Fz"], units=["N", "$$"], **names)
-    tracks = rj.encode(recordings.wrench, window=5)
+    tracks = rj.encode(recordings.wrench, 1 / recordings.dt, window=5)
     figures = [trial_figure(recordings, tracks, 0, window=5), label_map(recordings, tracks, "mc")]
     figures.append(belief_map([Belief(200, 1.0, ODD, ODD, 0.9, "certain", 0.1, (ODD, "b"), (0.9, 0.1))], ODD))
     for figure in figures:
