@@ -34,7 +34,7 @@ def are_intact(folder: Path, store: Path) -> bool:
         return _holds_files(store, texts) and all(
             there[name] == text or _is_grown(json.loads(text), there[name]) for name, text in texts.items()
         )
-    except (OSError, ValueError, AttributeError, KeyError, TypeError):  # whatever a damaged file can hold
+    except (OSError, ValueError, AttributeError, KeyError, TypeError, RecursionError):  # of whatever a file can hold
         return False
 
 

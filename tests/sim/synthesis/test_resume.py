@@ -331,6 +331,7 @@ def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         replaced(b'"attributes": {', b'"attributes": {"evil": 1, '), replaced(b'"zarr_format": 3', b'"zarr_format": 2'),
         lambda path, _: path.write_text("[1]"), lambda path, _: os.mkfifo(path), lambda path, _: None,
+        lambda path, _: path.write_text("[" * 100_000),
     ],
 )  # fmt: skip
 def test_damaged_descriptions_of_groups_are_noticed(
