@@ -234,10 +234,10 @@ def parse(name: str, words: list[str]) -> Command | None:
         described: Any = command_class(name)
     words = _current_spelling(words, described.FORMER)
     known = [*options_of(described), *COMMON]
-    several, given = of_several_values(described), set[str]()
+    given = set[str]()
     for word in words:
         option = word.partition("=")[0].replace("_", "-")
-        if option in several & given:  # of which only the last would count
+        if option in given and option in of_several_values(described):  # only the last would count
             raise InputError(f"{option} is given twice; write all its values after one {option}.")
         given.add(option)
         if option.startswith("--") and option not in ("--", *known):

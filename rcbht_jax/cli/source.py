@@ -157,8 +157,7 @@ class Source(RuleCommand):
 
         self.check()
         model = None if self.model is None else load(self.model)
-        readers = self._readers()
-        reads = readers[-1][1] if readers else None
+        readers, reads = self._readers()
         live, messages = self.source == "-", self._messages(model)
         compile_cache.use(self.compile_cache)
         if live:  # its beginning must not be read faster than it is played
@@ -179,7 +178,7 @@ class Source(RuleCommand):
         if snaps := detector_of(self.snap, 1 / introspector.config.dt):
             introspector = Together(introspector, readers=[snaps])
         if readers:
-            introspector = Together(introspector, readers=[reader for reader, _ in readers])
+            introspector = Together(introspector, readers=readers)
         return Session(introspector, self.max_gap, self.tare), messages if live else paced(messages, self.pace)
 
     @property
@@ -199,23 +198,25 @@ class Source(RuleCommand):
 
         return self.source == "-" and (self.model is None or self._beside(load(self.model)))
 
-    def _readers(self) -> list[tuple[Reader, Reads]]:
-        """The segmenter and the monitor of the options, each with what it reads."""
-        readers: list[tuple[Reader, Reads]] = []
+    def _readers(self) -> tuple[list[Reader], Reads | None]:
+        """The segmenter and the monitor of the options, and what the last of them reads."""
+        readers: list[Reader] = []
+        reads: Reads | None = None
         if self.segmenter is not None:
             from rcbht_jax.introspection import segmenter_file
             from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 
             segmenter = segmenter_file.load(self.segmenter)
             reads = Reads(segmenter.axes, segmenter.units, 1 / segmenter.encoder.dt)
-            readers.append((SegmenterStream(segmenter, self.certainty), reads))
+            readers.append(SegmenterStream(segmenter, self.certainty))
         if self.monitor is not None:
             from rcbht_jax.introspection import nominal_file
             from rcbht_jax.introspection.nominal_watch import NominalWatch
 
             file = nominal_file.load(self.monitor)
-            readers.append((NominalWatch(file, self.false_alarms), Reads(file.axes, file.units, file.monitor.rate)))
-        return readers
+            reads = Reads(file.axes, file.units, file.monitor.rate)
+            readers.append(NominalWatch(file, self.false_alarms))
+        return readers, reads
 
     def _beside(self, model: IntrospectionModel) -> bool:
         """Whether words are shown that the model does not read."""

@@ -250,17 +250,17 @@ def _check_apart(items: LabelledIntervals, recordings: Recordings, track: str) -
 
 def _check_same_beginnings(recordings: Recordings, specs: tuple[HeadSpec, ...]) -> None:
     """Refuse tracks that begin at different times in one recording: those of one track begin a stream's sub-tasks."""
-    lengths, begins = recordings.length.tolist(), dict[str, dict[int, set[int]]]()
-    for track in filter(None, (track_of(recordings, spec.task) for spec in specs)):
-        every = (recordings.annotations.begins(row, size, recordings.dt, track) for row, size in enumerate(lengths))
-        begins[track] = {row: set(found) - {0} for row, found in enumerate(every) if found}
-    first, *others = begins.items() or [("", {})]
-    for name, own in others:
-        if any(own[row] != found for row, found in first[1].items() if row in own):
-            raise InputError(
-                f"Intervals of {first[0]} and {name} begin at different times; a stream has one sub-task at a time. "
-                "Train a model for each of these tracks."
+    tracks = list(dict.fromkeys(filter(None, (track_of(recordings, spec.task) for spec in specs))))
+    for name in tracks[1:]:
+        for row, size in enumerate(recordings.length.tolist()):
+            first, other = (
+                set(recordings.annotations.begins(row, size, recordings.dt, track)) for track in (tracks[0], name)
             )
+            if first and other and first - {0} != other - {0}:
+                raise InputError(
+                    f"Intervals of {tracks[0]} and {name} begin at different times; a stream has one sub-task at a "
+                    "time. Train a model for each of these tracks."
+                )
 
 
 def _progress(

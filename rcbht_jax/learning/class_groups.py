@@ -14,7 +14,7 @@ from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Recordings
 
 _DIVISIONS = 200  # that are tried: where any trains all classes, one of the first dozen did
-_Splits = list[tuple[NDArray[np.int64], NDArray[np.int64]]]  # rows to train on, rows to test on
+Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
 
 
 def groups_of_classes(y: NDArray[Any], groups: NDArray[Any], classes: Iterable[Any]) -> NDArray[np.int64]:
@@ -63,13 +63,13 @@ def fewest_groups(y: NDArray[Any], groups: NDArray[Any]) -> int:
     return int(groups_of_classes(y, groups, np.unique(y)).min())
 
 
-def training_all(splits: _Splits, y: NDArray[Any], groups: NDArray[Any], seed: int) -> _Splits:
+def training_all(splits: list[Split], y: NDArray[Any], groups: NDArray[Any], seed: int) -> list[Split]:
     """Folds all of which train every class: these, or else as many of the groups in a seeded order, if there are such.
 
     Stratified folds have similar numbers of items, for which all groups of a class may come into one of them.
 
     Args:
-        splits: folds, rows to train on and rows to test on.
+        splits: folds.
         y: class ``[item]``.
         groups: of each ``[item]``.
         seed: of the order.

@@ -148,12 +148,12 @@ def _median_of_others(values: Float[np.ndarray, " item"]) -> Float[np.ndarray, "
 
 def _single_samples(items: LabelledIntervals) -> list[str]:
     single = np.any([i.end - i.start == 1 for i in items.intervals], axis=0)
-    each = ((name, single[items.y == c]) for c, name in enumerate(items.classes))
-    counts = [(name, int(short.sum()), len(short)) for name, short in each]
+    of_class = [single[items.y == c] for c in range(len(items.classes))]
     return [
-        f"{short} of {plural(count, 'interval')} of {name} {'is' if short == 1 else 'are'} one sample long."
-        for name, short, count in counts
-        if short
+        f"{short.sum()} of {plural(len(short), 'interval')} of {name} {'is' if short.sum() == 1 else 'are'} one sample "
+        "long."
+        for name, short in zip(items.classes, of_class, strict=True)
+        if short.any()
     ]
 
 

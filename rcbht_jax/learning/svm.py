@@ -24,6 +24,7 @@ from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
+from rcbht_jax.learning.class_groups import Split as Split
 from rcbht_jax.learning.class_groups import fewest_groups, groups_of_classes, training_all
 from rcbht_jax.learning.scaling import Scale, fit_scale
 
@@ -34,7 +35,6 @@ DEGREE = 3
 Matrix = NDArray[np.floating[Any]]
 Ints = NDArray[np.integer[Any]]
 Weight = NDArray[np.float64] | None  # positive: [feature] multiplies scaled features, [item] counts; None = ones
-Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
 
 _MIN_ITERATIONS, _PER_ITEM = 20_000, 100  # bounds of the solver while selecting: costs that reach them are hopeless
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rcbht_jax._util.atomic import atomic_new
-from rcbht_jax._util.untrusted import MAX_JSON_BYTES, load_json, read_bytes
+from rcbht_jax._util.untrusted import MAX_JSON_BYTES, load_json, parse_json, read_bytes
 from rcbht_jax.io.store_schema import GAPS, HASH
 
 FILE = "descriptions.json"  # in the work folder
@@ -32,9 +32,9 @@ def are_intact(folder: Path, store: Path) -> bool:
         texts = load_json(folder / FILE)
         there = {name: _text(store / name) for name in texts}
         return _holds_files(store, texts) and all(
-            there[name] == text or _is_grown(json.loads(text), there[name]) for name, text in texts.items()
+            there[name] == text or _is_grown(text, there[name]) for name, text in texts.items()
         )
-    except (OSError, ValueError, AttributeError, KeyError, TypeError, RecursionError):  # of whatever a file can hold
+    except (OSError, ValueError, AttributeError, KeyError, TypeError):  # whatever a damaged file can hold
         return False
 
 
@@ -55,14 +55,16 @@ def _text(file: Path) -> str:
     return content.decode() if file.name == "zarr.json" else f"bytes {content.hex()}"
 
 
-def _is_grown(noted: dict[str, Any], text: str) -> bool:
+def _is_grown(recorded: str, text: str) -> bool:
     """Whether a description is the recorded one of an array that has grown, or of a table that was completed."""
-    return _is_longer(noted, text) if noted["node_type"] == "array" else _is_completed(noted, json.loads(text))
+    noted, found = (parse_json(one, finite=False) for one in (recorded, text))
+    if noted["node_type"] == "array":
+        return _is_longer(noted, found["shape"], text)
+    return _is_completed(noted, found)
 
 
-def _is_longer(noted: dict[str, Any], text: str) -> bool:
+def _is_longer(noted: dict[str, Any], shape: Any, text: str) -> bool:
     """Whether an array is the recorded one, except for dimensions of length 0 that have grown."""
-    shape = json.loads(text)["shape"]
     if len(shape) != len(noted["shape"]) or any(
         not isinstance(new, int) or (old and new != old) for old, new in zip(noted["shape"], shape, strict=True)
     ):

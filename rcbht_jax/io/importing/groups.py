@@ -17,17 +17,18 @@ MAX_GROUPS = 100_000
 Stamps = Callable[[], NDArray[np.float64] | None]  # of all rows, s; None = there are none that can be read
 
 
-def rows_of_groups(table: Table, name: str, stamps: Stamps | None) -> dict[str, NDArray[np.int64]]:
-    """The rows of every value of a column but the empty one.
+def rows_of_groups(table: Table, name: str, stamps: Stamps | None) -> tuple[dict[str, NDArray[np.int64]], int]:
+    """The rows of every value of a column but the empty one, and how often a value comes again as a recording.
 
     Where a value comes again after others, as trials that every session counts anew, each stretch is a recording,
     ``VALUE-1``, ``VALUE-2``, ..., if its time does not go on from the stretch before.
 
     >>> trial = np.repeat([1.0, 2.0, 1.0, 2.0], 10)
     >>> table = Table("a.csv", {"t": np.tile(np.arange(10.0), 4), "trial": trial})
-    >>> {value: rows[0].item() for value, rows in rows_of_groups(table, "trial", lambda: table.columns["t"]).items()}
-    {'1-1': 0, '1-2': 20, '2-1': 10, '2-2': 30}
-    >>> list(rows_of_groups(table, "trial", lambda: np.arange(40.0)))
+    >>> groups, again = rows_of_groups(table, "trial", lambda: table.columns["t"])
+    >>> {value: rows[0].item() for value, rows in groups.items()}, again
+    ({'1-1': 0, '1-2': 20, '2-1': 10, '2-2': 30}, 2)
+    >>> list(rows_of_groups(table, "trial", lambda: np.arange(40.0))[0])
     ['1-1', '1-2', '2-1', '2-2']
 
     Args:
@@ -47,14 +48,14 @@ def rows_of_groups(table: Table, name: str, stamps: Stamps | None) -> dict[str, 
     groups = {text(value): rows for value, rows in zip(values, np.split(order, bounds), strict=True) if text(value)}
     begins = {value: found for value, rows in groups.items() if len(found := _begins(place[rows]))}
     if not begins or stamps is None:
-        return groups
+        return groups, 0
     times = stamps()
     parts: dict[str, NDArray[np.int64]] = {}
     for value, rows in groups.items():
         starts = begins.get(value, np.zeros(0, np.int64))
         starts = starts if times is None else starts[_anew(times[rows], starts)]
         parts |= dict(_stretches(value, np.split(rows, starts), groups.keys()))
-    return parts
+    return parts, len(parts) - len(groups)
 
 
 def _begins(place: Int[np.ndarray, " row"]) -> NDArray[np.int64]:

@@ -206,7 +206,8 @@ def _groups(table: Table, mapping: Mapping) -> list[NDArray[np.int64]]:
     """The rows of each recording."""
     if not mapping.group:
         return [np.arange(len(next(iter(table.columns.values()))))]
-    return list(groups_of(table, mapping).values())
+    groups, _ = groups_of(table, mapping)
+    return list(groups.values())
 
 
 def _is_label(name: str) -> bool:

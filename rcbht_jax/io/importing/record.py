@@ -105,8 +105,7 @@ def records(
     parts: dict[str, NDArray[Any]] = {"": np.arange(count)}
     stamps: NDArray[np.float64] | None = None
     if mapping.group:
-        parts = groups_of(table, mapping)
-        again = len(parts) - len({text(value) for value in np.unique(table.columns[mapping.group])} - {""})
+        parts, again = groups_of(table, mapping)
         table = replace(table, notes=(*table.notes, f"again:{again}")) if again else table
         sides = column_of_arms(table, mapping, parts)
         for name in filter(None, (mapping.group, sides)):
@@ -160,12 +159,12 @@ def _given(table: Table, mapping: Mapping, parts: dict[str, NDArray[Any]]) -> Gi
     return Given(table.intervals, (origin, float(np.ptp(known)) + period, period))
 
 
-def groups_of(table: Table, mapping: Mapping) -> dict[str, NDArray[Any]]:
-    """The rows of each recording of a table with a group, by its name.
+def groups_of(table: Table, mapping: Mapping) -> tuple[dict[str, NDArray[Any]], int]:
+    """The rows of each recording of a table with a group, by its name; how often a value of it comes again as one.
 
     >>> table = Table("a.csv", {"t": np.arange(4.0), "id": np.array([1.0, 1, 2, 2])})
     >>> groups_of(table, Mapping(time="t", group="id"))
-    {'1': array([0, 1]), '2': array([2, 3])}
+    ({'1': array([0, 1]), '2': array([2, 3])}, 0)
 
     Raises:
         InputError: the column has more values than files hold recordings.
