@@ -68,7 +68,8 @@ def compare(ours: Callable[[], Speeds], theirs: Callable[[], Speeds], rounds: tu
 
 def measure(tree: Path) -> Speeds:
     """One run of the benchmarks of a tree."""
-    command = [sys.executable, "-m", "rcbht_jax.cli", "bench", "--json"]
+    # earlier commits know no ``python -m rcbht_jax``
+    command = [sys.executable, "-m", "rcbht_jax.cli.main", "bench", "--json"]
     env = {**os.environ, "PYTHONPATH": str(tree)}
     run = subprocess.run(command, cwd=tree, env=env, check=True, stdout=subprocess.PIPE, text=True)
     return speeds_of(json.loads(run.stdout)["values"])

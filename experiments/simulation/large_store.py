@@ -93,7 +93,7 @@ def rcbht(*words: str | Path) -> tuple[float, float]:
     # users keep what Python has compiled: without that, a command compiles all that it imports each time
     env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     start = time.perf_counter()
-    command = [sys.executable, "-m", "rcbht_jax.cli", *map(str, words)]
+    command = [sys.executable, "-m", "rcbht_jax", *map(str, words)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=env)
     _, status, usage = os.wait4(process.pid, 0)
     if status:

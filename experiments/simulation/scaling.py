@@ -73,7 +73,7 @@ def watched(command: subprocess.Popen[bytes], folder: Path) -> dict[str, Any]:
 def simulated(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
     """Seconds of the command on some GPUs, and counts of its trials."""
     target = folder / f"{trials}-on-{len(gpus)}.zarr"
-    made = [sys.executable, "-m", "rcbht_jax.cli", *COMMAND, str(target), "--trials", str(trials)]
+    made = [sys.executable, "-m", "rcbht_jax", *COMMAND, str(target), "--trials", str(trials)]
     made += ["--compile-cache", str(folder / "cache"), "--devices", str(len(gpus)), "--json"]
     env = {**os.environ, launch.DEVICES: ",".join(gpus)}
     with subprocess.Popen(made, env=env, stdout=subprocess.DEVNULL) as command:

@@ -43,7 +43,7 @@ def command(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
     words += ["--devices", "all"] if len(gpus) > 1 else ["--lanes", str(TRIALS)]
     start = time.perf_counter()
     subprocess.run(
-        [sys.executable, "-m", "rcbht_jax.cli", *words], check=True, stdout=subprocess.DEVNULL,
+        [sys.executable, "-m", "rcbht_jax", *words], check=True, stdout=subprocess.DEVNULL,
         env={**os.environ, launch.DEVICES: ",".join(gpus)},
     )  # fmt: skip
     seconds = time.perf_counter() - start

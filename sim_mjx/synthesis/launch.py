@@ -235,7 +235,7 @@ def _first_line(error: BaseException) -> str:
 
 
 def _command(words: Sequence[str]) -> list[str]:
-    return [sys.executable, "-m", "rcbht_jax.cli", *words]
+    return [sys.executable, "-m", "rcbht_jax", *words]
 
 
 def _ending(status: int, report: Any) -> str:

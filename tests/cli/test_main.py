@@ -352,7 +352,7 @@ def test_files_that_cannot_be_made_are_refused_before_the_work(
 
 def test_a_home_that_cannot_be_written_to_is_no_remark(hiro_store: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    words = [sys.executable, "-m", "rcbht_jax.cli", "plot", "trial", str(hiro_store), "nothing", "-o", "x.png"]
+    words = [sys.executable, "-m", "rcbht_jax", "plot", "trial", str(hiro_store), "nothing", "-o", "x.png"]
     surroundings = {**os.environ, "MPLCONFIGDIR": str(tmp_path / "file" / "none")}
     run = subprocess.run(words, env=surroundings, cwd=tmp_path, capture_output=True, text=True)
     assert [line[:7] for line in run.stderr.splitlines()] == ["rcbht: "]

@@ -50,7 +50,7 @@ def test_no_help_imports_what_only_running_needs() -> None:
 
 
 def test_help_is_as_quick_as_importing_jax() -> None:
-    assert cpu_seconds("-m", "rcbht_jax.cli", "calibrate", "--help") < 1.3 * cpu_seconds("-c", "import jax")
+    assert cpu_seconds("-m", "rcbht_jax", "calibrate", "--help") < 1.3 * cpu_seconds("-c", "import jax")
 
 
 @pytest.mark.parametrize(

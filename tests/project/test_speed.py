@@ -21,7 +21,7 @@ def _tree(folder: Path, **values: float) -> Path:
     package = folder / "rcbht_jax/cli"
     package.mkdir(parents=True)
     result = {"values": {name: {"value": value, "unit": UNITS[name]} for name, value in values.items()}}
-    (package / "__main__.py").write_text(f"print({json.dumps(json.dumps(result))})")
+    (package / "main.py").write_text(f"print({json.dumps(json.dumps(result))})")
     return folder
 
 

@@ -98,7 +98,7 @@ def test_a_stream_keeps_its_chain(tmp_path: Path) -> None:
     """The command finds the chain that an earlier start compiled."""
     model_files.save(tmp_path / "m", model())
     (tmp_path / "in.jsonl").write_text(('{"wrench": [0, 0, 0, 0, 0, 0]}\n') * 20)
-    command = [sys.executable, "-m", "rcbht_jax.cli", "stream", "-", "-m", str(tmp_path / "m")]
+    command = [sys.executable, "-m", "rcbht_jax", "stream", "-", "-m", str(tmp_path / "m")]
     command += ["--compile-cache", str(tmp_path / "cache"), "--json"]
     # As users compile: without optimisation (conftest.py) the chain is made too fast to be worth keeping.
     env, times = as_users_compile(), []

@@ -268,7 +268,7 @@ def test_two_ray_nodes_make_the_same_bytes(
     target = tmp_path / "t.zarr"
     words = ["simulate", str(target), *SHORT, "--launch", "ray", "--json"]
     done = subprocess.run(
-        [sys.executable, "-m", "rcbht_jax.cli", *words], env=env, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "rcbht_jax", *words], env=env, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     made = json.loads(done.stdout.splitlines()[-1])

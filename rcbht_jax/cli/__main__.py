@@ -1,6 +1,0 @@
-"""``python -m rcbht_jax.cli``: the ``rcbht`` command without an installed script."""
-
-from rcbht_jax.cli.main import script
-
-if __name__ == "__main__":
-    script()
