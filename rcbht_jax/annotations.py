@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.columns import decoded, is_missing
 from rcbht_jax._util.values import ByValue
 from rcbht_jax.errors import InputError
 
@@ -25,16 +26,17 @@ def nearest_samples(times: Float[np.ndarray, "..."], most: int, dt: float) -> Fl
 
 
 def _checked_row(row: Any) -> tuple[int, str, str, float, float]:
-    """A row of annotations in its types; None as an end is unknown.
+    """A row of annotations in its types; an end that is missing is unknown.
 
     Raises:
         InputError: it is no such row, or it ends before it begins.
     """
     try:
         recording, track, label, start, end = row
-        if track is None or label is None or int(recording) != float(recording):
+        if is_missing(track) or is_missing(label) or int(recording) != float(recording):
             raise ValueError
-        checked = int(recording), str(track), str(label), float(start), np.nan if end is None else float(end)
+        names = str(decoded(track)), str(decoded(label))
+        checked = int(recording), *names, float(start), np.nan if is_missing(end) else float(end)
     except (TypeError, ValueError, OverflowError):
         raise InputError(
             f"An annotation is {str(row)[:80]}; expected recording, track, label, start in s and end in s."

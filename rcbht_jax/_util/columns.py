@@ -179,7 +179,7 @@ def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_]
 
     Args:
         name: of the column, for the error.
-        values: one for all recordings, or one for each; dates and other kinds stay as they are.
+        values: one for all recordings, or one for each; bytes become texts; dates and other kinds stay as they are.
         count: of recordings.
         standard: what a column of texts holds where nothing is given; numbers in it become texts. None = any column,
             where a missing text is "" and a missing number NaN.
@@ -201,10 +201,10 @@ def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_]
         array = np.broadcast_to(array, (count,)).copy()
     except ValueError:
         raise InputError(f"Column {name} has {array.size} values for {count} recordings.") from None
-    if array.dtype.kind not in "OTbiuf" or (array.dtype.kind in "biuf" and standard is None):
+    if array.dtype.kind not in "OSTbiuf" or (array.dtype.kind in "biuf" and standard is None):
         return array.astype(array.dtype.newbyteorder("="))
-    items = array.tolist()
-    there = [not (value is None or type(value).__name__ == "NAType" or _is_nan(value)) for value in items]
+    items = [decoded(value) for value in array.tolist()]
+    there = [not is_missing(value) for value in items]
     found = [value for value, given in zip(items, there, strict=True) if given]
     if standard is None and found and all(isinstance(value, Real) for value in found):
         return np.array([value if given else np.nan for value, given in zip(items, there, strict=True)], np.float64)
@@ -215,8 +215,24 @@ def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_]
     return np.array([str(value) if given else text for value, given, text in zip(items, there, other, strict=True)])
 
 
-def _is_nan(value: Any) -> bool:
-    return isinstance(value, float) and math.isnan(value)
+def is_missing(value: Any) -> bool:
+    """Whether a value is none: None, NaN, or NA of pandas.
+
+    >>> is_missing(None), is_missing(np.float32("nan")), is_missing("")
+    (True, True, False)
+    """
+    if isinstance(value, float | np.floating):
+        return math.isnan(value)
+    return value is None or type(value).__name__ == "NAType"
+
+
+def decoded(value: Any) -> Any:
+    """Bytes as text, as HDF5 holds texts; any other value as it is.
+
+    >>> decoded(b"Fx"), decoded(7)
+    ('Fx', 7)
+    """
+    return value.decode(errors="replace") if isinstance(value, bytes) else value
 
 
 def measured(axes: Sequence[str], units: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from rcbht_jax._util.columns import unit_of_time
+from rcbht_jax._util.columns import decoded, unit_of_time
 from rcbht_jax._util.values import number, usable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
@@ -299,7 +299,7 @@ def _plain_names(names: Iterable[Any]) -> tuple[str, ...]:
     if levels := next((name for name in given if isinstance(name, tuple)), None):
         text = ".".join(map(str, levels))
         raise InputError(f"An axis has a name of several levels, {levels}; give each axis one text, such as {text!r}.")
-    return distinct(name.decode(errors="replace") if isinstance(name, bytes) else str(name) for name in given)
+    return distinct(str(decoded(name)) for name in given)
 
 
 def _times(names: Iterable[Any]) -> dict[str, float]:

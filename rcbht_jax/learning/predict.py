@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.arms import BOTH, title_of
 from rcbht_jax._util.digest import among
 from rcbht_jax._util.left_out import reasons_of
 from rcbht_jax._util.signals import check_axes
@@ -248,9 +249,11 @@ def classify(
         raise InputError(f"there is no sentence to classify ({why}).")
     features = extract_features(tracks, items, model.feature_spec, len(recordings))
     if features.names != model.feature_names:
+        arms = " and the ".join(title_of(part.arm) or "one without a name" for part in items.intervals)
+        why = f"it learned other arms than the {arms}" if spec.arms == BOTH else "train it anew"
         raise InputError(
             f"the labels give {len(features.names)} features and the model of version {model.version} reads "
-            f"{len(model.feature_names)} others; train it anew."
+            f"{len(model.feature_names)} others; {why}."
         )
     decision = model.svm.decision(features.values)
     if not np.isfinite(decision).all():

@@ -174,14 +174,14 @@ def vote(decision: Matrix, classes: int) -> NDArray[np.int64]:
     return votes.argmax(-1).astype(np.int64)
 
 
-def gram(a: Matrix, b: Matrix, kernel: str, gamma: float) -> NDArray[np.float64]:
-    """Kernel values ``[items of a, items of b]``."""
-    dot = np.asarray(a @ b.T, np.float64)
+def gram(a: Matrix, b: Matrix, kernel: str, gamma: float, dot: Matrix | None = None) -> NDArray[np.float64]:
+    """Kernel values ``[items of a, items of b]``; ``dot`` = ``a @ b.T``, where it is known."""
+    product = np.asarray(a @ b.T if dot is None else dot, np.float64)
     if kernel == "linear":
-        return dot
+        return product
     if kernel == "poly":
-        return (gamma * dot) ** DEGREE
-    square = (a * a).sum(1)[:, None] + (b * b).sum(1) - 2 * dot
+        return (gamma * product) ** DEGREE
+    square = (a * a).sum(1)[:, None] + (b * b).sum(1) - 2 * product
     return np.exp(-gamma * np.maximum(square, 0))
 
 
@@ -348,11 +348,12 @@ def select(
     scores = np.zeros((len(paths), len(grid.costs)))
     score = metrics.balanced_accuracy if grid.balanced else metrics.accuracy
     for train, test in splits:
-        scaled, made_for = np.zeros((0, 0)), None
-        for i, spec in enumerate(paths):  # all kernels of one matrix follow each other, and share its scaling
+        scaled, dot, made_for = np.zeros((0, 0)), np.zeros((0, 0)), None
+        for i, spec in enumerate(paths):  # all kernels of one matrix follow each other, share its scaling and products
             if made_for != (made_for := (spec.features, spec.scaling)):
                 scaled = _scaled(candidates[spec.features], train, spec, (weights or {}).get(spec.features))
-            predicted = _predicted(scaled, y, train, test, spec, grid.costs)
+                dot = scaled @ scaled[train].T
+            predicted = _predicted(scaled, y, train, test, spec, grid.costs, dot)
             scores[i] += [score(y[test], s) for s in predicted]
         if progress:
             progress(1)
@@ -372,10 +373,9 @@ def _scaled(x: Matrix, train: Ints, spec: SvmSpec, weight: Weight) -> NDArray[np
 
 
 def _predicted(
-    scaled: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float]
+    scaled: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float], dot: Matrix | None = None
 ) -> list[NDArray[np.int64]]:
-    gamma = _gamma(scaled[train], spec.gamma)
-    kernel = gram(scaled, scaled[train], spec.kernel, gamma)
+    kernel = gram(scaled, scaled[train], spec.kernel, _gamma(scaled[train], spec.gamma), dot)
     return predictions_of_kernel(kernel[train], y[train], kernel[test], costs, spec.balanced)
 
 

@@ -205,8 +205,8 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
     """The track of annotations of a task; "" = it is about whole recordings and their column.
 
     Raises:
-        InputError: there is neither a track nor a column of that name, the track has no such variant, or it is a track
-            of which seconds are asked for.
+        InputError: there is neither a track nor a column of text of that name, the track has no such variant, or it is
+            a track of which seconds are asked for.
     """
     tracks, variant = recordings.annotations.tracks, f"{spec.task}-{spec.boundaries}"
     if spec.task in tracks and variant not in tracks and spec.boundaries not in (USUAL, PLAIN):
@@ -221,7 +221,7 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
         return track
     if not _column(recordings, spec):
         known = ", ".join((*tracks, *column_names(recordings)))
-        raise InputError(f"There is no track or column {spec.task!r} for the task; choose one of {known} (--task).")
+        raise InputError(f"There is no track or column of text {spec.task!r}; choose one of {known} (--task).")
     return ""
 
 

@@ -164,7 +164,7 @@ def test_phases_and_columns_are_classified(store: Path, tmp_path: Path, capsys: 
     )
     assert done["accuracy_of_those"] > 0.9
     assert main(["evaluate", str(store), "--task", "states", "--tracks", "online-W5"]) == 2
-    assert "'states' for the task; choose one of phase, outcome, tool (--task)." in capsys.readouterr().err
+    assert "column of text 'states'; choose one of phase, outcome, tool (--task)." in capsys.readouterr().err
 
 
 def test_streams_pictures_reports_and_exports(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

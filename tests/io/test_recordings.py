@@ -111,6 +111,17 @@ def test_names_that_are_numbers_are_texts_and_missing_ones_are_as_if_not_given(t
         Recordings.from_arrays(REST, day=[[1], [1, 2], 3])
 
 
+def test_texts_that_are_bytes_are_decoded_as_hdf5_has_them(tmp_path: Path) -> None:
+    names = np.array([b"one", b"two", "drei µ".encode()])
+    made = Recordings.from_arrays(
+        REST, trial=names, day=names.astype(object), annotations=[(0, b"phase", b"push", 0.0, pd.NA)]
+    )
+    assert made.trial.tolist() == made.column("day").tolist() == ["one", "two", "drei µ"]
+    assert made.annotations.labels == {"phase": ("push",)}
+    write_recordings(tmp_path / "a.zarr", made, {})
+    same(read_recordings(tmp_path / "a.zarr"), made)
+
+
 @pytest.mark.parametrize(
     ("rows", "sentence"),
     [
@@ -120,6 +131,8 @@ def test_names_that_are_numbers_are_texts_and_missing_ones_are_as_if_not_given(t
         ([(0, "phase", "a", 0)], "An annotation is"),
         ([(0, "phase", "a", None, 1)], "An annotation is"),
         ([(0, "phase", None, 0, 1)], "An annotation is"),
+        ([(0, "phase", np.nan, 0, 1)], "An annotation is"),  # as a table of pandas has a missing text
+        ([(0, pd.NA, "a", 0, 1)], "An annotation is"),
         ([(0, "phase", "a", np.nan, 1)], "expected a finite start"),
         ([(0, "phase", "a", 0.5, 0.1)], "it ends before it begins"),
         (pd.DataFrame([(0, "phase", "a", 0, 1)]), "An annotation is 0; expected recording, track, label"),

@@ -300,7 +300,7 @@ def test_bad_protocols_and_filters_are_refused(recordings):
         evaluate(recordings, tracks, TaskSpec("failure-type"), spec, EvaluationProtocol())
     with pytest.raises(InputError, match="source"):
         labelled_intervals(recordings, TaskSpec(sources=("SET_Z",)))
-    with pytest.raises(InputError, match="no track or column 'weather'"):
+    with pytest.raises(InputError, match="no track or column of text 'weather'"):
         labelled_intervals(recordings, TaskSpec("weather"))
     only_one = EvaluationProtocol(train_on=("A",), test_on=("B",))
     alike = replace(recordings, outcome=np.where(recordings.session == "A", "success", recordings.outcome))

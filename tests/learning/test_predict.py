@@ -174,8 +174,19 @@ def test_new_data_need_not_have_the_column_of_the_task() -> None:
     assert found.items.name.tolist() == [""] * 12
     assert found.predicted.tolist() == classify(model, parts, {"": tracks}, task_of(model)).predicted.tolist()
     for task in (model.task | {"whole": False}, {k: v for k, v in model.task.items() if k != "whole"}):
-        with pytest.raises(InputError, match="no track or column 'part'"):
+        with pytest.raises(InputError, match="no track or column of text 'part'"):
             classify(replace(model, task=task), unnamed, {"": tracks}, task_of(model))
+
+
+def test_a_model_of_both_arms_asks_for_both() -> None:
+    """A new model would not help."""
+    arms = {"trial": np.arange(12) // 2, "arm": ["R", "L"] * 6, "outcome": np.repeat(["success", "failure"], 6)}
+    recordings = Recordings.from_arrays(np.zeros((12, 400, 6)), **arms)
+    tracks, right = rj.encode(recordings.wrench, rate=200), recordings.arm == "R"
+    one = Grid(("linear",), (1.0,), (True,))
+    model = rj.train(recordings, tracks, TaskSpec("outcome", arms="both"), FeatureSpec(("histogram",)), one)
+    with pytest.raises(InputError, match="reads 600 others; it learned other arms than the right arm"):
+        classify(model, recordings.take(right), {"": tracks.take(right)}, task_of(model))
 
 
 def test_trials_of_another_outcome_are_counted() -> None:

@@ -148,6 +148,22 @@ def test_a_splitter_that_leaves_a_side_empty_is_refused(fold: int):
         grouped_folds(np.arange(8) % 2, np.arange(8), PredefinedSplit([fold] * 8), 0)
 
 
+def test_kernels_of_one_scaling_share_its_products(monkeypatch):
+    """They are most of the work where items are many; each choice is what it is with products of its own."""
+    x, y = blobs(0, 3)
+    grid, shared = Grid(costs=(0.1, 1.0), inner=3), []
+    chosen = select({"": x}, y, np.arange(len(y)), grid, seed=0)
+
+    def own(a, b, kernel, gamma, dot):
+        shared.append(dot)
+        np.testing.assert_array_equal(dot, a @ b.T)
+        return gram(a, b, kernel, gamma)
+
+    monkeypatch.setattr("rcbht_jax.learning.svm.gram", own)
+    assert select({"": x}, y, np.arange(len(y)), grid, seed=0) == chosen
+    assert (len(shared), len({id(dot) for dot in shared})) == (3 * 2 * len(KERNELS), 3 * 2)  # folds, scalings
+
+
 def test_selection_finds_the_matrix_that_knows_the_class():
     x, y = blobs(1, 3, spread=0.5)
     noise = np.random.default_rng(2).normal(size=x.shape)

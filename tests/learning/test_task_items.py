@@ -55,3 +55,9 @@ def test_a_source_without_the_track_is_named() -> None:
 def test_a_source_of_failures_alone_is_left_out_as_asked() -> None:
     data = _two_sources(["failure", "failure", "success", "success"], ["phase"] * 4)
     assert labelled_intervals(data, TaskSpec("phase")).dropped == {"outcome not success": 2}
+
+
+def test_a_column_of_numbers_is_no_task_and_the_error_says_what_is() -> None:
+    graded = Recordings.from_arrays(np.zeros((2, 400, 6)), grade=[0, 1])
+    with pytest.raises(InputError, match=r"no track or column of text 'grade'; choose one of outcome"):
+        labelled_intervals(graded, TaskSpec("grade"))
