@@ -14,7 +14,7 @@ import numpy as np
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase, Variation
 from sim_mjx.assembly.rollout import as_float32
-from sim_mjx.assembly.sensor import LONGEST_DELAY
+from sim_mjx.assembly.sensor import LONGEST_DELAY, required
 from sim_mjx.controllers import Sense
 from sim_mjx.own_code import finite, own_code
 
@@ -176,7 +176,8 @@ def check_faulty(what: str, nominal: AssemblyTrial, faulty: Any) -> None:
         nominal: the trial before. faulty: what the fault gave.
 
     Raises:
-        InputError: it is no trial, its arrays have other shapes or hold NaN, or its timeout or delay is impossible.
+        InputError: it is no trial, its arrays have other shapes or hold NaN, or its timeout, delay or sensor is
+            impossible.
     """
     if not isinstance(faulty, AssemblyTrial):
         raise InputError(f"{what} gives a {type(faulty).__name__}; expected the changed trial.")
@@ -186,3 +187,7 @@ def check_faulty(what: str, nominal: AssemblyTrial, faulty: Any) -> None:
     if not finite(delay) or np.asarray(delay).dtype.kind == "f" or not 0 <= delay <= most:
         raise InputError(f"{what} sets a delay of {delay} periods; expected a whole number, 0 to {most}.")
     check_like(what, nominal, faulty)
+    for field in fields(faulty.sensor):
+        value = getattr(faulty.sensor, field.name)
+        if wanted := required(field.name, value):
+            raise InputError(f"{what} sets sensor.{field.name} to {value}; expected {wanted}.")
