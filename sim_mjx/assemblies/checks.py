@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from itertools import zip_longest
 from typing import Any
 
 import jax
@@ -148,13 +147,12 @@ def check_like(what: str, like: Any, found: Any) -> None:
     Raises:
         InputError: an array has another shape, holds NaN or no numbers, or fractions where whole numbers are expected.
     """
-    before, after = (jax.tree_util.tree_leaves_with_path(tree) for tree in (like, found))
-    old: Any
-    new: Any
-    for (path, old), (same, new) in zip_longest(before, after, fillvalue=((), None)):
-        name = jax.tree_util.keystr(path or same).lstrip(".")
-        if path != same:
+    before, after = (dict(jax.tree_util.tree_leaves_with_path(tree)) for tree in (like, found))
+    for path in before | after:
+        name = jax.tree_util.keystr(path).lstrip(".")
+        if path not in before or path not in after:
             raise InputError(f"{what} does not always give {name}; expected the same parameters in every trial.")
+        old, new = before[path], after[path]
         if np.shape(old) != np.shape(new):
             shapes = [list(np.shape(one)) for one in (old, new)]
             raise InputError(f"{what} changes the shape of {name} from {shapes[0]} to {shapes[1]}.")

@@ -188,6 +188,7 @@ def test_a_fault_that_fails_is_named() -> None:
         ),
         (lambda trial, spec, rng: altered(trial, command_delay=np.array(1.5)), "sets a delay of .* periods"),
         (with_sensor(delay=np.array(12, np.int32)), "sets sensor.delay to 12; expected 0 to 11 control periods"),
+        (with_sensor(offset=np.ones(6)), "does not always give sensor.offset; expected the same parameters in every"),
         (with_sensor(step=np.zeros(6)), "sets sensor.step to .*; expected more than zero"),
         (with_sensor(noise=-np.ones(6)), "sets sensor.noise to .*; expected zero or more"),
         (lambda trial, spec, rng: replace(trial, hand=trial.hand * np.nan), r"sets hand to \[nan"),
