@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from itertools import zip_longest
 from typing import Any
 
 import jax
@@ -14,7 +13,7 @@ import numpy as np
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase, Variation
 from sim_mjx.assembly.rollout import as_float32
-from sim_mjx.assembly.sensor import LONGEST_DELAY
+from sim_mjx.assembly.sensor import LONGEST_DELAY, required
 from sim_mjx.controllers import Sense
 from sim_mjx.own_code import finite, own_code
 
@@ -148,13 +147,12 @@ def check_like(what: str, like: Any, found: Any) -> None:
     Raises:
         InputError: an array has another shape, holds NaN or no numbers, or fractions where whole numbers are expected.
     """
-    before, after = (jax.tree_util.tree_leaves_with_path(tree) for tree in (like, found))
-    old: Any
-    new: Any
-    for (path, old), (same, new) in zip_longest(before, after, fillvalue=((), None)):
-        name = jax.tree_util.keystr(path or same).lstrip(".")
-        if path != same:
+    before, after = (dict(jax.tree_util.tree_leaves_with_path(tree)) for tree in (like, found))
+    for path in before | after:
+        name = jax.tree_util.keystr(path).lstrip(".")
+        if path not in before or path not in after:
             raise InputError(f"{what} does not always give {name}; expected the same parameters in every trial.")
+        old, new = before[path], after[path]
         if np.shape(old) != np.shape(new):
             shapes = [list(np.shape(one)) for one in (old, new)]
             raise InputError(f"{what} changes the shape of {name} from {shapes[0]} to {shapes[1]}.")
@@ -176,7 +174,8 @@ def check_faulty(what: str, nominal: AssemblyTrial, faulty: Any) -> None:
         nominal: the trial before. faulty: what the fault gave.
 
     Raises:
-        InputError: it is no trial, its arrays have other shapes or hold NaN, or its timeout or delay is impossible.
+        InputError: it is no trial, its arrays have other shapes or hold NaN, or its timeout, delay or sensor is
+            impossible.
     """
     if not isinstance(faulty, AssemblyTrial):
         raise InputError(f"{what} gives a {type(faulty).__name__}; expected the changed trial.")
@@ -186,3 +185,7 @@ def check_faulty(what: str, nominal: AssemblyTrial, faulty: Any) -> None:
     if not finite(delay) or np.asarray(delay).dtype.kind == "f" or not 0 <= delay <= most:
         raise InputError(f"{what} sets a delay of {delay} periods; expected a whole number, 0 to {most}.")
     check_like(what, nominal, faulty)
+    for field in fields(faulty.sensor):
+        value = getattr(faulty.sensor, field.name)
+        if wanted := required(field.name, value):
+            raise InputError(f"{what} sets sensor.{field.name} to {value}; expected {wanted}.")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, Int
 
 from rcbht_jax.types import Array
@@ -48,6 +50,26 @@ class SensorState:
     filtered: Float[Array, "*batch 6"]  # filter state
     buffer: Float[Array, "*batch delay 6"]  # readings, newest first
     tare: Float[Array, "*batch 6"]  # first reading
+
+
+def required(field: str, values: Any) -> str:
+    """What a field of :class:`SensorParams` must be where it is not, in words; "" = it is, or may be anything.
+
+    Args:
+        field: its name.
+        values: of one trial.
+
+    >>> required("delay", 40), required("delay", 11)
+    ('0 to 11 control periods', '')
+    """
+    found = np.asarray(values)
+    if field == "step" and not (found > 0).all():
+        return "more than zero, since readings are rounded to its multiples"
+    if field == "noise" and not (found >= 0).all():
+        return "zero or more"
+    if field == "delay" and not ((np.round(found) >= 0) & (np.round(found) < LONGEST_DELAY)).all():
+        return f"0 to {LONGEST_DELAY - 1} control periods"  # others would be clipped silently
+    return ""
 
 
 def begin(params: SensorParams, first: Wrench) -> SensorState:

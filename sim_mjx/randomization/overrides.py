@@ -22,7 +22,7 @@ from rcbht_jax._util.values import LARGEST
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.parts import PartParams
-from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams
+from sim_mjx.assembly.sensor import SensorParams, required
 
 Group = TypeVar("Group", PartParams, SensorParams)
 Physical = tuple[tuple[str, float], ...]  # name, value; hashable
@@ -45,17 +45,8 @@ def check(physical: Physical) -> None:
             raise InputError(f"There is no physical parameter {name!r}; expected one of {known}.")
         if not abs(value) <= LARGEST:  # NaN compares as false; what is drawn around it must fit in single precision
             raise InputError(f"The physical parameter {name} is {value:g}; expected a finite number up to {LARGEST:g}.")
-        if match[2] == "step" and not value > 0:
-            raise InputError(
-                f"The physical parameter {name} is {value:g}; expected more than zero, since readings are rounded to "
-                "its multiples."
-            )
-        if match[2] == "noise" and value < 0:
-            raise InputError(f"The physical parameter {name} is {value:g}; expected zero or more.")
-        if match[2] == "delay" and not 0 <= round(value) < LONGEST_DELAY:  # others would be clipped silently
-            raise InputError(
-                f"The physical parameter {name} is {value:g}; expected 0 to {LONGEST_DELAY - 1} control periods."
-            )
+        if wanted := required(match[2], value):
+            raise InputError(f"The physical parameter {name} is {value:g}; expected {wanted}.")
 
 
 def apply_overrides(group: Group, prefix: str, physical: Physical) -> Group:

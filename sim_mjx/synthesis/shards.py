@@ -30,7 +30,7 @@ from sim_mjx.synthesis import claims, descriptions
 
 MANIFEST, PARTIAL, WORK = "manifest.json", ".*.partial-*", ".work"
 _TRIES = 25
-_DIGESTS = {  # described in words, since a digest says nothing to a reader
+DIGESTS = {  # described in words, since a digest says nothing to a reader
     "own_sha256": "your files", "scene_sha256": "what your files read", "sim_mjx_sha256": "the simulation's code",
     "encoding_sha256": "the encoder's code",
 }  # fmt: skip
@@ -212,8 +212,8 @@ def _difference(existing: Any, wanted: Any) -> str:
     """The first value that differs, in words."""
     name, existing, wanted = first_difference(existing, wanted)
     last = name.rpartition(".")[2]
-    if last in _DIGESTS and existing and wanted:
-        return f"another content of {_DIGESTS[last]} ({last})"
+    if last in DIGESTS and existing and wanted:
+        return f"another content of {DIGESTS[last]} ({last})"
     if existing is wanted is None:
         return f"other options (one of the manifests alone has {name})"
     if name in _OPTIONS and existing is None:

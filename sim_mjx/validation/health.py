@@ -193,15 +193,18 @@ def _made_by(simulated: dict[str, Any]) -> tuple[SynthesisConfig | None, str]:
         return None, str(error)
     except (KeyError, TypeError, ValueError):
         return None, "Its options are not those of the installed version."
+    made = simulated["versions"]
     differing = [
-        f"{name} {_short(simulated['versions'].get(name))}, now {_short(value)}"
+        f"another content of {shards.DIGESTS[name]} ({name})"
+        if name in shards.DIGESTS
+        else f"{name} {made.get(name)}, now {value}"
         for name, value in now["versions"].items()
-        if simulated["versions"].get(name) != value
+        if made.get(name) != value
     ]
     if differing:
         return (
             job,
-            f"It was made with other versions: {'; '.join(differing)}. Simulated again, its trials may differ.",
+            f"It was made with other versions or code: {'; '.join(differing)}. Simulated again, its trials may differ.",
         )
     return (job, "") if now == simulated else (None, "Its options are not those of the installed version.")
 
@@ -214,11 +217,6 @@ def _read(part: Callable[[], Any], damage: list[str]) -> Any:
         if str(error) not in damage:  # several readers may meet the same
             damage.append(str(error))
         return None
-
-
-def _short(value: Any) -> str:
-    text = str(value)
-    return f"{text[:12]}..." if len(text) > 20 else text
 
 
 def _rate(call: Callable[[], Any]) -> float:

@@ -242,7 +242,8 @@ def events(replay: Replay, recordings: Recordings, row: int) -> dict[str, float]
     track = recordings.annotations.choose()
     names, starts = recordings.annotations.labels[track], recordings.starts(track)[row].tolist()
     times = {name: start for name, start in zip(names, starts, strict=True) if np.isfinite(start)}
-    return times | {"end": (len(replay.qpos) - 1) * replay.dt}
+    end = "end of the trial" if "end" in times else "end"  # a phase may have this name
+    return times | {end: (len(replay.qpos) - 1) * replay.dt}
 
 
 def moments(replay: Replay, onset: Float64[np.ndarray, " 4"]) -> dict[str, float]:

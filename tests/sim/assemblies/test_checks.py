@@ -165,6 +165,11 @@ def test_a_range_is_two_numbers_and_a_spec_that_of_its_assembly() -> None:
         scenario.draw_batch(0, (), scenario.spec())
 
 
+def with_sensor(**values: Any) -> Callable[..., Any]:
+    """A fault of the wrist's sensor."""
+    return lambda trial, spec, rng: replace(trial, sensor=replace(trial.sensor, **values))
+
+
 def test_a_fault_that_fails_is_named() -> None:
     for fault, sentence in (
         (
@@ -182,6 +187,10 @@ def test_a_fault_that_fails_is_named() -> None:
             "sets a delay of 40 periods; expected a whole number, 0 to 10",
         ),
         (lambda trial, spec, rng: altered(trial, command_delay=np.array(1.5)), "sets a delay of .* periods"),
+        (with_sensor(delay=np.array(12, np.int32)), "sets sensor.delay to 12; expected 0 to 11 control periods"),
+        (with_sensor(offset=np.ones(6)), "does not always give sensor.offset; expected the same parameters in every"),
+        (with_sensor(step=np.zeros(6)), "sets sensor.step to .*; expected more than zero"),
+        (with_sensor(noise=-np.ones(6)), "sets sensor.noise to .*; expected zero or more"),
         (lambda trial, spec, rng: replace(trial, hand=trial.hand * np.nan), r"sets hand to \[nan"),
         (lambda trial, spec, rng: with_own(trial, material="brass"), "sets parts.own.material to brass; expected num"),
         (lambda trial, spec, rng: with_own(trial, material=None), "does not always give parts.own.material"),

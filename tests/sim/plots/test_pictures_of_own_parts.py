@@ -15,7 +15,7 @@ from rcbht_jax.types import Recordings
 from sim_mjx.plots import animation
 from sim_mjx.plots.projection import FREE, SEATED, SIDE, outline
 from sim_mjx.plots.trial_overview import still, trial_tabs
-from sim_mjx.validation.replay import Replay
+from sim_mjx.validation.replay import Replay, events
 
 # contact spheres and walls whose names begin as those of the camera's parts do, and a mark that decides success
 PARTS = """<mujoco><worldbody><body name="MOUNT">
@@ -61,6 +61,13 @@ def test_every_mark_has_a_line() -> None:
     assert [float(line.get_ydata()[0]) for line in ax.lines] == [1e3 * number for number in range(6)]
     assert len({(line.get_color(), line.get_linestyle()) for line in ax.lines}) == 6
     assert [text.get_text() for text in ax.get_legend().get_texts()] == [mark.lower() for mark in marks]
+
+
+def test_a_phase_may_have_the_name_of_the_end() -> None:
+    replay = replayed("HOOK", samples=41)
+    marks = [(0, "phase", "begin", 0.0, 0.1), (0, "phase", "end", 0.1, 0.205)]
+    recordings = Recordings.from_arrays(np.zeros((1, 41, 6)), 200.0, annotations=marks)
+    assert events(replay, recordings, 0) == {"begin": 0.0, "end": 0.1, "end of the trial": 0.2}
 
 
 def test_a_shape_of_another_kind_is_its_bounding_box() -> None:

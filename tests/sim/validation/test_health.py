@@ -185,10 +185,18 @@ def test_what_other_code_made_is_not_made_again(
     monkeypatch.setattr(plan, "code_hash", lambda: "other")
     found = doctor(capsys, 2, str(copy))
     assert not found["repairable"]
-    assert "made with other versions: sim_mjx_sha256" in found["notes"][0]
+    assert "other versions or code: another content of the simulation's code (sim_mjx_sha256). Sim" in found["notes"][0]
     assert main(["doctor", str(copy), "--repair"]) == 2
     assert "cannot be made again: It was made with other versions" in capsys.readouterr().err
     assert tree(copy) == before
+
+
+def test_the_processor_that_made_a_store_is_named_in_full(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(plan, "processor", lambda: "Linux x86_64 with AVX-1024")
+    (note,) = doctor(capsys, 0, str(copy))["notes"]
+    assert "now Linux x86_64 with AVX-1024. Simulated again" in note
 
 
 def test_a_store_that_was_not_simulated_has_no_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
