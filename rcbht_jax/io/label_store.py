@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_folder
-from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
 from rcbht_jax.features.spans import check_rate
-from rcbht_jax.io import label_parts, store_v2
+from rcbht_jax.io import label_parts
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store import count_recordings, open_store, read_table, recording_rows
@@ -27,9 +27,6 @@ from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.tasks import TrackBatches
 from rcbht_jax.types import LabelTrack, LabelTracks, TrackInfo
-
-with needs_extra("store"):
-    import zarr
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 
@@ -93,7 +90,7 @@ def write_batches(
     try:
         with atomic_folder(folder, near=path) as draft:
             _write_draft(draft, path, rows, layout, _of_its_rate(path, batches), attrs, created)
-            _require_group(path)
+            label_parts.require_group(path)
     except InputError:
         if uncollected_tracks(path):  # another process took the name meanwhile: these are there under another one
             collect(path)
@@ -129,15 +126,8 @@ def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs
         _write_draft(draft, path, rows, layout, batches, own, attrs["created"])
         if HASH in attrs and zarr_io.open_group(draft).attrs[HASH] != attrs[HASH]:
             raise InputError(f"{folder} cannot be made again: the installed versions encode otherwise.")
-        _require_group(path)
+        label_parts.require_group(path)
     collect(path)
-
-
-def _require_group(path: Path) -> None:
-    """Create the group of all label tracks, if there is none."""
-    with zarr_io.locked(path):
-        if not (path / LABELS / zarr_io.META).exists():
-            zarr.create_group(path / LABELS, zarr_format=3)
 
 
 def _write_draft(
@@ -265,7 +255,7 @@ def collect(path: Path) -> None:
         InputError: ``path`` cannot be changed.
     """
     zarr_io.check_writable(path)
-    _require_group(path)
+    label_parts.require_group(path)
     with zarr_io.locked(path):  # of two that write at the same time, the later one finds the tracks of both
         zarr_io.consolidate(path)
 
@@ -286,7 +276,7 @@ def copy_tracks(source: Path, target: Path, name: str) -> None:
     folder = _folder(target, name)
     with atomic_folder(folder, near=target, replace=folder.exists()) as draft:
         shutil.copytree(_folder(source, name), draft, symlinks=True)
-        _require_group(target)
+        label_parts.require_group(target)
     collect(target)
 
 
@@ -298,7 +288,7 @@ def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
     """
     open_store(path)
     folder = _folder(path, name)
-    if not zarr_io.has_group(folder):
+    if name not in zarr_io.subfolders(folder.parent):
         names = ", ".join(list_tracks(path)) or "none"
         raise InputError(f"{path} has no label tracks {name}; it has: {names}.")
     return dict(zarr_io.open_group(folder).attrs)
@@ -382,14 +372,14 @@ def _read_old(folder: Path, attrs: Mapping[str, Any], count: int) -> LabelTracks
     with zarr_io.reading(folder):
         layers = {layer: _read_layer(group, layer) for layer in LAYERS}
         arrays = [label_parts.checked(track, layer, count) for layer, track in layers.items()]
-    if store_v2.tracks_hash(arrays) != attrs["content_sha256"]:
+    if content_hash(array for layer in arrays for array in layer.values()) != attrs["content_sha256"]:
         raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
     return LabelTracks(*layers.values())
 
 
-def _read_layer(group: zarr.Group, layer: str) -> LabelTrack:
+def _read_layer(group: zarr_io.Group, layer: str) -> LabelTrack:
     sub = group[layer]
-    if not isinstance(sub, zarr.Group):
+    if not isinstance(sub, zarr_io.Group):
         raise InputError(f"{zarr_io.path_of(group)} has no layer {layer}; it is incomplete. Encode again.")
     dtypes = {name: None if dtype == "float" else dtype for name, dtype in label_parts.FIELDS.items()}
     return LabelTrack(**{name: zarr_io.read_array(sub, name, dtype) for name, dtype in dtypes.items()})

@@ -8,7 +8,7 @@ further columns ``[trial]`` in ``columns/``; annotations in ``annotations/`` (``
 ``labels/<name>/<layer>/`` (``rcbht_jax.io.label_store``); parameters and ground truth of a simulation in
 ``simulation/``, every array ``[trial, ...]``. The dimension "trial" counts recordings: one arm of one trial. A row of
 length 0, listed in the attribute ``gaps``, is no recording, and readers leave it out. Versions 1 and 2 are read as well
-(:mod:`rcbht_jax.io.store_v1`, :mod:`rcbht_jax.io.store_v2`).
+(:mod:`rcbht_jax.io.store_old`).
 
 A store is written in parts of consecutive rows (:mod:`rcbht_jax.io.store_writer`), each with files of its own, and read
 whole, by rows or in batches, so that it may be larger than memory. Every chunk carries a CRC-32C, every recording's
@@ -30,20 +30,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.digest import wrench_digests
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import parts, store_reader, store_v1, store_v2, store_writer
+from rcbht_jax.io import parts, store_old, store_reader, store_writer
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import VARIABLES, validate
 from rcbht_jax.io.store_reader import Stored
-from rcbht_jax.io.store_schema import FORMAT, FORMAT_VERSION, HASH, LABELS, SIMULATION, open_store, schema_of
+from rcbht_jax.io.store_schema import FORMAT, FORMAT_VERSION, HASH, LABELS, SIMULATION, in_parts, open_store, schema_of
 from rcbht_jax.io.summary import Summary, summary_of
 from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.types import Recordings
-
-with needs_extra("store"):
-    import zarr
 
 __all__ = [
     "FORMAT", "FORMAT_VERSION", "SIMULATION", "VARIABLES", "check_target", "count_recordings", "is_finished",
@@ -125,9 +121,8 @@ def read_recordings(path: Path | str) -> Recordings:
         InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged (a
             chunk is missing, truncated or altered).
     """
-    path = as_path(path)
-    group = open_store(path)
-    return _valid(path, store_reader.read_all(Stored.of(path, group)) if _in_parts(group) else _read_old(path, group))
+    stored = _open(path := as_path(path))
+    return _valid(path, stored if isinstance(stored, Recordings) else store_reader.read_all(stored))
 
 
 def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
@@ -142,13 +137,12 @@ def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
         InputError: there is no such recording, or as for :func:`read_recordings`.
     """
     path, numbers = as_path(path), np.atleast_1d(np.asarray(rows))
-    group = open_store(path, collected=True)
-    stored = Stored.of(path, group) if _in_parts(group) else None
-    count = count_recordings(path) if stored is None else len(stored.rows())
+    stored = _open(path, collected=True)
+    count = len(stored if isinstance(stored, Recordings) else stored.rows())
     if numbers.dtype.kind not in "iu" or not len(numbers) or numbers.min() < 0 or numbers.max() >= count:
         raise InputError(f"{path} has recordings 0 to {count - 1}; asked for {numbers.tolist()[:9]}.")
-    if stored is None:
-        return _valid(path, _read_old(path, group)).take(numbers)
+    if isinstance(stored, Recordings):
+        return _valid(path, stored).take(numbers)
     return _valid(path, store_reader.read_rows(stored, numbers.astype(np.int64)))
 
 
@@ -165,13 +159,9 @@ def read_batches(path: Path | str, most: int | None = None) -> Iterator[Recordin
     Raises:
         InputError: as for :func:`read_recordings`.
     """
-    path = as_path(path)
-    group = open_store(path)
-    if _in_parts(group):
-        for batch in store_reader.read_parts(Stored.of(path, group), BATCH_BYTES if most is None else most):
-            yield _valid(path, batch)
-    else:
-        yield _valid(path, _read_old(path, group))
+    stored, most = _open(path := as_path(path)), BATCH_BYTES if most is None else most
+    for batch in [stored] if isinstance(stored, Recordings) else store_reader.read_parts(stored, most):
+        yield _valid(path, batch)
 
 
 def read_table(path: Path | str) -> Recordings:
@@ -186,10 +176,8 @@ def read_table(path: Path | str) -> Recordings:
     Raises:
         InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
-    group = open_store(path := as_path(path))
-    if _in_parts(group):
-        return store_reader.read_table(Stored.of(path, group))
-    return _read_old(path, group)
+    stored = _open(as_path(path))
+    return stored if isinstance(stored, Recordings) else store_reader.read_table(stored)
 
 
 def read_summary(path: Path) -> Summary:
@@ -200,10 +188,8 @@ def read_summary(path: Path) -> Summary:
     Raises:
         InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
-    group = open_store(path)
-    if _in_parts(group):
-        return store_reader.read_summary(Stored.of(path, group))
-    return summary_of(_read_old(path, group))
+    stored = _open(path)
+    return summary_of(stored) if isinstance(stored, Recordings) else store_reader.read_summary(stored)
 
 
 def longest_of(path: Path) -> int:
@@ -264,13 +250,11 @@ def verify(path: Path | str) -> None:
     Raises:
         InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
     """
-    group = open_store(path := as_path(path))
-    if not _in_parts(group):
-        _read_old(path, group)
-        if SIMULATION in group:
+    stored = _open(path := as_path(path))
+    if isinstance(stored, Recordings):
+        if SIMULATION in open_store(path):
             read_simulation(path)
         return
-    stored = Stored.of(path, group)
     store_reader.check_whole(stored)
     if stored.schema.simulation:
         store_reader.check_simulation(stored)
@@ -305,16 +289,12 @@ def read_simulation_batches(path: Path, *names: str) -> Iterator[dict[str, NDArr
     """
     group = open_store(path)
     sub = group.get(SIMULATION)
-    if not isinstance(sub, zarr.Group):
+    if not isinstance(sub, zarr_io.Group):
         raise InputError(f'{path} holds no simulation; expected a store made by "rcbht simulate".')
-    if _in_parts(group):
+    if in_parts(group):
         yield from store_reader.read_simulation(Stored.of(path, group), names)
         return
-    with zarr_io.reading(path):
-        arrays = store_v2.read_arrays(sub)
-        expected = sub.attrs[HASH]
-    if store_v2.arrays_hash(arrays) != expected:
-        raise InputError(f"{path} is damaged: its simulation does not match its checksum. Simulate or copy it again.")
+    arrays = store_old.read_simulation(path, sub)
     yield {name: arrays[name] for name in names or arrays}
 
 
@@ -324,11 +304,10 @@ def read_digests(path: Path) -> NDArray[np.uint8]:
     Raises:
         InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
     """
-    group = open_store(path)
-    if _in_parts(group):
-        return store_reader.read_digests(Stored.of(path, group))
-    recordings = _read_old(path, group)
-    return wrench_digests(recordings.wrench, recordings.length)
+    stored = _open(path)
+    if isinstance(stored, Recordings):
+        return wrench_digests(stored.wrench, stored.length)
+    return store_reader.read_digests(stored)
 
 
 def read_attrs(path: Path) -> dict[str, Any]:
@@ -347,7 +326,7 @@ def count_recordings(path: Path) -> int:
         InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
     group = open_store(path)
-    if _in_parts(group) and HASH in group.attrs:
+    if in_parts(group) and HASH in group.attrs:
         return len(Stored.of(path, group).rows())
     return len(read_lengths(path))
 
@@ -360,7 +339,7 @@ def read_lengths(path: Path) -> NDArray[np.int32]:
     """
     group = open_store(path)
     with zarr_io.reading(path):
-        if _in_parts(group):
+        if in_parts(group):
             return store_reader.read_lengths(Stored.of(path, group))
         return zarr_io.read_array(group, "length", "int32")
 
@@ -372,11 +351,13 @@ def recording_rows(path: Path) -> NDArray[np.int64]:
         InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
     """
     group = open_store(path)
-    return Stored.of(path, group).rows() if _in_parts(group) else np.arange(count_recordings(path))
+    return Stored.of(path, group).rows() if in_parts(group) else np.arange(count_recordings(path))
 
 
-def _in_parts(group: zarr.Group) -> bool:
-    return int(group.attrs["format_version"]) > 2  # type: ignore[arg-type]
+def _open(path: Path, *, collected: bool = False) -> Stored | Recordings:
+    """An open store; all recordings, verified, of a store of version 1 or 2."""
+    group = open_store(path, collected=collected)
+    return Stored.of(path, group) if in_parts(group) else store_old.read(path, group)
 
 
 def _valid(path: Path, recordings: Recordings) -> Recordings:
@@ -384,16 +365,4 @@ def _valid(path: Path, recordings: Recordings) -> Recordings:
         validate(recordings)
     except InputError as error:
         raise InputError(f"{path} holds contradictory recordings: {error}") from error
-    return recordings
-
-
-def _read_old(path: Path, group: zarr.Group) -> Recordings:
-    """Recordings of a store of version 1 or 2, verified."""
-    store_reader.padded_to(path, group)
-    with zarr_io.reading(path):
-        read = store_v1.read if group.attrs["format_version"] == 1 else store_v2.read
-        recordings, digest = read(group)
-        expected = group.attrs[HASH]
-    if digest != expected:
-        raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
     return recordings
