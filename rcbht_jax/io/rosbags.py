@@ -33,7 +33,8 @@ with needs_extra("stream"):
 WRENCH = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
 
 LATEST = 2.0**31 - 1  # s, the last stamp that ROS can hold
-_LABELS = """std_msgs/Header header
+_MESSAGES = {  # of the package rcbht_msgs
+    "Labels": """std_msgs/Header header
 string[] axis
 int32[] primitive
 int32[] mc
@@ -41,12 +42,12 @@ int32[] llb
 string[] primitive_name
 string[] mc_name
 string[] llb_name
-"""
-_SIGNAL = """std_msgs/Header header
+""",
+    "Signal": """std_msgs/Header header
 string[] axis
 float64[] value
-"""
-_BELIEF = """std_msgs/Header header
+""",
+    "Belief": """std_msgs/Header header
 string head
 string label
 int32 code
@@ -56,24 +57,25 @@ int32 level_code
 float64 certain_for
 string[] classes
 float64[] probabilities
-"""
-_WORD = """std_msgs/Header header
+""",
+    "Word": """std_msgs/Header header
 string layer
 string axis
 string label
 int32 code
 float64 start
 float64 stop
-"""
-_SCORE = """std_msgs/Header header
+""",
+    "Score": """std_msgs/Header header
 float64 score
 float64 threshold
 float64 p_value
-"""
-_EVENT = """std_msgs/Header header
+""",
+    "Event": """std_msgs/Header header
 string event
 string json
-"""
+""",
+}
 
 
 def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
@@ -238,14 +240,7 @@ class McapWriter:
             raise InputError(f"{path.parent} is not a folder; create it first.")
         self._path, self._axes, self._is_wrench = path, list(axes), is_wrench(axes, units)
         self._store = get_typestore(Stores.ROS2_HUMBLE)
-        for kind, text in (
-            ("Labels", _LABELS),
-            ("Signal", _SIGNAL),
-            ("Belief", _BELIEF),
-            ("Word", _WORD),
-            ("Score", _SCORE),
-            ("Event", _EVENT),
-        ):
+        for kind, text in _MESSAGES.items():
             self._store.register(get_types_from_msg(text, f"rcbht_msgs/msg/{kind}"))
         self._connections: dict[str, Any] = {}
         self._origin: float | None = None  # s, what is written as time zero
