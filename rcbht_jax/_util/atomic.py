@@ -253,11 +253,7 @@ def _flush(path: Path) -> None:
 
 
 def _followed(path: Path) -> Path:
-    """The file that is written: behind a link the one that it points to.
-
-    Raises:
-        InputError: the link leads to itself.
-    """
+    """The file that is written: behind a link the one that it points to."""
     sentence = f"{path} is a link that leads to itself; choose another name."
     try:
         followed = path.resolve() if path.is_symlink() else path.absolute()

@@ -30,9 +30,6 @@ def check_usable(wrench: NDArray[np.floating], length: NDArray[np.integer]) -> N
     """Raise an error for recordings ``[recording, time, axis]`` that are not :func:`usable` within their lengths.
 
     >>> check_usable(np.array([[[1.0], [np.nan]]]), np.array([1]))
-
-    Raises:
-        InputError: it names the first one.
     """
     for index, samples in enumerate(length):
         if not usable(wrench[index, :samples]):
@@ -86,9 +83,6 @@ def expect(what: str, value: Any, *kinds: type) -> None:
     """Raise an error for an object that is of none of these classes.
 
     >>> expect("The threshold", 3, int, float)
-
-    Raises:
-        InputError: it is of another one.
     """
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)

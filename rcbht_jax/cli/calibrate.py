@@ -216,8 +216,6 @@ class Calibrate(RuleCommand):
         self._chosen_devices()
         if not 0 <= self.rest_weight < np.inf:
             raise InputError(f"--rest-weight is {self.rest_weight}; expected a finite number, 0 or more.")
-        if not self.out.parent.is_dir():
-            raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
 
     def _scores(self, given: _Given, found: _Found) -> dict[str, Any]:
         """How good the new limits and the base are, by the objective and by each of its scores."""

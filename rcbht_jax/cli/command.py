@@ -125,6 +125,10 @@ Weighing = Annotated[
         "time and count in histogram, count in ngram",
     ),
 ]
+StreamFamily = Literal[  # of features that a stream can keep up to date
+    "histogram", "ngram", "duration", "attributes", "offset", "course", "edges", "parts", "spread", "together", "order",
+    "levels", "elapsed",
+]  # fmt: skip
 Flag = Annotated[bool, unset()]
 
 
@@ -159,11 +163,7 @@ class Command(ABC):
         return kept if self.RESUMES else "no incomplete file was left, and what a stream had recorded is kept"
 
     def check_inputs(self) -> None:
-        """Refuse missing inputs, outputs that cannot be made or are an input, lists without a value, wrong seeds.
-
-        Raises:
-            InputError: names the command that makes it, the output, the option, or the seed.
-        """
+        """Refuse missing inputs, outputs that cannot be made or are an input, lists without a value, wrong seeds."""
         for each in fields(self):
             if getattr(self, each.name) == () and isinstance(each.default, tuple) and each.default:
                 raise InputError(f"--{each.name.replace('_', '-')} has no value; expected one or more.")
@@ -215,11 +215,7 @@ def _harms(output: Path, other: Path) -> bool:
 
 
 def check_place(path: Path, folder: Folder | None) -> None:
-    """Refuse an output that cannot be made at its place, or that would be added to a store.
-
-    Raises:
-        InputError: names the place.
-    """
+    """Refuse an output that cannot be made at its place, or that would be added to a store."""
     here = Path(os.path.realpath(path))  # behind a link the file that it points to
     grows = folder is not None and folder.grows
     store = next((place for place in (here, *here.parents)[not grows :] if (place / "zarr.json").is_file()), None)
@@ -323,9 +319,6 @@ def checked_tolerance(rule: str, tolerance: tuple[float, ...], axes: int | None 
         rule: of the words.
         tolerance: the option.
         axes: how many there are; None = not known yet.
-
-    Raises:
-        InputError: a tolerance for another rule than fit, or another number of them than axes.
     """
     if tolerance and rule != "fit":
         raise InputError("--tolerance is for --rule fit; add that, or leave it out.")

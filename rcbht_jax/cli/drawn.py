@@ -31,11 +31,7 @@ def rule_of(attrs: dict[str, Any]) -> str:
 
 
 def stored_by(store: Path, rule: str) -> str:
-    """Name of the label tracks by a rule; "" = the store has only others.
-
-    Raises:
-        InputError: there are no tracks at all, or several by this rule.
-    """
+    """Name of the label tracks by a rule; "" = the store has only others."""
     from rcbht_jax.errors import InputError
     from rcbht_jax.io.label_store import choose_name, list_tracks, read_tracks_attrs
 

@@ -28,9 +28,6 @@ def detector_of(sizes: tuple[str, ...], rate: float) -> SnapDetector | None:
         sizes: the option.
         rate: samples per second.
 
-    Raises:
-        InputError: an option that cannot be read, or an axis twice.
-
     Example:
         >>> detector_of(("Fz=3", "Mx=0.2,1"), 200.0).sizes.most.tolist()
         [inf, 1.0]

@@ -225,11 +225,7 @@ class Source(RuleCommand):
         return self.OWN_WORDS and config_fields(model.encoder)["rule"] != self.rule
 
     def check(self) -> None:
-        """Refuse options that contradict each other, or are out of range.
-
-        Raises:
-            InputError: says which.
-        """
+        """Refuse options that contradict each other, or are out of range."""
         if not 0 <= self.pace < float("inf"):
             raise InputError(f"The playback speed is {self.pace}; expected zero or more.")
         own = {
@@ -329,11 +325,7 @@ class Source(RuleCommand):
         return WordIntrospector(config, limits, recordings.axes, recordings.units), messages
 
     def _axes_of(self, axes: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of a stream's axes that nobody named: those in the file of thresholds, if it has other ones.
-
-        Raises:
-            InputError: there is no such file, or it has another number of axes.
-        """
+        """Names of a stream's axes that nobody named: those in the file of thresholds, if it has other ones."""
         from rcbht_jax.encoding.thresholds import axes_in
 
         named = axes_in(self.thresholds) if self.thresholds is not None and not self.axes else axes
