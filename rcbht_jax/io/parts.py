@@ -275,8 +275,8 @@ def read(
         InputError: the array is missing or has another dtype.
     """
     array = zarr_io.member(group, name)
-    if dtype_of(array) != made.dtype:
-        raise InputError(f"{zarr_io.path_of(group)}: {name} is {dtype_of(array)}; expected {made.dtype}.")
+    if _dtype_in(array) != made.dtype:
+        raise InputError(f"{zarr_io.path_of(group)}: {name} is {_dtype_in(array)}; expected {made.dtype}.")
     stops = list(array.shape[1:])
     if (axis := made.grows) is not None and width is not None:
         stops[axis - 1] = min(width, stops[axis - 1])
@@ -313,13 +313,18 @@ def fields_in(group: zarr_io.Group) -> dict[str, Field]:
     for name, array in sorted(group.arrays()):
         if name != DIGESTS:
             dimensions = tuple(map(str, array.metadata.dimension_names[1:]))  # type: ignore[union-attr,index]
-            found[name] = Field(dtype_of(array), dimensions, tuple(array.shape[1:]))
+            found[name] = Field(_dtype_in(array), dimensions, tuple(array.shape[1:]))
     return found
 
 
-def dtype_of(values: NDArray[Any] | zarr_io.Array[Any]) -> str:
+def dtype_of(values: NDArray[Any]) -> str:
     """The dtype of a field that holds these values."""
-    return "string" if values.dtype.kind in "TUO" else str(values.dtype)
+    return "string" if values.dtype.kind == "U" else str(values.dtype)
+
+
+def _dtype_in(array: zarr_io.Array[Any]) -> str:
+    """The dtype of the field that an array holds; the kind of its texts depends on the version of Zarr."""
+    return "string" if array.dtype.kind in "TUO" else str(array.dtype)
 
 
 def _chunks(layout: Layout, made: Field) -> tuple[tuple[int, ...], tuple[int, ...] | None]:

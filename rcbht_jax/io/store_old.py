@@ -17,10 +17,12 @@ from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import VARIABLES
+from rcbht_jax.io.label_parts import FIELDS, checked
 from rcbht_jax.io.store_reader import padded_to
 from rcbht_jax.io.store_schema import HASH
+from rcbht_jax.labels import LAYERS
 from rcbht_jax.robots.snap_assembly import snap_recordings
-from rcbht_jax.types import Recordings
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 # Variables in the order of the digest, and their dtypes.
 FIRST_VARIABLES = {
@@ -58,6 +60,26 @@ def read_simulation(path: Path, group: zarr_io.Group) -> dict[str, NDArray[Any]]
     if content_hash(arrays.values()) != expected:
         raise InputError(f"{path} is damaged: its simulation does not match its checksum. Simulate or copy it again.")
     return arrays
+
+
+def read_tracks(folder: Path, attrs: Mapping[str, Any], count: int) -> LabelTracks:
+    """Label tracks of ``count`` recordings, verified.
+
+    Raises:
+        InputError: a layer is missing, an array has another dtype, or the content does not match its checksum.
+    """
+    group, layers = zarr_io.open_group(folder), list[LabelTrack]()
+    dtypes = {name: None if dtype == "float" else dtype for name, dtype in FIELDS.items()}
+    with zarr_io.reading(folder):
+        for layer in LAYERS:
+            sub = group[layer]
+            if not isinstance(sub, zarr_io.Group):
+                raise InputError(f"{folder} has no layer {layer}; it is incomplete. Encode again.")
+            layers.append(LabelTrack(**{name: zarr_io.read_array(sub, name, dtype) for name, dtype in dtypes.items()}))
+        arrays = [checked(track, layer, count) for track, layer in zip(layers, LAYERS, strict=True)]
+    if content_hash(array for layer in arrays for array in layer.values()) != attrs[HASH]:
+        raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
+    return LabelTracks(*layers)
 
 
 def _first(group: zarr_io.Group) -> tuple[Recordings, str]:

@@ -122,12 +122,7 @@ def padded_to(path: Path, group: zarr_io.Group) -> int:
 
 
 def read_parts(stored: Stored, most: int | None = None) -> Iterator[Recordings]:
-    """All recordings in their order, in batches that each fit in memory; every part is verified.
-
-    Args:
-        stored: the store.
-        most: bytes of wrenches in one batch; None = whole parts.
-    """
+    """All recordings in their order, in batches of so many bytes at most, None = whole parts; all is verified."""
     check_whole(stored)
     padded_to(stored.path, stored.group)
     for number in range(len(stored.schema.layout)):
@@ -174,12 +169,7 @@ def read_table(stored: Stored) -> Recordings:
 
 
 def first_trials(path: Path, count: int) -> list[str]:
-    """Names of the trials of the first recordings, of a store of any size; [] = of version 1 or 2, or not finished.
-
-    Args:
-        path: the store.
-        count: recordings to look at; no others are read.
-    """
+    """Names of the trials of the first ``count`` recordings; [] = of version 1 or 2, or not finished."""
     group = open_store(path)
     if not in_parts(group) or HASH not in group.attrs:
         return []

@@ -31,8 +31,8 @@ with needs_extra("store"):
     from zarr.core.metadata import ArrayV3Metadata
     from zarr.storage import LocalStore
 
-    from rcbht_jax.io.bounded_chunks import bounded
     from rcbht_jax.io.chunk_files import LEVEL
+    from rcbht_jax.io.chunk_reader import bounded
 
 Group = zarr.Group
 Array = zarr.Array

@@ -59,15 +59,16 @@ def description(data: DataSet) -> dict[str, Any]:
     }
 
 
-def card(data: DataSet, layout: str, front: str, about: dict[str, Any]) -> str:
+def card(data: DataSet, layout: str, front: str = "", about: dict[str, Any] | None = None) -> str:
     """The text of README.md.
 
     Args:
         data: what is exported.
         layout: Markdown about the files of this format.
         front: YAML between ``---`` lines, for hosts that read it.
-        about: of :func:`description`.
+        about: of :func:`description`; default made here.
     """
+    about = description(data) if about is None else about
     recordings = data.recordings
     samples = int(recordings.length.sum())
     trials = set(zip(recordings.source.tolist(), recordings.trial.tolist(), strict=True))
