@@ -105,9 +105,6 @@ def atomic_lines(path: Path) -> Iterator[TextIO]:
     >>> with atomic_lines(Path("events.jsonl")) as out:
     ...     out.write("{}" + chr(10))
     3
-
-    Raises:
-        InputError: as :func:`atomic_write`.
     """
     if is_stream(path):
         with path.open("w", encoding="utf-8") as out:

@@ -204,7 +204,10 @@ def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_]
     if array.dtype.kind not in "OTbiuf" or (array.dtype.kind in "biuf" and standard is None):
         return array.astype(array.dtype.newbyteorder("="))
     items = array.tolist()
-    there = [not (value is None or type(value).__name__ == "NAType" or _is_nan(value)) for value in items]
+    there = [
+        not (value is None or type(value).__name__ == "NAType" or (isinstance(value, float) and math.isnan(value)))
+        for value in items
+    ]
     found = [value for value, given in zip(items, there, strict=True) if given]
     if standard is None and found and all(isinstance(value, Real) for value in found):
         return np.array([value if given else np.nan for value, given in zip(items, there, strict=True)], np.float64)
@@ -213,10 +216,6 @@ def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_]
         raise InputError(f"Column {name} holds objects of the kinds {', '.join(kinds)}; expected texts, or numbers.")
     other = [""] * count if standard is None else standard.tolist()
     return np.array([str(value) if given else text for value, given, text in zip(items, there, other, strict=True)])
-
-
-def _is_nan(value: Any) -> bool:
-    return isinstance(value, float) and math.isnan(value)
 
 
 def measured(axes: Sequence[str], units: Sequence[str]) -> str:

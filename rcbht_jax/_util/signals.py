@@ -267,11 +267,7 @@ def check_axes(
 
 
 def _plain_names(names: Iterable[Any]) -> tuple[str, ...]:
-    """Names of axes as texts, all different.
-
-    Raises:
-        InputError: names of several levels: no rule says which level tells a force from a moment, or is a time.
-    """
+    """Names of axes as texts, all different; of several levels, no rule says which one tells a force from a moment."""
     given = tuple(names)
     if levels := next((name for name in given if isinstance(name, tuple)), None):
         text = ".".join(map(str, levels))

@@ -1,4 +1,4 @@
-"""Checks of numbers and objects that are data or parameters."""
+"""Checks of numbers and objects that are data or parameters; what does not pass one is an InputError."""
 
 from __future__ import annotations
 
@@ -53,9 +53,6 @@ def number(what: str, value: Any) -> float:
 
     >>> number("The rate", np.float32(0.5))
     0.5
-
-    Raises:
-        InputError: it is no number.
     """
     try:
         if not isinstance(value, str | bytes):
@@ -70,9 +67,6 @@ def finite(what: str, value: Any) -> float:
 
     >>> finite("The time", 1)
     1.0
-
-    Raises:
-        InputError: it is no such number.
     """
     if not math.isfinite(found := number(what, value)):
         raise InputError(f"{what} is {found}; expected a finite number.")

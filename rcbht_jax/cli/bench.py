@@ -248,7 +248,7 @@ def fit_rule(wrench: NDArray[np.float32]) -> tuple[Values, dict[str, float]]:
     return values, {f"fit/encode/W={WINDOW}": batch.ratio, "fit/step": step.ratio}
 
 
-def streaming_step() -> tuple[Values, float]:
+def streaming_step(windows: int = 2000) -> tuple[Values, float]:
     """One step for six axes: inside a scan, as a single jitted call, and that in units of a call that does nothing."""
     import jax
     import jax.numpy as jnp
@@ -256,7 +256,6 @@ def streaming_step() -> tuple[Values, float]:
     from rcbht_jax.encoding.encoder import EncoderConfig, init, step
     from rcbht_jax.encoding.thresholds import preset
 
-    windows = 2000
     config, limits = EncoderConfig(window=WINDOW, dt=DT), jnp.asarray(preset().limits, jnp.float32)
     samples = jnp.asarray(signal(1, windows * WINDOW)[0].reshape(windows, WINDOW, 6))
     scan = jax.jit(lambda s, x: jax.lax.scan(lambda c, w: step(config, limits, c, w), s, x))

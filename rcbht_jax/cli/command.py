@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import tyro
 
 from rcbht_jax._util.atomic import is_stream
-from rcbht_jax._util.left_out import reasons_of
+from rcbht_jax._util.printable import reasons_of
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.errors import InputError
 

@@ -145,9 +145,6 @@ class Source(RuleCommand):
         Args:
             words: with a model, report words besides beliefs.
             say: called with what is being waited for.
-
-        Raises:
-            InputError: no such model, no such source, or options that contradict each other.
         """
         from rcbht_jax._util import compile_cache
         from rcbht_jax.introspection.introspector import Introspector
@@ -189,11 +186,7 @@ class Source(RuleCommand):
         return 0.0 if self.source == "-" else self.SPEED
 
     def waits(self) -> bool:
-        """Whether the beginning of a live stream decides how it is encoded, so that :meth:`opened` waits for it.
-
-        Raises:
-            InputError: no such model.
-        """
+        """Whether the beginning of a live stream decides how it is encoded, so that :meth:`opened` waits for it."""
         from rcbht_jax.introspection.model import load
 
         return self.source == "-" and (self.model is None or self._beside(load(self.model)))
