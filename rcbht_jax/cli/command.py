@@ -12,6 +12,7 @@ import os
 import sys
 import typing
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
@@ -182,6 +183,12 @@ class Command(ABC):
             for mark, path in itertools.product(marks, _each(value)):
                 if isinstance(mark, MadeBy) and path is not None and not (path.exists() or url_of(path)):
                     raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
+
+    def refuse(self, names: Iterable[str], why: str) -> None:
+        """Refuse options that would be ignored, if they are given: if they differ from their defaults."""
+        for name in names:
+            if getattr(self, name) != getattr(type(self), name):
+                raise InputError(f"--{name.replace('_', '-')} {why}")
 
     def outputs(self) -> list[Path]:
         """The files and folders that this command writes."""

@@ -101,7 +101,8 @@ class Encode(RuleCommand):
 
         check_writable(self.store)
         name = self.name or self._default_name()
-        self._check_mode()
+        other, theirs = ("offline", ("version", "clean")) if self.mode == "online" else ("online", _ONLINE)
+        self.refuse(theirs, f"is for --mode {other}; leave it out, or use that mode.")
         checked_tolerance(self.rule, self.tolerance)
         if not 0 < self.scale < float("inf"):
             raise InputError(f"--scale is {self.scale}; expected a positive number.")
@@ -167,14 +168,6 @@ class Encode(RuleCommand):
         words += [] if self.scale == 1 else [f"x{self.scale:g}"]
         name = "-".join([f"online-W{self.window}", *words])
         return re.sub(r"[^A-Za-z0-9._-]+", "-", name.replace("e+", "e"))  # 2e+06 is not to become 2e-06
-
-    def _check_mode(self) -> None:
-        """Refuse options of the other mode, which would be ignored."""
-        other = "offline" if self.mode == "online" else "online"
-        names = ("version", "clean") if self.mode == "online" else _ONLINE
-        for name in names:
-            if getattr(self, name) != getattr(Encode, name):
-                raise InputError(f"--{name.replace('_', '-')} is for --mode {other}; leave it out, or use that mode.")
 
     def _online(self) -> _Run:
         from rcbht_jax.encoding.batch import encode_batch

@@ -258,8 +258,8 @@ class Source(RuleCommand):
             "timeout": (live or not known, "lines on standard input"),
         }
         for name, (used, what) in needs.items():
-            if getattr(self, name) != getattr(Source, name) and not used:
-                raise InputError(f"--{name.replace('_', '-')} has no effect without {what}; leave it out.")
+            if not used:
+                self.refuse((name,), f"has no effect without {what}; leave it out.")
 
     def _words(
         self, messages: Messages, say: Callable[[str], None], reads: Reads | None = None
