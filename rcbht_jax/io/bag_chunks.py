@@ -91,14 +91,16 @@ def _unpacked(unpack: Callable[[bytes], bytes], data: bytes) -> bytes:
     return unpacked
 
 
-# As much of a chunk as shows whether it is too large.
 def unpack_bz2(data: bytes) -> bytes:
+    """As much of a chunk as shows whether it is too large."""
     return bz2.BZ2Decompressor().decompress(data, MAX_CHUNK + 1)
 
 
 def unpack_lz4(data: bytes) -> bytes:
+    """As :func:`unpack_bz2`, of LZ4."""
     return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=MAX_CHUNK + 1))
 
 
 def unpack_zstd(data: bytes) -> bytes:
+    """As :func:`unpack_bz2`, of Zstandard."""
     return bytes(zstd.ZstdDecompressor().decompress(data, MAX_CHUNK + 1))
