@@ -39,9 +39,6 @@ def chosen_arm(names: Iterable[str], wanted: str) -> str:
         names: of the arms of recordings, at least one.
         wanted: one of them; "" = the first of :func:`arms_in`. An arm alone that has no name is meant by any.
 
-    Raises:
-        InputError: the arms have names, and none has this one.
-
     Example:
         >>> chosen_arm(["left", "right"], "left"), chosen_arm(["left", "right"], ""), chosen_arm([""], "R")
         ('left', 'right', '')

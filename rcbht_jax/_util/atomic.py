@@ -105,9 +105,6 @@ def atomic_lines(path: Path) -> Iterator[TextIO]:
     >>> with atomic_lines(Path("events.jsonl")) as out:
     ...     out.write("{}" + chr(10))
     3
-
-    Raises:
-        InputError: as :func:`atomic_write`.
     """
     if is_stream(path):
         with path.open("w", encoding="utf-8") as out:
@@ -253,11 +250,7 @@ def _flush(path: Path) -> None:
 
 
 def _followed(path: Path) -> Path:
-    """The file that is written: behind a link the one that it points to.
-
-    Raises:
-        InputError: the link leads to itself.
-    """
+    """The file that is written: behind a link the one that it points to."""
     sentence = f"{path} is a link that leads to itself; choose another name."
     try:
         followed = path.resolve() if path.is_symlink() else path.absolute()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import re
+from collections.abc import Iterable
 from typing import Any
 
 # Signs before a word or number, such as "+x-y" or "-0.5", do nothing.
@@ -37,3 +40,14 @@ def number_of(value: Any) -> float:
         return float(value)
     except ValueError:
         return float("nan")
+
+
+def table_text(*rows: Iterable[Any]) -> str:
+    r"""Rows of a table as CSV.
+
+    >>> table_text(("name", "count"), ("=A1", 2))
+    "name,count\n'=A1,2\n"
+    """
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(map(cell, row) for row in rows)
+    return text.getvalue()

@@ -38,19 +38,15 @@ def load(path: Path, made_by: Any) -> Any:
         raise InputError(f"{path} is not a checkpoint or is damaged; delete it to start again.") from error
     wanted = json.loads(json.dumps(made_by))
     if known != wanted:
+        name, known, wanted = first_difference(known, wanted)
+        differs = f"{name} {json.dumps(known)}, not {json.dumps(wanted)}".lstrip()
+        if known is wanted is None:
+            differs = f"one of them alone has {name}"
         raise InputError(
-            f"{path} belongs to a run with other data or options ({difference(known, wanted)}); "
-            "finish that run, choose another file, or delete this one to start again."
+            f"{path} belongs to a run with other data or options ({differs}); finish that run, choose another file, or "
+            "delete this one to start again."
         )
     return content
-
-
-def difference(known: Any, wanted: Any) -> str:
-    """The first value in which two JSON values differ, in words."""
-    name, known, wanted = first_difference(known, wanted)
-    if known is wanted is None:
-        return f"one of them alone has {name}"
-    return f"{name} {json.dumps(known)}, not {json.dumps(wanted)}".lstrip()
 
 
 def first_difference(known: Any, wanted: Any, name: str = "") -> tuple[str, Any, Any]:

@@ -8,7 +8,7 @@ import os
 import re
 import warnings
 from pathlib import Path
-from typing import TextIO
+from typing import Any
 
 import jax
 
@@ -55,17 +55,10 @@ def _replace_damaged(folder: Path) -> None:
     """
     show_others = warnings.showwarning
 
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
+    def show(message: Warning | str, *where: Any, **further: Any) -> None:
         failed = _FAILED.match(str(message))
         if not failed:
-            return show_others(message, category, filename, lineno, file, line)
+            return show_others(message, *where, **further)
         for stored in folder.glob(f"{glob.escape(failed[1])}-*"):
             with contextlib.suppress(OSError):
                 stored.unlink()

@@ -1,11 +1,13 @@
-"""Text of other people's files and processes as it may be shown and written."""
+"""Text that is shown: of other people's files and processes, of numbers of things, of what a task leaves out."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Mapping
 from io import BufferedIOBase
 
+INTERVALS = "intervals, "  # how a reason begins that counts intervals of trials which are used, not trials
 _BYTES = re.compile("[\udc80-\udcff]")  # what stands for a byte that is not UTF-8 in the name of a file (PEP 383)
 
 
@@ -28,6 +30,18 @@ def plural(count: int, one: str, many: str = "") -> str:
     ('1 recording', '2 axes')
     """
     return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def reasons_of(dropped: Mapping[str, int]) -> list[tuple[str, str]]:
+    """How much is left out, and why.
+
+    >>> reasons_of({"outcome unknown": 2, "intervals, class in one trial only: peg": 1})
+    [('2 trials', 'outcome unknown'), ('1 interval', 'class in one trial only: peg')]
+    """
+    return [
+        (plural(count, "interval" if reason.startswith(INTERVALS) else "trial"), reason.removeprefix(INTERVALS))
+        for reason, count in dropped.items()
+    ]
 
 
 def spelled(name: object) -> str:

@@ -10,12 +10,13 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.untrusted import load_json
@@ -43,11 +44,26 @@ def interleaved(run: Callable[[], Any], reference: Callable[[], Any], repeats: i
     >>> found.ratio > 0
     True
     """
-    run()
-    reference()
-    times = np.array([[_seconds(run), _seconds(reference)] for _ in range(repeats)])
+    times = turns([run, reference], repeats)
     ours, theirs = np.median(times, axis=0).tolist()
     return Timing(ours, theirs, float(np.median(times[:, 1] / times[:, 0])))
+
+
+def turns(calls: Sequence[Callable[[], Any]], repeats: int) -> NDArray[np.float64]:
+    """Wall times ``[round, call]``, s, of calls that take turns, after one of each that compiles.
+
+    >>> turns([lambda: sum(range(1000))], repeats=3).shape
+    (3, 1)
+    """
+    for call in calls:
+        call()
+    times = np.zeros((repeats, len(calls)))
+    for row in times:
+        for number, call in enumerate(calls):
+            start = time.perf_counter()
+            call()
+            row[number] = time.perf_counter() - start
+    return times
 
 
 def read_history(path: Path) -> list[dict[str, Any]]:
@@ -110,9 +126,3 @@ def fallen(ratios: Mapping[str, float], earlier: Mapping[str, float]) -> list[st
             below = 1 - ratio / earlier[name]
             sentences.append(f"The ratio {name} is {ratio:.3g}, {below:.0%} below the earlier {earlier[name]:.3g}.")
     return [sentence.replace("%", " %") for sentence in sentences]
-
-
-def _seconds(run: Callable[[], Any]) -> float:
-    start = time.perf_counter()
-    run()
-    return time.perf_counter() - start

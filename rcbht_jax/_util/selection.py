@@ -18,9 +18,6 @@ def number_of(what: str, wanted: Any, names: Sequence[Any]) -> int:
 
     >>> number_of("axis", "Fz", ["Fx", "Fy", "Fz"])
     2
-
-    Raises:
-        InputError: no such name, one that several have, or something that is neither a number nor a name.
     """
     if isinstance(wanted, str) and wanted not in names:
         raise InputError(f"There is no {what} {wanted!r}; there are {', '.join(map(str, names))}.")
@@ -36,9 +33,6 @@ def rows_of(rows: ArrayLike, count: int) -> NDArray[np.int64]:
 
     >>> rows_of([True, False, True], 3).tolist(), rows_of(-1, 3).tolist()
     ([0, 2], [2])
-
-    Raises:
-        InputError: numbers of other recordings, a mask of another length, or something else.
     """
     given = np.atleast_1d(numbers_of(rows, "A list of rows"))
     given = given if given.size else given.astype(np.int64)
@@ -54,9 +48,6 @@ def group_numbers(groups: ArrayLike) -> NDArray[np.int64]:
 
     >>> group_numbers(["b", "a", "b"]).tolist()
     [1, 0, 1]
-
-    Raises:
-        InputError: groups without an order, such as None beside texts.
     """
     try:
         return np.unique(np.asarray(groups), return_inverse=True)[1]

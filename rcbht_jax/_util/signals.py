@@ -1,4 +1,7 @@
-"""Signals as people have them, NumPy, JAX, pandas, polars or xarray: values, names of axes, and a checked time."""
+"""Signals as people have them, NumPy, JAX, pandas, polars or xarray: values, names of axes, and a checked time.
+
+What cannot be read, or disagrees, is an InputError.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,7 @@ LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would 
 
 
 def period(rate: Any) -> float:
-    """Seconds between samples.
-
-    Raises:
-        InputError: the rate is no positive, finite number.
-    """
+    """Seconds between samples."""
     if not 0 < (value := number("The rate", rate)) < float("inf"):
         raise InputError(f"The rate is {rate} samples per second; expected a positive, finite number.")
     return 1 / value
@@ -74,7 +73,8 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
             _check_time(wrench[name], dt, unit)
         if times:  # pandas' and polars' ways to say the same
             wrench = wrench.drop(columns=list(times)) if hasattr(wrench, "iloc") else wrench.drop(list(times))
-        return numbers_of(wrench), _column_names(wrench)
+        numbered = all(isinstance(name, Integral) for name in wrench.columns)  # as pandas has them by itself
+        return numbers_of(wrench), None if numbered else _plain_names(wrench.columns)
     if hasattr(wrench, "column_names"):
         raise InputError("A table of pyarrow holds columns; make a frame of it: table.to_pandas().")
     if is_xarray(wrench):
@@ -94,9 +94,6 @@ def texts(axes: Iterable[str]) -> tuple[str, ...]:
 
     >>> texts(["Fz", "My"])
     ('Fz', 'My')
-
-    Raises:
-        InputError: there are none, or they are no texts.
     """
     names = tuple(axes) if isinstance(axes, Iterable) and not isinstance(axes, str) else ()
     if not names or not all(isinstance(name, str) for name in names):
@@ -105,11 +102,7 @@ def texts(axes: Iterable[str]) -> tuple[str, ...]:
 
 
 def distinct(axes: Iterable[str]) -> tuple[str, ...]:
-    """Names of axes, all different: a name that two axes share would stand for the first alone.
-
-    Raises:
-        InputError: two axes have the same name, or as :func:`texts`.
-    """
+    """Names of axes, all different: a name that two axes share would stand for the first alone."""
     names = texts(axes)
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"{names.count(twice)} axes are called {twice}; give each axis a name of its own.")
@@ -217,9 +210,6 @@ def columns_for(what: str, needed: Sequence[str], period: float, axes: Sequence[
         axes: of the stream.
         dt: of the stream.
 
-    Raises:
-        InputError: the stream lacks an axis or has another rate.
-
     Example:
         >>> columns_for("The detector", ["Fz"], 0.005, ("Fx", "Fy", "Fz"), 0.005)
         [2]
@@ -258,9 +248,6 @@ def check_learned(names: Sequence[str] | None, estimator: Any, what: str) -> Non
         names: of the signal; None = it has none.
         estimator: with ``feature_names_in_`` where it learned names.
         what: beginning of the error.
-
-    Raises:
-        InputError: the names differ.
     """
     unnamed = AXES if set(names or ()) == set(AXES) else names or ()
     known = tuple(getattr(estimator, "feature_names_in_", unnamed))
@@ -271,11 +258,7 @@ def check_learned(names: Sequence[str] | None, estimator: Any, what: str) -> Non
 def check_axes(
     axes: Sequence[str], units: Sequence[str], learned: Sequence[str], learned_units: Sequence[str], where: str
 ) -> None:
-    """Raise an error if a signal's axes or units are not those of a model; ``where`` names it, "" = unit not stated.
-
-    Raises:
-        InputError: other axes than were learned, another order, or another unit where both are stated.
-    """
+    """Raise an error if a signal's axes or units are not those of a model; ``where`` names it, "" = unit not stated."""
     if tuple(axes) != tuple(learned):
         raise InputError(f"{where} has the axes {', '.join(axes)}; the model learned {', '.join(learned)}.")
     for axis, unit, known in zip(axes, units, learned_units, strict=False):  # old files of monitors have no units
@@ -283,18 +266,8 @@ def check_axes(
             raise InputError(f"{where} has {axis} in {unit}; the model learned it in {known}.")
 
 
-def _column_names(frame: Any) -> tuple[str, ...] | None:
-    """Names of the axes, the columns; those that are all numbers, as pandas has them by itself, are no names."""
-    numbered = all(isinstance(name, Integral) for name in frame.columns)
-    return None if numbered else _plain_names(frame.columns)
-
-
 def _plain_names(names: Iterable[Any]) -> tuple[str, ...]:
-    """Names of axes as texts, all different.
-
-    Raises:
-        InputError: names of several levels: no rule says which level tells a force from a moment, or is a time.
-    """
+    """Names of axes as texts, all different; of several levels, no rule says which one tells a force from a moment."""
     given = tuple(names)
     if levels := next((name for name in given if isinstance(name, tuple)), None):
         text = ".".join(map(str, levels))
@@ -318,11 +291,7 @@ def _check_rows(index: Any, dt: float) -> None:
 
 
 def _frame_values(frame: Any) -> NDArray[Any]:
-    """Values ``[time, axis]``; numbers that may be missing, as pandas' own types have them, are NaN where they are.
-
-    Raises:
-        InputError: columns of text, dates or categories beside others of numbers.
-    """
+    """Values ``[time, axis]``; numbers that may be missing, as pandas' own types have them, are NaN where they are."""
     values = frame.to_numpy()
     if values.dtype == object and hasattr(frame, "iloc"):
         kinds = [getattr(dtype, "kind", "O") for dtype in frame.dtypes]

@@ -97,9 +97,6 @@ def check_inside(path: Path, root: Path) -> None:
     Args:
         path: a file or a folder, with all that is in it.
         root: the folder, which may itself be a link, since the user named it.
-
-    Raises:
-        InputError: it, or something in it, is a link out of the folder.
     """
     within = ((here, name) for here, folders, files in os.walk(path) for name in (*folders, *files))
     for one in (path, *(Path(here, name) for here, name in within)):
@@ -134,9 +131,6 @@ def check_declared(path: Path, declared: int, size: int) -> None:
         path: the file.
         declared: bytes of its arrays.
         size: bytes of the file.
-
-    Raises:
-        InputError: too many altogether, or too many for a file of this size.
     """
     if declared < 0 or declared > MAX_BYTES:
         raise InputError(f"{path} declares arrays of {declared} bytes; expected at most {MAX_BYTES}. Split it.")
@@ -155,11 +149,7 @@ def decoder_limits(size: int) -> tuple[int, float]:
 
 
 def read_bytes(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> bytes:
-    """The content of a file.
-
-    Raises:
-        InputError: see :func:`check_file`, or it cannot be read.
-    """
+    """The content of a file."""
     check_file(path, most, empty=empty)
     try:
         return path.read_bytes()
@@ -206,11 +196,7 @@ def load_json(path: Path, finite: bool = True) -> Any:
 
 
 def read_json(path: Path) -> Any:
-    """The value in a JSON file of an import, where NaN stands for what is unknown.
-
-    Raises:
-        InputError: missing, too large, or not JSON.
-    """
+    """The value in a JSON file of an import, where NaN stands for what is unknown."""
     content = read_bytes(path, MAX_JSON_BYTES)
     try:
         return parse_json(content, finite=False)
@@ -219,11 +205,7 @@ def read_json(path: Path) -> Any:
 
 
 def read_object(path: Path) -> dict[str, Any]:
-    """As :func:`read_json` for a JSON object.
-
-    Raises:
-        InputError: missing, too large, or not a JSON object.
-    """
+    """As :func:`read_json` for a JSON object."""
     value = read_json(path)
     if not isinstance(value, dict):
         raise InputError(f"{path} is not a JSON object.")
@@ -262,11 +244,7 @@ def read_arrays(path: Path, objects: list[str] | None = None) -> dict[str, NDArr
 
 
 def declared_bytes(file: Any) -> int:
-    """Bytes of the array that the header of an NPY stream declares; -1 = an impossible shape.
-
-    Raises:
-        InputError: it holds Python objects.
-    """
+    """Bytes of the array that the header of an NPY stream declares; -1 = an impossible shape."""
     version = np.lib.format.read_magic(file)
     shape, _, dtype = _HEADERS[(1, 0) if version == (1, 0) else (2, 0)](file)
     if dtype.hasobject:
@@ -280,9 +258,6 @@ def checked_fields(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
     >>> from rcbht_jax.learning.svm import SvmSpec
     >>> checked_fields(SvmSpec, {"kernel": "rbf", "cost": 10})
     {'kernel': 'rbf', 'cost': 10}
-
-    Raises:
-        InputError: a field that the class does not have, or a value of another type.
     """
     hints = typing.get_type_hints(kind)
     known = {one.name for one in dataclasses.fields(kind)}
@@ -299,9 +274,6 @@ def checked_number(what: str, value: Any) -> float:
 
     >>> checked_number("the level", 3)
     3.0
-
-    Raises:
-        InputError: it is none.
     """
     if not fits(value, float):
         raise InputError(f"{what} is {str(value)[:40]!r}, no finite number.")
@@ -318,9 +290,6 @@ def checked_texts(what: str, values: Any, different: bool = False) -> tuple[str,
         what: their name in the error message.
         values: a JSON value.
         different: whether no two may be equal.
-
-    Raises:
-        InputError: they are not.
     """
     if not isinstance(values, list | tuple) or not all(map(_is_name, values)):
         raise InputError(f"{what} are not texts of at most {MAX_NAME} characters")

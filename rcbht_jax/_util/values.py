@@ -1,4 +1,4 @@
-"""Checks of numbers and objects that are data or parameters."""
+"""Checks of numbers and objects that are data or parameters; what does not pass one is an InputError."""
 
 from __future__ import annotations
 
@@ -30,9 +30,6 @@ def check_usable(wrench: NDArray[np.floating], length: NDArray[np.integer]) -> N
     """Raise an error for recordings ``[recording, time, axis]`` that are not :func:`usable` within their lengths.
 
     >>> check_usable(np.array([[[1.0], [np.nan]]]), np.array([1]))
-
-    Raises:
-        InputError: it names the first one.
     """
     for index, samples in enumerate(length):
         if not usable(wrench[index, :samples]):
@@ -56,9 +53,6 @@ def number(what: str, value: Any) -> float:
 
     >>> number("The rate", np.float32(0.5))
     0.5
-
-    Raises:
-        InputError: it is no number.
     """
     try:
         if not isinstance(value, str | bytes):
@@ -73,9 +67,6 @@ def finite(what: str, value: Any) -> float:
 
     >>> finite("The time", 1)
     1.0
-
-    Raises:
-        InputError: it is no such number.
     """
     if not math.isfinite(found := number(what, value)):
         raise InputError(f"{what} is {found}; expected a finite number.")
@@ -86,9 +77,6 @@ def expect(what: str, value: Any, *kinds: type) -> None:
     """Raise an error for an object that is of none of these classes.
 
     >>> expect("The threshold", 3, int, float)
-
-    Raises:
-        InputError: it is of another one.
     """
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.printable import plural
+from rcbht_jax._util.ratios import append_record, cpu_model, fallen, interleaved, latest, read_history, turns
 from rcbht_jax.cli.command import Command, Flag, announce, check_place, option, unset
 from rcbht_jax.errors import InputError
 
@@ -66,8 +67,6 @@ class Bench(Command):
 
     def run(self) -> dict[str, Any]:
         import jax
-
-        from rcbht_jax._util.ratios import append_record, cpu_model, fallen, latest, read_history
 
         trials = self.trials if self.trials is not None else TRIALS_ON_DEVICE if self.device else TRIALS
         if trials < 1 or self.samples < 20:
@@ -123,11 +122,7 @@ class Bench(Command):
 
 
 def _device(accelerator: bool) -> jax.Device:
-    """The accelerator that JAX finds, or the processor.
-
-    Raises:
-        InputError: there is no accelerator.
-    """
+    """The accelerator that JAX finds, or the processor."""
     import jax
 
     if not accelerator:
@@ -166,21 +161,13 @@ def measure(wrench: NDArray[np.float32]) -> tuple[Values, dict[str, float]]:
 
 def signal(trials: int, samples: int, seed: int = 0) -> NDArray[np.float32]:
     """Random walks ``[trials, samples, 6]`` with the slopes of a snap assembly: all labels occur."""
-
     rng = np.random.default_rng(seed)
     return np.cumsum(rng.normal(size=(trials, samples, 6)) * 0.3, axis=1).astype(np.float32)
 
 
 def median_seconds(run: Callable[[], Any], repeats: int = _REPEATS) -> float:
     """Median wall time of a call that has been made once before."""
-
-    run()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - start)
-    return float(np.median(times))
+    return float(np.median(turns([run], repeats)))
 
 
 def batch_encoder(wrench: NDArray[np.float32], window: int) -> tuple[Values, float]:
@@ -188,7 +175,6 @@ def batch_encoder(wrench: NDArray[np.float32], window: int) -> tuple[Values, flo
     import jax
     import jax.numpy as jnp
 
-    from rcbht_jax._util.ratios import interleaved
     from rcbht_jax.encoding.encoder import EncoderConfig, encode
     from rcbht_jax.encoding.thresholds import preset
 
@@ -234,7 +220,6 @@ def fit_rule(wrench: NDArray[np.float32]) -> tuple[Values, dict[str, float]]:
     import jax
     import jax.numpy as jnp
 
-    from rcbht_jax._util.ratios import interleaved
     from rcbht_jax.encoding import encoder, fit
     from rcbht_jax.encoding.batch import encode_batch
     from rcbht_jax.encoding.thresholds import preset
@@ -278,18 +263,12 @@ def streaming_step(windows: int = 2000) -> tuple[Values, float]:
     single = jax.jit(step, static_argnums=0)
     empty: Callable[..., Any] = jax.jit(lambda limits, state, x: (state, x.sum()))
     state, _ = single(config, limits, init(), samples[0])
-    jax.block_until_ready(empty(limits, state, samples[0]))
     one = np.asarray(samples[1])
     calls: list[Callable[[], Any]] = [
-        lambda: single(config, limits, state, one),
-        lambda: empty(limits, state, one),
+        lambda: jax.block_until_ready(single(config, limits, state, one)),
+        lambda: jax.block_until_ready(empty(limits, state, one)),
     ]
-    times = np.zeros((windows, 2))
-    for row in times:
-        for number, call in enumerate(calls):
-            start = time.perf_counter()
-            jax.block_until_ready(call())
-            row[number] = time.perf_counter() - start
+    times = turns(calls, windows)
     ours, reference = np.median(times, axis=0)
     values: Values = {
         "step/scan": (in_scan * 1e6, "us"),
@@ -301,7 +280,6 @@ def streaming_step(windows: int = 2000) -> tuple[Values, float]:
 
 def store_reading(wrench: NDArray[np.float32]) -> tuple[tuple[float, str], float]:
     """Reading of a store, verified, and its speed in units of loading and hashing the same bytes."""
-    from rcbht_jax._util.ratios import interleaved
     from rcbht_jax.io.store import read_recordings, write_recordings
     from rcbht_jax.types import Recordings
 
@@ -320,7 +298,6 @@ def store_reading(wrench: NDArray[np.float32]) -> tuple[tuple[float, str], float
 
 def offline_trial() -> float:
     """Seconds that the offline taxonomy takes for one trial of 33 s and six axes at 200 Hz."""
-
     from rcbht_jax import reference
 
     seconds = 33.0
@@ -331,7 +308,6 @@ def offline_trial() -> float:
 
 def peers(wrench: NDArray[np.float32], window: int) -> dict[str, float]:
     """Samples per second of the peers that are installed (extra ``bench``); slow ones get part of the array."""
-
     lanes = np.moveaxis(wrench, 2, 1).reshape(-1, wrench.shape[1]).astype(np.float64)
     segments = wrench.shape[1] // window
     speeds = {}

@@ -46,16 +46,9 @@ _READ_BY = {  # options by the methods that read them; the others refuse them
     ("gradient",): ("steps", "loss", "straight_through"),
     ("search", "gradient"): ("devices", "seed"),
     ("context", "search", "gradient"): (
-        "thresholds",
-        "robot",
-        "task",
-        "boundaries",
-        "arm",
-        "objective",
-        "rest_weight",
-        "plot",
+        "thresholds", "robot", "task", "boundaries", "arm", "objective", "rest_weight", "plot",
     ),
-}
+}  # fmt: skip
 
 
 class _Given(NamedTuple):
@@ -207,17 +200,11 @@ class Calibrate(RuleCommand):
         if self.rule == "fit" and self.plot is not None:
             raise InputError("--plot shows the slopes of windows, which --rule fit does not name; leave it out.")
         for methods, options in _READ_BY.items():
-            for name in options:
-                if self.method not in methods and getattr(self, name) != getattr(type(self), name):
-                    raise InputError(
-                        f"--{name.replace('_', '-')} is for --method {' or '.join(methods)}; with {self.method} leave "
-                        "it out."
-                    )
+            if self.method not in methods:
+                self.refuse(options, f"is for --method {' or '.join(methods)}; with {self.method} leave it out.")
         self._chosen_devices()
         if not 0 <= self.rest_weight < np.inf:
             raise InputError(f"--rest-weight is {self.rest_weight}; expected a finite number, 0 or more.")
-        if not self.out.parent.is_dir():
-            raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
 
     def _scores(self, given: _Given, found: _Found) -> dict[str, Any]:
         """How good the new limits and the base are, by the objective and by each of its scores."""

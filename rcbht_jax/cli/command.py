@@ -12,6 +12,7 @@ import os
 import sys
 import typing
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import tyro
 
 from rcbht_jax._util.atomic import is_stream
-from rcbht_jax._util.left_out import reasons_of
+from rcbht_jax._util.printable import reasons_of
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.errors import InputError
 
@@ -125,6 +126,10 @@ Weighing = Annotated[
         "time and count in histogram, count in ngram",
     ),
 ]
+StreamFamily = Literal[  # of features that a stream can keep up to date
+    "histogram", "ngram", "duration", "attributes", "offset", "course", "edges", "parts", "spread", "together", "order",
+    "levels", "elapsed",
+]  # fmt: skip
 Flag = Annotated[bool, unset()]
 
 
@@ -159,11 +164,7 @@ class Command(ABC):
         return kept if self.RESUMES else "no incomplete file was left, and what a stream had recorded is kept"
 
     def check_inputs(self) -> None:
-        """Refuse missing inputs, outputs that cannot be made or are an input, lists without a value, wrong seeds.
-
-        Raises:
-            InputError: names the command that makes it, the output, the option, or the seed.
-        """
+        """Refuse missing inputs, outputs that cannot be made or are an input, lists without a value, wrong seeds."""
         for each in fields(self):
             if getattr(self, each.name) == () and isinstance(each.default, tuple) and each.default:
                 raise InputError(f"--{each.name.replace('_', '-')} has no value; expected one or more.")
@@ -182,6 +183,12 @@ class Command(ABC):
             for mark, path in itertools.product(marks, _each(value)):
                 if isinstance(mark, MadeBy) and path is not None and not (path.exists() or url_of(path)):
                     raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
+
+    def refuse(self, names: Iterable[str], why: str) -> None:
+        """Refuse options that would be ignored, if they are given: if they differ from their defaults."""
+        for name in names:
+            if getattr(self, name) != getattr(type(self), name):
+                raise InputError(f"--{name.replace('_', '-')} {why}")
 
     def outputs(self) -> list[Path]:
         """The files and folders that this command writes."""
@@ -215,11 +222,7 @@ def _harms(output: Path, other: Path) -> bool:
 
 
 def check_place(path: Path, folder: Folder | None) -> None:
-    """Refuse an output that cannot be made at its place, or that would be added to a store.
-
-    Raises:
-        InputError: names the place.
-    """
+    """Refuse an output that cannot be made at its place, or that would be added to a store."""
     here = Path(os.path.realpath(path))  # behind a link the file that it points to
     grows = folder is not None and folder.grows
     store = next((place for place in (here, *here.parents)[not grows :] if (place / "zarr.json").is_file()), None)
@@ -323,9 +326,6 @@ def checked_tolerance(rule: str, tolerance: tuple[float, ...], axes: int | None 
         rule: of the words.
         tolerance: the option.
         axes: how many there are; None = not known yet.
-
-    Raises:
-        InputError: a tolerance for another rule than fit, or another number of them than axes.
     """
     if tolerance and rule != "fit":
         raise InputError("--tolerance is for --rule fit; add that, or leave it out.")

@@ -31,11 +31,7 @@ def rule_of(attrs: dict[str, Any]) -> str:
 
 
 def stored_by(store: Path, rule: str) -> str:
-    """Name of the label tracks by a rule; "" = the store has only others.
-
-    Raises:
-        InputError: there are no tracks at all, or several by this rule.
-    """
+    """Name of the label tracks by a rule; "" = the store has only others."""
     from rcbht_jax.errors import InputError
     from rcbht_jax.io.label_store import choose_name, list_tracks, read_tracks_attrs
 
@@ -49,11 +45,7 @@ def stored_by(store: Path, rule: str) -> str:
 
 
 def thresholds_now(store: Path, window: int | None, rule: Literal["fit", "paper"]) -> AnyLimits | None:
-    """Gradient thresholds of labels that are made now, as ``rcbht encode`` chooses them; None = none are made.
-
-    Raises:
-        InputError: no thresholds can be found for these recordings.
-    """
+    """Gradient thresholds of labels that are made now, as ``rcbht encode`` chooses them; None = none are made."""
     from rcbht_jax.cli.encode import Encode
     from rcbht_jax.io.store import read_sample
 
@@ -71,11 +63,7 @@ def made_now_note(store: Path, name: str) -> str:
 
 
 def drawn_words(store: Path, tracks: str, rule: Literal["fit", "paper"]) -> tuple[str, LabelTracks, dict[str, Any]]:
-    """Name, labels and attributes of what is drawn: tracks by name, stored ones by the rule, or words made now.
-
-    Raises:
-        InputError: there are no tracks, none of that name, or several by the rule.
-    """
+    """Name, labels and attributes of what is drawn: tracks by name, stored ones by the rule, or words made now."""
     from rcbht_jax.cli.encode import Encode
     from rcbht_jax.io.label_store import choose_tracks
 

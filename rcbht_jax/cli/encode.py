@@ -95,12 +95,14 @@ class Encode(RuleCommand):
     ] = None
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.io.label_parts import joined
         from rcbht_jax.io.label_store import list_tracks, write_batches
         from rcbht_jax.io.zarr import check_writable
 
         check_writable(self.store)
         name = self.name or self._default_name()
-        self._check_mode()
+        other, theirs = ("offline", ("version", "clean")) if self.mode == "online" else ("online", _ONLINE)
+        self.refuse(theirs, f"is for --mode {other}; leave it out, or use that mode.")
         checked_tolerance(self.rule, self.tolerance)
         if not 0 < self.scale < float("inf"):
             raise InputError(f"--scale is {self.scale}; expected a positive number.")
@@ -110,7 +112,7 @@ class Encode(RuleCommand):
         write_batches(self.store, name, run.tracks(self.store), run.how)
         restless, hidden = {}, []
         if run.training is not None:
-            labels = run.labels_of_training()
+            labels = joined(run.of_training)
             restless = _restless(run.training, labels, self.window, self.rule)
             hidden = _hidden(run.training, labels, self.window)
         facts = {
@@ -123,11 +125,7 @@ class Encode(RuleCommand):
         return {"store": str(self.store), "name": name, **facts, **run.how}
 
     def made_now(self) -> tuple[str, LabelTracks, dict[str, Any]]:
-        """Name, labels and attributes of the online words of a store; nothing is written.
-
-        Raises:
-            InputError: no thresholds can be found for these recordings.
-        """
+        """Name, labels and attributes of the online words of a store; nothing is written."""
         from rcbht_jax.io.label_parts import joined
 
         run = self._online()
@@ -170,14 +168,6 @@ class Encode(RuleCommand):
         words += [] if self.scale == 1 else [f"x{self.scale:g}"]
         name = "-".join([f"online-W{self.window}", *words])
         return re.sub(r"[^A-Za-z0-9._-]+", "-", name.replace("e+", "e"))  # 2e+06 is not to become 2e-06
-
-    def _check_mode(self) -> None:
-        """Refuse options of the other mode, which would be ignored."""
-        other = "offline" if self.mode == "online" else "online"
-        names = ("version", "clean") if self.mode == "online" else _ONLINE
-        for name in names:
-            if getattr(self, name) != getattr(Encode, name):
-                raise InputError(f"--{name.replace('_', '-')} is for --mode {other}; leave it out, or use that mode.")
 
     def _online(self) -> _Run:
         from rcbht_jax.encoding.batch import encode_batch
@@ -248,7 +238,7 @@ class _Run:
     samples: int = 0
     seconds: float = 0.0
     counts: dict[str, int] = field(default_factory=dict)
-    _kept: list[LabelTracks] = field(default_factory=list)
+    of_training: list[LabelTracks] = field(default_factory=list)  # the labels of these recordings
 
     def tracks(self, store: Path) -> Iterator[LabelTracks]:
         """Encode the batches of a store."""
@@ -268,15 +258,9 @@ class _Run:
                     self.counts[layer] = self.counts.get(layer, 0) + used
                 mine = self.rows[(self.rows >= first) & (self.rows < first + len(batch))] - first
                 if len(mine):
-                    self._kept.append(taken(tracks, mine))
+                    self.of_training.append(taken(tracks, mine))
                 first += len(batch)
                 yield tracks
-
-    def labels_of_training(self) -> LabelTracks:
-        """The label tracks of the training recordings."""
-        from rcbht_jax.io.label_parts import joined
-
-        return joined(self._kept)
 
 
 def _hidden(recordings: Recordings, tracks: LabelTracks, window: int) -> list[str]:

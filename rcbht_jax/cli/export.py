@@ -110,7 +110,8 @@ class Report(Command):
         from rcbht_jax.report.page import chosen
         from rcbht_jax.report.results import read_results
 
-        _check_target(self.out)
+        if self.out.suffix not in (".html", ".htm"):
+            raise InputError(f"{self.out} does not end in .html; expected a name such as report.html.")
         options = Options(
             title=self.title,
             results=None if self.results is None else read_results(self.results),
@@ -151,12 +152,3 @@ class Report(Command):
             f"{result['tracks']}{made_now_note(self.store, result['tracks'])}, {plural(result['results'], 'result')}, "
             f"{result['bytes'] / 1e6:.1f} MB"
         )
-
-
-def _check_target(out: Path) -> None:
-    if not out.parent.is_dir():
-        raise InputError(f"{out.parent} is not a folder; create it first.")
-    if out.suffix not in (".html", ".htm"):
-        raise InputError(f"{out} does not end in .html; expected a name such as report.html.")
-    if out.is_dir():
-        raise InputError(f"{out} is a folder; choose another name.")

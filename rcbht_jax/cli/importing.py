@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -11,7 +10,7 @@ import tyro
 
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar
-from rcbht_jax.cli.store import sentence
+from rcbht_jax.cli.store import listed
 
 if TYPE_CHECKING:
     from rcbht_jax.io.importing.mapping import Mapping
@@ -61,8 +60,6 @@ class Import(Command):
 
         if self.write_map is not None and self.write_map.exists():
             raise InputError(f"{self.write_map} exists already; choose another name, or move it away.")
-        if self.write_map is not None and not self.write_map.parent.is_dir():
-            raise InputError(f"{self.write_map.parent} is not a folder; create it first.")
         imported = import_source(
             self.source, self.out, self.KIND, self._mapping(), self.overwrite,
             lambda items: progress_bar("import", "files", iterable=items), self.keep_copies,
@@ -118,16 +115,8 @@ class Import(Command):
         if result["notes"]:
             lines.append("notes: " + ", ".join(f"{flag} {count}" for flag, count in result["notes"].items()))
         for title, key in (("left out", "skipped"), ("copies", "duplicates"), ("warnings", "warnings")):
-            lines += _listed(title, result[key])
+            lines += listed(title, result[key], MOST)
         return "\n".join(lines)
-
-
-def _listed(title: str, rows: list[tuple[str, str]]) -> Iterable[str]:
-    """A list that --json gives in full."""
-    if not rows:
-        return []
-    more = [f"  ... and {len(rows) - MOST} more; --json lists them all"] if len(rows) > MOST else []
-    return [f"{title}: {len(rows)}", *(f"  {sentence(name, reason)}" for name, reason in rows[:MOST]), *more]
 
 
 def _command(kind: str, what: str, example: str) -> type[Import]:

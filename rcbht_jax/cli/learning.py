@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections import Counter
 from collections.abc import Sequence
@@ -14,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import tyro
 
-from rcbht_jax._util.cells import cell
+from rcbht_jax._util.cells import table_text
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     Boundaries,
@@ -26,6 +24,7 @@ from rcbht_jax.cli.command import (
     OutModel,
     Sessions,
     Sources,
+    StreamFamily,
     Task,
     Weighing,
     left_out,
@@ -46,10 +45,7 @@ if TYPE_CHECKING:
 
 WIDEST = 100  # columns of a printed table
 CLASSIFIER = MadeBy('"rcbht train STORE.zarr -o {path}"')
-Family = Literal[
-    "sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges",
-    "parts", "spread", "together", "order", "levels", "elapsed",
-]  # fmt: skip
+Family = Literal["sentence", StreamFamily]
 
 
 @dataclass(frozen=True)
@@ -369,12 +365,8 @@ def lines_of(classification: Classification, recordings: Recordings) -> list[dic
 
 
 def _csv(classification: Classification, lines: list[dict[str, Any]]) -> str:
-    table = io.StringIO()
-    writer = csv.writer(table, lineterminator="\n")
-    writer.writerow([*lines[0], *map(cell, classification.pairs)])
-    decisions = classification.decision.tolist()
-    writer.writerows([*map(cell, line.values()), *values] for line, values in zip(lines, decisions, strict=True))
-    return table.getvalue()
+    rows = zip((line.values() for line in lines), classification.decision.tolist(), strict=True)
+    return table_text((*lines[0], *classification.pairs), *((*values, *decision) for values, decision in rows))
 
 
 def _json_lines(classification: Classification, lines: list[dict[str, Any]]) -> str:

@@ -114,15 +114,10 @@ def all_commands() -> dict[str, tuple[str, str]]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Args:
-        argv: the words after ``rcbht``; default ``sys.argv[1:]``.
-
-    Returns:
-        the exit status.
-    """
-    _allow_any_name()
+    """Run the command that the words after ``rcbht`` name, default ``sys.argv[1:]``; returns the exit status."""
+    for stream in (sys.stdout, sys.stderr):  # characters of names that the terminal does not know are spelled out
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its remark that a home cannot be written to
     try:
         if not __debug__:
@@ -220,11 +215,7 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def parse(name: str, words: list[str]) -> Command | None:
-    """The command with its options filled in; None when only its help was asked for.
-
-    Raises:
-        InputError: the options are wrong, or a package that parses them is missing.
-    """
+    """The command with its options filled in; None when only its help was asked for."""
     with needs_extra("all"):
         import tyro
 
@@ -293,13 +284,6 @@ def _fail(sentence: str, status: int) -> int:
 def _show(message: Warning | str, *_: object, **__: object) -> None:
     """A warning as a sentence, without the place in the code that gives it."""
     print(f"rcbht: {printable(str(message))}", file=sys.stderr)
-
-
-def _allow_any_name() -> None:
-    """Characters that the terminal does not know are spelled out, too."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 def script() -> NoReturn:

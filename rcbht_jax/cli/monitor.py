@@ -20,9 +20,7 @@ from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from rcbht_jax.events import Snap
     from rcbht_jax.introspection.nominal import NominalMonitor
-    from rcbht_jax.introspection.snaps import SnapDetector
     from rcbht_jax.types import Recordings
 
 MONITOR = MadeBy('"rcbht monitor fit STORE.zarr -o {path}"')
@@ -145,8 +143,10 @@ class MonitorWatch(Command):
             above = np.flatnonzero(scores > level)
             about = {"trial": str(recordings.trial[row]), "arm": str(recordings.arm[row])}
             alarms += bool(len(above))
-            for event in [] if snaps is None else _snaps(snaps, columns, part):
-                print(json.dumps(event.to_json() | about, allow_nan=False))
+            if snaps is not None:
+                snaps.reset()
+                for event in snaps.push(part[:, columns]):
+                    print(json.dumps(event.to_json() | about, allow_nan=False))
             if len(above):
                 _line("Alarm", about, time=(int(above[0]) + 1) * recordings.dt, score=scores[above[0]], threshold=level)
             _line("End", about, time=len(part) * recordings.dt, peak=scores.max(), outcome=str(recordings.outcome[row]))
@@ -242,12 +242,6 @@ class MonitorEvaluate(Command):
                 f"{result['needed']} nominal recordings of the other groups."
             )
         return "\n".join([*lines, *result["remarks"]])
-
-
-def _snaps(detector: SnapDetector, columns: list[int], part: NDArray[np.float64]) -> list[Snap]:
-    """What is seen and published in one recording ``[time, axis]``, time stamps from its beginning."""
-    detector.reset()
-    return detector.push(part[:, columns])
 
 
 def _row(row: dict[str, Any]) -> str:

@@ -196,11 +196,7 @@ def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[n
 
 
 def find_recording(recordings: Recordings, trial: str, arm: str | None, source: str) -> int:
-    """Row of the one recording of a trial.
-
-    Raises:
-        InputError: there is none, or several.
-    """
+    """Row of the one recording of a trial."""
     matches = (recordings.trial == trial) & _of_source(recordings, (source,) if source else ())
     if arm is not None:
         matches &= recordings.arm == arm

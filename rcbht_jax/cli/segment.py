@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import rows_of_arm
-from rcbht_jax._util.cells import cell
+from rcbht_jax._util.cells import table_text
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     Arm,
@@ -28,9 +25,6 @@ from rcbht_jax.cli.command import (
     progress_bar,
 )
 from rcbht_jax.errors import InputError
-
-if TYPE_CHECKING:
-    from rcbht_jax.introspection.segmentation import Segmentation
 
 
 @dataclass(frozen=True)
@@ -96,8 +90,10 @@ class Segment(Command):
         with progress_bar("segment", "models") as bar:
             keep = self.write_model is not None
             result = segment(recordings.take(chosen), segmenter, protocol, bar.update, keep)
+        head = ("recording", "source", "trial", "arm", "label", "start", "end", "annotated")
         with atomic_write(self.out) as draft:
-            draft.write_text(_table(result, chosen), encoding="utf-8")
+            intervals = ((int(chosen[row]), *rest) for row, *rest in result.rows())  # numbers in the store
+            draft.write_text(table_text(head, *intervals), encoding="utf-8")
         if self.write_model is not None:
             save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes))
         model = {} if self.write_model is None else {"model": str(self.write_model)}
@@ -129,12 +125,3 @@ def _with_interval(value: float | None, low: float | None, high: float | None) -
         return "-"
     limits = "" if low is None or high is None or low == high else f" ({low:.3f} to {high:.3f})"
     return f"{value:.3f}{limits}"
-
-
-def _table(result: Segmentation, numbers: NDArray[np.int64]) -> str:
-    """The table, with the number in the store of each of the recordings."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("recording", "source", "trial", "arm", "label", "start", "end", "annotated"))
-    writer.writerows(map(cell, (int(numbers[row]), *rest)) for row, *rest in result.rows())
-    return text.getvalue()

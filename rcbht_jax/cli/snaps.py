@@ -22,14 +22,7 @@ SnapSize = Annotated[
 
 
 def detector_of(sizes: tuple[str, ...], rate: float) -> SnapDetector | None:
-    """The detector that the option selects; None = none.
-
-    Args:
-        sizes: the option.
-        rate: samples per second.
-
-    Raises:
-        InputError: an option that cannot be read, or an axis twice.
+    """The detector that the option selects, for samples at a rate in Hz; None = none.
 
     Example:
         >>> detector_of(("Fz=3", "Mx=0.2,1"), 200.0).sizes.most.tolist()

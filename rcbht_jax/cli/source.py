@@ -145,9 +145,6 @@ class Source(RuleCommand):
         Args:
             words: with a model, report words besides beliefs.
             say: called with what is being waited for.
-
-        Raises:
-            InputError: no such model, no such source, or options that contradict each other.
         """
         from rcbht_jax._util import compile_cache
         from rcbht_jax.introspection.introspector import Introspector
@@ -189,11 +186,7 @@ class Source(RuleCommand):
         return 0.0 if self.source == "-" else self.SPEED
 
     def waits(self) -> bool:
-        """Whether the beginning of a live stream decides how it is encoded, so that :meth:`opened` waits for it.
-
-        Raises:
-            InputError: no such model.
-        """
+        """Whether the beginning of a live stream decides how it is encoded, so that :meth:`opened` waits for it."""
         from rcbht_jax.introspection.model import load
 
         return self.source == "-" and (self.model is None or self._beside(load(self.model)))
@@ -225,11 +218,7 @@ class Source(RuleCommand):
         return self.OWN_WORDS and config_fields(model.encoder)["rule"] != self.rule
 
     def check(self) -> None:
-        """Refuse options that contradict each other, or are out of range.
-
-        Raises:
-            InputError: says which.
-        """
+        """Refuse options that contradict each other, or are out of range."""
         if not 0 <= self.pace < float("inf"):
             raise InputError(f"The playback speed is {self.pace}; expected zero or more.")
         own = {
@@ -269,8 +258,8 @@ class Source(RuleCommand):
             "timeout": (live or not known, "lines on standard input"),
         }
         for name, (used, what) in needs.items():
-            if getattr(self, name) != getattr(Source, name) and not used:
-                raise InputError(f"--{name.replace('_', '-')} has no effect without {what}; leave it out.")
+            if not used:
+                self.refuse((name,), f"has no effect without {what}; leave it out.")
 
     def _words(
         self, messages: Messages, say: Callable[[str], None], reads: Reads | None = None
@@ -329,11 +318,7 @@ class Source(RuleCommand):
         return WordIntrospector(config, limits, recordings.axes, recordings.units), messages
 
     def _axes_of(self, axes: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of a stream's axes that nobody named: those in the file of thresholds, if it has other ones.
-
-        Raises:
-            InputError: there is no such file, or it has another number of axes.
-        """
+        """Names of a stream's axes that nobody named: those in the file of thresholds, if it has other ones."""
         from rcbht_jax.encoding.thresholds import axes_in
 
         named = axes_in(self.thresholds) if self.thresholds is not None and not self.axes else axes

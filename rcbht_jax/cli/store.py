@@ -46,15 +46,17 @@ class ImportHiro(Command):
         lines = [f"{plural(len(result['imported']), 'recording')} in {result['store']}"]
         lines += [f"  {count:5d}  {source}" for source, count in sorted(sets.items())]
         for title, key in (("left out", "skipped"), ("exact copies", "duplicates"), ("warnings", "warnings")):
-            if result[key]:
-                lines.append(f"{title}: {len(result[key])}")
-                lines += [f"  {sentence(path, reason)}" for path, reason in result[key]]
+            lines += listed(title, result[key])
         return "\n".join(lines)
 
 
-def sentence(path: str, reason: str) -> str:
-    """Messages of the parser begin with the path already."""
-    return reason if reason.startswith(path) else f"{path}: {reason}"
+def listed(title: str, rows: list[tuple[str, str]], most: int | None = None) -> list[str]:
+    """Lines of what an import reports of files, beyond ``most`` of them only how many; --json gives all."""
+    lines = [f"{title}: {len(rows)}"] * bool(rows)
+    for path, reason in rows[:most]:
+        lines.append(f"  {reason}" if reason.startswith(path) else f"  {path}: {reason}")  # messages of the parser
+    rest = len(rows[:most]) < len(rows)
+    return [*lines, *[f"  ... and {len(rows) - len(rows[:most])} more; --json lists them all"] * rest]
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from rcbht_jax.cli.command import (
     Sessions,
     Sources,
     Store,
+    StreamFamily,
     Weighing,
     left_out,
     option,
@@ -45,11 +46,6 @@ if TYPE_CHECKING:
     from rcbht_jax.io.messages import Message
     from rcbht_jax.io.rosbags import McapWriter
     from rcbht_jax.types import Recordings
-
-Family = Literal[  # that a stream can keep up to date
-    "histogram", "ngram", "duration", "attributes", "offset", "course", "edges", "parts", "spread", "together", "order",
-    "levels", "elapsed",
-]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -78,7 +74,7 @@ class TrainOnline(RuleCommand):
     session: Sessions = ()
     outcome: Outcomes = ()
     families: Annotated[
-        tuple[Family, ...],
+        tuple[StreamFamily, ...],
         option("Feature families; default those chosen for sub-tasks or for whole trials.", ""),
     ] = ()
     ranks: Flag = False

@@ -30,9 +30,6 @@ def unpacked_file(path: Path) -> Iterator[Path]:
     >>> with unpacked_file(Path("bag/bag_0.db3.zstd")) as path:  # doctest: +SKIP
     ...     print(path.name)
     bag_0.db3
-
-    Raises:
-        InputError: it is damaged, or unpacks to far more than its size.
     """
     size, total = check_file(path, empty=True), 0
     with path.open("rb") as file, TemporaryDirectory() as folder:
@@ -68,12 +65,9 @@ def unpacked_message(data: bytes) -> bytes:
 
     >>> unpacked_message(zstd.compress(b"abc"))
     b'abc'
-
-    Raises:
-        ValueError: it is damaged, or unpacks to more than ``MAX_CHUNK`` bytes.
     """
     try:
-        return _unpacked(lambda packed: zstd.ZstdDecompressor().decompress(packed, MAX_CHUNK + 1), data)
+        return _unpacked(unpack_zstd, data)
     except zstd.ZstdError as error:
         raise ValueError(str(error)) from None
 
@@ -83,7 +77,7 @@ def bound_chunks(reader: Any) -> None:
 
     >>> bound_chunks(reader)  # doctest: +SKIP
     """
-    table = {rosbag1.decompressors["bz2"]: _bz2, rosbag1.decompressors["lz4"]: unpack_lz4}
+    table = {rosbag1.decompressors["bz2"]: unpack_bz2, rosbag1.decompressors["lz4"]: unpack_lz4}
     for one in reader.readers:
         for key, chunk in getattr(one, "chunks", {}).items():
             if unpack := table.get(chunk.decompressor):
@@ -97,10 +91,16 @@ def _unpacked(unpack: Callable[[bytes], bytes], data: bytes) -> bytes:
     return unpacked
 
 
-def _bz2(data: bytes) -> bytes:
+def unpack_bz2(data: bytes) -> bytes:
+    """As much of a chunk as shows whether it is too large."""
     return bz2.BZ2Decompressor().decompress(data, MAX_CHUNK + 1)
 
 
 def unpack_lz4(data: bytes) -> bytes:
-    """As much of a chunk as shows whether it is too large."""
+    """As :func:`unpack_bz2`, of LZ4."""
     return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=MAX_CHUNK + 1))
+
+
+def unpack_zstd(data: bytes) -> bytes:
+    """As :func:`unpack_bz2`, of Zstandard."""
+    return bytes(zstd.ZstdDecompressor().decompress(data, MAX_CHUNK + 1))

@@ -13,7 +13,6 @@ from jaxtyping import Int
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
@@ -23,9 +22,6 @@ from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS, open_store, schema
 from rcbht_jax.io.store_writer import seal_whole
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
-
-with needs_extra("store"):
-    import zarr
 
 PART = 1024  # recordings in a part, unless the caller chooses
 INTEGERS = {"label": "int8", "t0": "int32", "t1": "int32", "emit": "int32"}
@@ -64,9 +60,15 @@ def create_in(
     created: str | None = None,
 ) -> None:
     """Create label tracks in a store that is being written; arguments as of :func:`create`."""
-    if not (path / LABELS).exists():
-        zarr.create_group(path / LABELS, zarr_format=3)
+    require_group(path)
     create(path / LABELS / name, layout, sample, attrs, created=created)
+
+
+def require_group(path: Path) -> None:
+    """Create the group of all label tracks of a store, if there is none."""
+    with zarr_io.locked(path):
+        if not (path / LABELS / zarr_io.META).exists():
+            zarr_io.create_group(path / LABELS, {})
 
 
 def write_part(folder: Path, number: int, tracks: LabelTracks) -> None:
@@ -224,13 +226,13 @@ def _fields(axes: int, real: str) -> dict[str, Field]:
     }
 
 
-def _fields_in(group: zarr.Group) -> dict[str, Field]:
+def _fields_in(group: zarr_io.Group) -> dict[str, Field]:
     with zarr_io.reading(zarr_io.path_of(group)):
         sample = [zarr_io.subgroup(group, layer) for layer in LAYERS][-1]["avg"]
         return _fields(sample.shape[1], str(sample.dtype))  # type: ignore[union-attr]
 
 
-def _header(group: zarr.Group) -> list[str]:
+def _header(group: zarr_io.Group) -> list[str]:
     return sorted(f"{name} {made.dtype}" for name, made in _fields_in(group).items())
 
 
@@ -242,7 +244,7 @@ def _digest_of(store: Path) -> str:
     return parts.whole_digest(schema_in(group).header, [digest or "" for digest in parts.digests(group)])
 
 
-def _read_part(folder: Path, group: zarr.Group, number: int, digest: str | None) -> LabelTracks:
+def _read_part(folder: Path, group: zarr_io.Group, number: int, digest: str | None) -> LabelTracks:
     made = _fields_in(group)
     with zarr_io.reading(folder):
         rows = parts.layout_of(group).span(number)

@@ -1,4 +1,7 @@
-"""Label tracks inside a store: ``labels/<name>/<layer>/<field>`` with dimensions [trial, axis, slot]."""
+"""Label tracks inside a store: ``labels/<name>/<layer>/<field>`` with dimensions [trial, axis, slot].
+
+All functions raise an InputError where ``path`` is not a store, has no such label tracks, or they are damaged.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_folder
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
 from rcbht_jax.features.spans import check_rate
-from rcbht_jax.io import label_parts, store_v2
+from rcbht_jax.io import label_parts, store_old
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store import count_recordings, open_store, read_table, recording_rows
@@ -26,10 +28,7 @@ from rcbht_jax.io.store_reader import replaced
 from rcbht_jax.io.store_schema import HASH, LABELLED, LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.tasks import TrackBatches
-from rcbht_jax.types import LabelTrack, LabelTracks, TrackInfo
-
-with needs_extra("store"):
-    import zarr
+from rcbht_jax.types import LabelTracks, TrackInfo
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 
@@ -93,7 +92,7 @@ def write_batches(
     try:
         with atomic_folder(folder, near=path) as draft:
             _write_draft(draft, path, rows, layout, _of_its_rate(path, batches), attrs, created)
-            _require_group(path)
+            label_parts.require_group(path)
     except InputError:
         if uncollected_tracks(path):  # another process took the name meanwhile: these are there under another one
             collect(path)
@@ -129,15 +128,8 @@ def replace_batches(path: Path, name: str, batches: Iterable[LabelTracks], attrs
         _write_draft(draft, path, rows, layout, batches, own, attrs["created"])
         if HASH in attrs and zarr_io.open_group(draft).attrs[HASH] != attrs[HASH]:
             raise InputError(f"{folder} cannot be made again: the installed versions encode otherwise.")
-        _require_group(path)
+        label_parts.require_group(path)
     collect(path)
-
-
-def _require_group(path: Path) -> None:
-    """Create the group of all label tracks, if there is none."""
-    with zarr_io.locked(path):
-        if not (path / LABELS / zarr_io.META).exists():
-            zarr.create_group(path / LABELS, zarr_format=3)
 
 
 def _write_draft(
@@ -191,22 +183,19 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
     >>> batches = read_batches(Path("trials.zarr"), "online-W5", [3, 1])  # of a store of 4 recordings
     >>> [len(batch.mc.label) for batch in batches]
     [3, 1]
-
-    Raises:
-        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     folder, rows = _folder(path, name), recording_rows(path)
     attrs = own_attrs(path, name)
-    found = label_parts.read(folder, rows) if "part_rows" in attrs else iter([_read_old(folder, attrs, len(rows))])
+    found = (
+        label_parts.read(folder, rows)
+        if "part_rows" in attrs
+        else iter([store_old.read_tracks(folder, attrs, len(rows))])
+    )
     yield from label_parts.regroup(found, sizes)
 
 
 def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
-    """Label tracks of some recordings, by ascending number; only the parts that hold them are read.
-
-    Raises:
-        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
-    """
+    """Label tracks of some recordings, by ascending number; only the parts that hold them are read."""
     if "part_rows" in own_attrs(path, name):
         return label_parts.joined(list(label_parts.read(_folder(path, name), recording_rows(path)[numbers])))
     return label_parts.taken(_whole(path, name), numbers)
@@ -236,11 +225,7 @@ def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
 
 
 def verify_tracks(path: Path, name: str) -> None:
-    """Read a set of label tracks, part by part, and compare it with its checksums and the collected metadata.
-
-    Raises:
-        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
-    """
+    """Read a set of label tracks, part by part, and compare it with its checksums and the collected metadata."""
     for _ in read_batches(path, name, part_sizes(count_recordings(path))):
         pass
     if "part_rows" in read_tracks_attrs(path, name):
@@ -251,21 +236,14 @@ def uncollected_tracks(path: Path) -> list[str]:
     """Names of the label tracks that xarray misses, since the process that wrote them was killed.
 
     :func:`collect` mends that.
-
-    Raises:
-        InputError: ``path`` is not a store, or is damaged.
     """
     return [name for name in list_tracks(path) if zarr_io.uncollected(path, f"{LABELS}/{name}")]
 
 
 def collect(path: Path) -> None:
-    """Collect the metadata of all label tracks that are there, so that xarray finds them.
-
-    Raises:
-        InputError: ``path`` cannot be changed.
-    """
+    """Collect the metadata of all label tracks that are there, so that xarray finds them."""
     zarr_io.check_writable(path)
-    _require_group(path)
+    label_parts.require_group(path)
     with zarr_io.locked(path):  # of two that write at the same time, the later one finds the tracks of both
         zarr_io.consolidate(path)
 
@@ -286,7 +264,7 @@ def copy_tracks(source: Path, target: Path, name: str) -> None:
     folder = _folder(target, name)
     with atomic_folder(folder, near=target, replace=folder.exists()) as draft:
         shutil.copytree(_folder(source, name), draft, symlinks=True)
-        _require_group(target)
+        label_parts.require_group(target)
     collect(target)
 
 
@@ -298,7 +276,7 @@ def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
     """
     open_store(path)
     folder = _folder(path, name)
-    if not zarr_io.has_group(folder):
+    if name not in zarr_io.subfolders(folder.parent):
         names = ", ".join(list_tracks(path)) or "none"
         raise InputError(f"{path} has no label tracks {name}; it has: {names}.")
     return dict(zarr_io.open_group(folder).attrs)
@@ -357,11 +335,7 @@ def choose_name(path: Path, name: str = "") -> str:
 
 
 def list_tracks(path: Path | str) -> list[str]:
-    """Names of the label tracks in a store, sorted, including damaged ones.
-
-    Raises:
-        InputError: ``path`` is not a store.
-    """
+    """Names of the label tracks in a store, sorted, including damaged ones."""
     path = as_path(path)
     open_store(path)
     return sorted(name for name in zarr_io.subfolders(path / LABELS) if NAME.fullmatch(name))
@@ -374,22 +348,3 @@ def _folder(path: Path, name: str) -> Path:
             "and not zarr.json."
         )
     return path / LABELS / name
-
-
-def _read_old(folder: Path, attrs: Mapping[str, Any], count: int) -> LabelTracks:
-    """Label tracks that were written in one piece, by versions 1 and 2."""
-    group = zarr_io.open_group(folder)
-    with zarr_io.reading(folder):
-        layers = {layer: _read_layer(group, layer) for layer in LAYERS}
-        arrays = [label_parts.checked(track, layer, count) for layer, track in layers.items()]
-    if store_v2.tracks_hash(arrays) != attrs["content_sha256"]:
-        raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
-    return LabelTracks(*layers.values())
-
-
-def _read_layer(group: zarr.Group, layer: str) -> LabelTrack:
-    sub = group[layer]
-    if not isinstance(sub, zarr.Group):
-        raise InputError(f"{zarr_io.path_of(group)} has no layer {layer}; it is incomplete. Encode again.")
-    dtypes = {name: None if dtype == "float" else dtype for name, dtype in label_parts.FIELDS.items()}
-    return LabelTrack(**{name: zarr_io.read_array(sub, name, dtype) for name, dtype in dtypes.items()})

@@ -13,15 +13,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_CHANNELS, MAX_CHUNK, MAX_SCHEMA, check_declared, check_file
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.bag_chunks import unpack_lz4
-
-with needs_extra("stream"):
-    from rosbags.rosbag2 import storage_mcap
+from rcbht_jax.io.bag_chunks import unpack_lz4, unpack_zstd
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 7, 8, 0x0B, 0x0F
@@ -143,7 +139,8 @@ def _chunk_and_kinds(path: Path, file: BinaryIO, at: int, length: int) -> tuple[
 def _data_match(file: BinaryIO, at: int) -> bool:
     """Whether the data have the checksum, if any, that their end states, whose content is at ``at``."""
     (crc,) = _numbers(file, at, "<I")
-    starts = (0, len(MAGIC), _after_header(file))  # writers disagree on whether the magic and the header are data
+    first = len(MAGIC) + _HEAD + _numbers(file, len(MAGIC) + 1, "<Q")[0]  # behind the header
+    starts = (0, len(MAGIC), first)  # writers disagree on whether the magic and the header are data
     return not crc or any(_crc(file, start, at - _HEAD) == crc for start in starts)
 
 
@@ -340,12 +337,7 @@ def _chunk(file: BinaryIO, at: int, length: int) -> _Chunk:
     return _Chunk(crc, unpacked)
 
 
-def _zstd(data: bytes) -> bytes:
-    zstd: Any = vars(storage_mcap)["zstd"]  # of Python 3.14, or a package that stands in for it
-    return bytes(zstd.ZstdDecompressor().decompress(data, MAX_CHUNK + 1))
-
-
-_UNPACK: dict[bytes, Callable[[bytes], bytes]] = {b"": bytes, b"lz4": unpack_lz4, b"zstd": _zstd}
+_UNPACK: dict[bytes, Callable[[bytes], bytes]] = {b"": bytes, b"lz4": unpack_lz4, b"zstd": unpack_zstd}
 
 
 def _record(kind: int, content: bytes) -> bytes:
@@ -360,11 +352,6 @@ def _content(file: BinaryIO, at: int, length: int) -> bytes:
 def _numbers(file: BinaryIO, at: int, form: str) -> tuple[int, ...]:
     content = _content(file, at, struct.calcsize(form))
     return struct.unpack(form, content) if len(content) == struct.calcsize(form) else (0,) * len(form[1:])
-
-
-def _after_header(file: BinaryIO) -> int:
-    """Where the records after the first one begin."""
-    return len(MAGIC) + _HEAD + _numbers(file, len(MAGIC) + 1, "<Q")[0]
 
 
 def _crc(file: BinaryIO, start: int, stop: int) -> int:

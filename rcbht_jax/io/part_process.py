@@ -58,7 +58,9 @@ def shared(path: Path, parts: Sequence[Part]) -> Shared:
     for part in parts:
         arrays = {}
         for name in part.fields:
-            values = _with_width(np.asarray(part.values[name]))
+            values = np.asarray(part.values[name])
+            if values.dtype == np.dtype("<U0"):  # an array of empty text has no bytes to share
+                values = values.astype("<U1")
             arrays[name] = [values.dtype.str, values.shape, size]
             pieces.append((values, size))
             size += -(-values.nbytes // _ALIGNED) * _ALIGNED
@@ -74,11 +76,6 @@ def shared(path: Path, parts: Sequence[Part]) -> Shared:
         os.close(file)
         raise
     return Shared({"path": str(path), "memory": f"/proc/{os.getpid()}/fd/{file}", "tables": tables}, file)
-
-
-def _with_width(values: NDArray[Any]) -> NDArray[Any]:
-    """Text of at least one letter: an array of empty text has no bytes to share."""
-    return values.astype("<U1") if values.dtype == np.dtype("<U0") else values
 
 
 class PartProcess:

@@ -24,14 +24,10 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_write, delete, flush_all, uninterrupted
 from rcbht_jax._util.digest import content_hash
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import read_object
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import chunk_files, chunk_reader
 from rcbht_jax.io import zarr as zarr_io
-
-with needs_extra("store"):
-    import zarr
 
 DIGESTS = "part_sha256"
 CHUNK_BYTES = 2**18  # of a chunk of an array that grows: what reading one row costs
@@ -97,7 +93,7 @@ class Part:
     hashed: tuple[str, ...] = ()
 
 
-def layout_of(group: zarr.Group) -> Layout:
+def layout_of(group: zarr_io.Group) -> Layout:
     """The layout that the attributes of a table state.
 
     Raises:
@@ -113,16 +109,18 @@ def layout_of(group: zarr.Group) -> Layout:
 
 
 @uninterrupted()
-def create(group: zarr.Group, layout: Layout, fields: Mapping[str, Field]) -> None:
+def create(group: zarr_io.Group, layout: Layout, fields: Mapping[str, Field]) -> None:
     """Create the arrays of a table, without rows; a name such as ``columns/mass`` is an array of a group inside."""
     for folder in sorted({name.rpartition("/")[0] for name in fields} - {""}):
         group.require_group(folder)
     for name, made in fields.items():
-        dimensions = ("trial", *made.dimensions)
-        _array(
-            group, name, (layout.rows, *(size or 0 for size in made.shape)), dimensions, made, *_chunks(layout, made)
-        )
-    _array(group, DIGESTS, (len(layout), _DIGEST), ("part", "byte"), Field("uint8"), (1, _DIGEST), None)
+        folder, _, last = name.rpartition("/")
+        zarr_io.create_array(
+            zarr_io.subgroup(group, folder) if folder else group, last,
+            (layout.rows, *(size or 0 for size in made.shape)), made.dtype, ("trial", *made.dimensions), made.attrs,
+            *_chunks(layout, made),
+        )  # fmt: skip
+    zarr_io.create_array(group, DIGESTS, (len(layout), _DIGEST), "uint8", ("part", "byte"), {}, (1, _DIGEST))
     group.update_attributes({"rows": layout.rows, "part_rows": layout.part})
 
 
@@ -151,9 +149,15 @@ def check(part: Part) -> None:
     Raises:
         InputError: an array has another shape or dtype, or there is no such part.
     """
-    rows = part.layout.span(part.number)
+    span = part.layout.span(part.number)
     for name, made in part.fields.items():
-        _check(name, made, np.asarray(part.values[name]), rows.stop - rows.start)
+        array = np.asarray(part.values[name])
+        shape = [span.stop - span.start, *("any" if size is None else size for size in made.shape)]
+        right = array.ndim == len(shape) and all(map(lambda size, want: want in ("any", size), array.shape, shape))
+        if not right or dtype_of(array) != made.dtype:
+            raise InputError(
+                f"{name} of a part is {dtype_of(array)} of shape {array.shape}; expected {made.dtype} of shape {shape}."
+            )
 
 
 def write(part: Part) -> None:
@@ -170,7 +174,7 @@ def write(part: Part) -> None:
         with zarr_io.locked(part.folder):  # others may be growing the same arrays
             for name, made in part.fields.items():
                 if (axis := made.grows) is not None:
-                    _widen(part.folder / name / "zarr.json", axis, np.shape(part.values[name])[axis])
+                    _widen(part.folder / name / zarr_io.META, axis, np.shape(part.values[name])[axis])
 
 
 @uninterrupted()
@@ -232,8 +236,8 @@ def flush_rest(path: Path) -> None:
 def _chunk_folders(path: Path) -> Iterator[Path]:
     """Folders of the chunks of the arrays below a folder that are written part by part."""
     for folder, inside, files in os.walk(path):
-        if "zarr.json" in files:
-            dimensions = read_object(Path(folder, "zarr.json")).get("dimension_names") or [""]
+        if zarr_io.META in files:
+            dimensions = read_object(Path(folder, zarr_io.META)).get("dimension_names") or [""]
             if dimensions[0] in ("trial", "part"):
                 inside.clear()
                 yield Path(folder, "c")
@@ -244,13 +248,13 @@ def digest_file(number: int) -> str:
     return f"{DIGESTS}/c/{number}/0"
 
 
-def digests(group: zarr.Group) -> list[str | None]:
+def digests(group: zarr_io.Group) -> list[str | None]:
     """Digest of each part, None = it is missing."""
     stored = np.asarray(zarr_io.member(group, DIGESTS)[...])
     return [row.tobytes().hex() if row.any() else None for row in stored]
 
 
-def digest(group: zarr.Group, number: int) -> str | None:
+def digest(group: zarr_io.Group, number: int) -> str | None:
     """Digest of one part, None = it is missing."""
     row = np.asarray(zarr_io.member(group, DIGESTS)[number])
     return row.tobytes().hex() if row.any() else None
@@ -263,7 +267,7 @@ def whole_digest(header: Any, parts: list[str]) -> str:
 
 @uninterrupted()
 def read(
-    group: zarr.Group, name: str, rows: slice | NDArray[np.int64], made: Field, width: int | None = None
+    group: zarr_io.Group, name: str, rows: slice | NDArray[np.int64], made: Field, width: int | None = None
 ) -> NDArray[Any]:
     """Some rows of an array, as far as ``width`` along the dimension that grows; text as NumPy strings.
 
@@ -271,9 +275,8 @@ def read(
         InputError: the array is missing or has another dtype.
     """
     array = zarr_io.member(group, name)
-    found = "string" if array.dtype.kind in "TUO" else str(array.dtype)
-    if found != made.dtype:
-        raise InputError(f"{zarr_io.path_of(group)}: {name} is {found}; expected {made.dtype}.")
+    if _dtype_in(array) != made.dtype:
+        raise InputError(f"{zarr_io.path_of(group)}: {name} is {_dtype_in(array)}; expected {made.dtype}.")
     stops = list(array.shape[1:])
     if (axis := made.grows) is not None and width is not None:
         stops[axis - 1] = min(width, stops[axis - 1])
@@ -295,7 +298,7 @@ def each(check: Callable[[int], T], numbers: Iterable[int]) -> list[T]:
         return list(pool.map(check, numbers))
 
 
-def _rows(array: zarr.Array[Any], rows: slice | NDArray[np.int64], stops: tuple[int, ...]) -> NDArray[Any]:
+def _rows(array: zarr_io.Array[Any], rows: slice | NDArray[np.int64], stops: tuple[int, ...]) -> NDArray[Any]:
     chosen = np.arange(*rows.indices(array.shape[0])) if isinstance(rows, slice) else rows
     chunks = chunk_reader.chunks_of(array)
     if chunks is not None and (not len(chosen) or 0 <= chosen.min() <= chosen.max() < array.shape[0]):
@@ -304,15 +307,24 @@ def _rows(array: zarr.Array[Any], rows: slice | NDArray[np.int64], stops: tuple[
     return np.asarray(array[(rows, *within)] if isinstance(rows, slice) else array.oindex[(rows, *within)])
 
 
-def fields_in(group: zarr.Group) -> dict[str, Field]:
+def fields_in(group: zarr_io.Group) -> dict[str, Field]:
     """The fields of the arrays of a group, all of fixed shape, by name."""
     found = {}
     for name, array in sorted(group.arrays()):
         if name != DIGESTS:
-            dtype = "string" if array.dtype.kind in "TUO" else str(array.dtype)
             dimensions = tuple(map(str, array.metadata.dimension_names[1:]))  # type: ignore[union-attr,index]
-            found[name] = Field(dtype, dimensions, tuple(array.shape[1:]))
+            found[name] = Field(_dtype_in(array), dimensions, tuple(array.shape[1:]))
     return found
+
+
+def dtype_of(values: NDArray[Any]) -> str:
+    """The dtype of a field that holds these values."""
+    return "string" if values.dtype.kind == "U" else str(values.dtype)
+
+
+def _dtype_in(array: zarr_io.Array[Any]) -> str:
+    """The dtype of the field that an array holds; the kind of its texts depends on the version of Zarr."""
+    return "string" if array.dtype.kind in "TUO" else str(array.dtype)
 
 
 def _chunks(layout: Layout, made: Field) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
@@ -326,31 +338,9 @@ def _chunks(layout: Layout, made: Field) -> tuple[tuple[int, ...], tuple[int, ..
     return (rows, *inner), (layout.part, *outer)
 
 
-def _array(
-    group: zarr.Group, name: str, shape: tuple[int, ...], dimensions: tuple[str, ...], made: Field,
-    chunks: tuple[int, ...], shards: tuple[int, ...] | None,
-) -> None:  # fmt: skip
-    folder, _, last = name.rpartition("/")
-    zarr_io.create_array(
-        zarr_io.subgroup(group, folder) if folder else group, last, shape, made.dtype, dimensions, made.attrs,
-        chunks, shards,
-    )  # fmt: skip
-
-
-def _check(name: str, made: Field, array: NDArray[Any], rows: int) -> None:
-    wanted = (
-        rows,
-        *(array.shape[n] if size is None else size for n, size in enumerate(made.shape, 1) if n < array.ndim),
-    )
-    found = "string" if array.dtype.kind == "U" else str(array.dtype)
-    if array.shape != wanted or array.ndim != 1 + len(made.shape) or found != made.dtype:
-        shape = [rows, *("any" if size is None else size for size in made.shape)]
-        raise InputError(f"{name} of a part is {found} of shape {array.shape}; expected {made.dtype} of shape {shape}.")
-
-
 @uninterrupted()
 def write_array(
-    group: zarr.Group, name: str, layout: Layout, number: int, made: Field, values: NDArray[Any]
+    group: zarr_io.Group, name: str, layout: Layout, number: int, made: Field, values: NDArray[Any]
 ) -> None:  # fmt: skip
     """Write a part of one array, as far as the values reach along the dimension that grows."""
     chunk, shard = _chunks(layout, made)

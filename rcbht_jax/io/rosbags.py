@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,8 @@ with needs_extra("stream"):
 WRENCH = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
 
 LATEST = 2.0**31 - 1  # s, the last stamp that ROS can hold
-_LABELS = """std_msgs/Header header
+_MESSAGES = {  # of the package rcbht_msgs
+    "Labels": """std_msgs/Header header
 string[] axis
 int32[] primitive
 int32[] mc
@@ -41,12 +41,12 @@ int32[] llb
 string[] primitive_name
 string[] mc_name
 string[] llb_name
-"""
-_SIGNAL = """std_msgs/Header header
+""",
+    "Signal": """std_msgs/Header header
 string[] axis
 float64[] value
-"""
-_BELIEF = """std_msgs/Header header
+""",
+    "Belief": """std_msgs/Header header
 string head
 string label
 int32 code
@@ -56,24 +56,25 @@ int32 level_code
 float64 certain_for
 string[] classes
 float64[] probabilities
-"""
-_WORD = """std_msgs/Header header
+""",
+    "Word": """std_msgs/Header header
 string layer
 string axis
 string label
 int32 code
 float64 start
 float64 stop
-"""
-_SCORE = """std_msgs/Header header
+""",
+    "Score": """std_msgs/Header header
 float64 score
 float64 threshold
 float64 p_value
-"""
-_EVENT = """std_msgs/Header header
+""",
+    "Event": """std_msgs/Header header
 string event
 string json
-"""
+""",
+}
 
 
 def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
@@ -160,11 +161,7 @@ class Bag(AnyReader):
 
 
 def _files(path: Path) -> list[Path]:
-    """The files of a bag, each of which is checked.
-
-    Raises:
-        InputError: one is not a regular file, or too large.
-    """
+    """The files of a bag, each of which is checked."""
     if not path.is_dir():
         check_file(path, MAX_BAG_BYTES)
         return [path]
@@ -238,43 +235,34 @@ class McapWriter:
             raise InputError(f"{path.parent} is not a folder; create it first.")
         self._path, self._axes, self._is_wrench = path, list(axes), is_wrench(axes, units)
         self._store = get_typestore(Stores.ROS2_HUMBLE)
-        for kind, text in (
-            ("Labels", _LABELS),
-            ("Signal", _SIGNAL),
-            ("Belief", _BELIEF),
-            ("Word", _WORD),
-            ("Score", _SCORE),
-            ("Event", _EVENT),
-        ):
+        for kind, text in _MESSAGES.items():
             self._store.register(get_types_from_msg(text, f"rcbht_msgs/msg/{kind}"))
         self._connections: dict[str, Any] = {}
         self._origin: float | None = None  # s, what is written as time zero
         self._latest = 0.0  # s, of what is written so far
 
     def __enter__(self) -> McapWriter:
-        self._exit = ExitStack()
-        self._draft = self._exit.enter_context(atomic_write(self._path, keep=True))
-        self._folder = draft_of(self._draft)
-        self._exit.callback(shutil.rmtree, self._folder, ignore_errors=True)
-        # the writer makes a folder with a file of its name in it, and the file says what it is called
-        self._bag = self._folder / self._path.stem
-        self._writer = Writer(self._bag, version=9, storage_plugin=StoragePlugin.MCAP)
-        self._writer.open()
+        with ExitStack() as stack:
+            draft = stack.enter_context(atomic_write(self._path, keep=True))
+            folder = draft_of(draft)
+            stack.callback(shutil.rmtree, folder, ignore_errors=True)
+            # the writer makes a folder with a file of its name in it, and the file says what it is called
+            bag = folder / self._path.stem
+            self._writer = Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.open()
+            stack.push(partial(self._finish, bag, draft))
+            self._exit = stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            self._writer.close()
-            if kind is None or self._connections:  # an hour of recording is worth more than its missing end
-                [file] = self._bag.glob("*.mcap")
-                seal(file)
-                os.replace(file, self._draft)
-        except BaseException:
-            self._exit.__exit__(*sys.exc_info())
-            raise
-        self._exit.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._exit.__exit__(*error)
+
+    def _finish(self, bag: Path, draft: Path, kind: type[BaseException] | None, *_: object) -> None:
+        self._writer.close()
+        if kind is None or self._connections:  # an hour of recording is worth more than its missing end
+            [file] = bag.glob("*.mcap")
+            seal(file)
+            os.replace(file, draft)
 
     def _write(self, topic: str, kind: str, time: float, **fields: Any) -> None:
         types = self._store.types

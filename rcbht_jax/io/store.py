@@ -8,13 +8,16 @@ further columns ``[trial]`` in ``columns/``; annotations in ``annotations/`` (``
 ``labels/<name>/<layer>/`` (``rcbht_jax.io.label_store``); parameters and ground truth of a simulation in
 ``simulation/``, every array ``[trial, ...]``. The dimension "trial" counts recordings: one arm of one trial. A row of
 length 0, listed in the attribute ``gaps``, is no recording, and readers leave it out. Versions 1 and 2 are read as well
-(:mod:`rcbht_jax.io.store_v1`, :mod:`rcbht_jax.io.store_v2`).
+(:mod:`rcbht_jax.io.store_old`).
 
 A store is written in parts of consecutive rows (:mod:`rcbht_jax.io.store_writer`), each with files of its own, and read
 whole, by rows or in batches, so that it may be larger than memory. Every chunk carries a CRC-32C, every recording's
 samples and every part a SHA-256 (``wrench_sha256 [trial, byte]``, ``part_sha256 [part, byte]``), and the store that of
 its parts (attribute ``content_sha256``, which an unfinished store lacks): reading detects truncation and loss.
 :func:`write_recordings` writes atomically (:mod:`rcbht_jax._util.atomic`).
+
+All functions that read raise an InputError where ``path`` does not exist, is not a store of this format, or is damaged;
+those that need all of a store, also while it is being written.
 """
 
 from __future__ import annotations
@@ -30,20 +33,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.digest import wrench_digests
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import parts, store_reader, store_v1, store_v2, store_writer
+from rcbht_jax.io import parts, store_old, store_reader, store_writer
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import VARIABLES, validate
 from rcbht_jax.io.store_reader import Stored
-from rcbht_jax.io.store_schema import FORMAT, FORMAT_VERSION, HASH, LABELS, SIMULATION, open_store, schema_of
+from rcbht_jax.io.store_schema import FORMAT, FORMAT_VERSION, HASH, LABELS, SIMULATION, in_parts, open_store, schema_of
 from rcbht_jax.io.summary import Summary, summary_of
 from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.types import Recordings
-
-with needs_extra("store"):
-    import zarr
 
 __all__ = [
     "FORMAT", "FORMAT_VERSION", "SIMULATION", "VARIABLES", "check_target", "count_recordings", "is_finished",
@@ -125,9 +124,8 @@ def read_recordings(path: Path | str) -> Recordings:
         InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged (a
             chunk is missing, truncated or altered).
     """
-    path = as_path(path)
-    group = open_store(path)
-    return _valid(path, store_reader.read_all(Stored.of(path, group)) if _in_parts(group) else _read_old(path, group))
+    stored = _open(path := as_path(path))
+    return _valid(path, stored if isinstance(stored, Recordings) else store_reader.read_all(stored))
 
 
 def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
@@ -142,13 +140,12 @@ def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
         InputError: there is no such recording, or as for :func:`read_recordings`.
     """
     path, numbers = as_path(path), np.atleast_1d(np.asarray(rows))
-    group = open_store(path, collected=True)
-    stored = Stored.of(path, group) if _in_parts(group) else None
-    count = count_recordings(path) if stored is None else len(stored.rows())
+    stored = _open(path, collected=True)
+    count = len(stored if isinstance(stored, Recordings) else stored.rows())
     if numbers.dtype.kind not in "iu" or not len(numbers) or numbers.min() < 0 or numbers.max() >= count:
         raise InputError(f"{path} has recordings 0 to {count - 1}; asked for {numbers.tolist()[:9]}.")
-    if stored is None:
-        return _valid(path, _read_old(path, group)).take(numbers)
+    if isinstance(stored, Recordings):
+        return _valid(path, stored).take(numbers)
     return _valid(path, store_reader.read_rows(stored, numbers.astype(np.int64)))
 
 
@@ -161,17 +158,10 @@ def read_batches(path: Path | str, most: int | None = None) -> Iterator[Recordin
     Args:
         path: the store; of version 1 or 2 it is read whole.
         most: bytes of wrenches in a batch; default 64 MiB.
-
-    Raises:
-        InputError: as for :func:`read_recordings`.
     """
-    path = as_path(path)
-    group = open_store(path)
-    if _in_parts(group):
-        for batch in store_reader.read_parts(Stored.of(path, group), BATCH_BYTES if most is None else most):
-            yield _valid(path, batch)
-    else:
-        yield _valid(path, _read_old(path, group))
+    stored, most = _open(path := as_path(path)), BATCH_BYTES if most is None else most
+    for batch in [stored] if isinstance(stored, Recordings) else store_reader.read_parts(stored, most):
+        yield _valid(path, batch)
 
 
 def read_table(path: Path | str) -> Recordings:
@@ -182,36 +172,22 @@ def read_table(path: Path | str) -> Recordings:
 
     Returns:
         recordings whose ``wrench`` has no samples ``[recording, 0, axis]``.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
-    group = open_store(path := as_path(path))
-    if _in_parts(group):
-        return store_reader.read_table(Stored.of(path, group))
-    return _read_old(path, group)
+    stored = _open(as_path(path))
+    return stored if isinstance(stored, Recordings) else store_reader.read_table(stored)
 
 
 def read_summary(path: Path) -> Summary:
     """The summary of a store (:func:`rcbht_jax.io.summary.summary_of`), as far as it is written; no row is read.
 
     A store of version 1 or 2 is read whole.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
-    group = open_store(path)
-    if _in_parts(group):
-        return store_reader.read_summary(Stored.of(path, group))
-    return summary_of(_read_old(path, group))
+    stored = _open(path)
+    return summary_of(stored) if isinstance(stored, Recordings) else store_reader.read_summary(stored)
 
 
 def longest_of(path: Path) -> int:
-    """Samples to which :func:`read_recordings` pads all recordings.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
-    """
+    """Samples to which :func:`read_recordings` pads all recordings."""
     return store_reader.padded_to(path, open_store(path))
 
 
@@ -221,9 +197,6 @@ def progress_of(path: Path) -> tuple[int, int, dict[str, str], int]:
     Returns:
         recordings that are there; how many there will be (some of them gaps, while it is being written); the axes and
         their units; and bytes of the wrenches, padded.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
     group, there = open_store(path), count_recordings(path)
     with zarr_io.reading(path):
@@ -244,9 +217,6 @@ def read_sample(path: Path, most: int | None = None) -> tuple[Recordings, NDArra
 
     Returns:
         the recordings, and their numbers.
-
-    Raises:
-        InputError: as for :func:`read_recordings`.
     """
     length, group = read_lengths(path), open_store(path)
     with zarr_io.reading(path):
@@ -259,18 +229,12 @@ def read_sample(path: Path, most: int | None = None) -> tuple[Recordings, NDArra
 
 
 def verify(path: Path | str) -> None:
-    """Read everything but the label tracks, part by part, and compare it with its checksums.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
-    """
-    group = open_store(path := as_path(path))
-    if not _in_parts(group):
-        _read_old(path, group)
-        if SIMULATION in group:
+    """Read everything but the label tracks, part by part, and compare it with its checksums."""
+    stored = _open(path := as_path(path))
+    if isinstance(stored, Recordings):
+        if SIMULATION in open_store(path):
             read_simulation(path)
         return
-    stored = Stored.of(path, group)
     store_reader.check_whole(stored)
     if stored.schema.simulation:
         store_reader.check_simulation(stored)
@@ -279,11 +243,7 @@ def verify(path: Path | str) -> None:
 
 
 def is_finished(path: Path) -> bool:
-    """Whether all of a store has been written.
-
-    Raises:
-        InputError: ``path`` does not exist or is not a store of this format.
-    """
+    """Whether all of a store has been written."""
     return HASH in open_store(path).attrs
 
 
@@ -298,85 +258,58 @@ def read_simulation(path: Path, *names: str) -> dict[str, NDArray[Any]]:
 
 
 def read_simulation_batches(path: Path, *names: str) -> Iterator[dict[str, NDArray[Any]]]:
-    """As :func:`read_simulation`, of consecutive recordings in batches: the parts of the store.
-
-    Raises:
-        InputError: as there.
-    """
+    """As :func:`read_simulation`, of consecutive recordings in batches: the parts of the store."""
     group = open_store(path)
     sub = group.get(SIMULATION)
-    if not isinstance(sub, zarr.Group):
+    if not isinstance(sub, zarr_io.Group):
         raise InputError(f'{path} holds no simulation; expected a store made by "rcbht simulate".')
-    if _in_parts(group):
+    if in_parts(group):
         yield from store_reader.read_simulation(Stored.of(path, group), names)
         return
-    with zarr_io.reading(path):
-        arrays = store_v2.read_arrays(sub)
-        expected = sub.attrs[HASH]
-    if store_v2.arrays_hash(arrays) != expected:
-        raise InputError(f"{path} is damaged: its simulation does not match its checksum. Simulate or copy it again.")
+    arrays = store_old.read_simulation(path, sub)
     yield {name: arrays[name] for name in names or arrays}
 
 
 def read_digests(path: Path) -> NDArray[np.uint8]:
-    """SHA-256 of the samples of each recording ``[recording, 32]``: equal ones are copies.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
-    """
-    group = open_store(path)
-    if _in_parts(group):
-        return store_reader.read_digests(Stored.of(path, group))
-    recordings = _read_old(path, group)
-    return wrench_digests(recordings.wrench, recordings.length)
+    """SHA-256 of the samples of each recording ``[recording, 32]``: equal ones are copies."""
+    stored = _open(path)
+    if isinstance(stored, Recordings):
+        return wrench_digests(stored.wrench, stored.length)
+    return store_reader.read_digests(stored)
 
 
 def read_attrs(path: Path) -> dict[str, Any]:
-    """The store's attributes: provenance, ``dt``, ``import_report`` and so on.
-
-    Raises:
-        InputError: ``path`` does not exist or is not a store of this format.
-    """
+    """The store's attributes: provenance, ``dt``, ``import_report`` and so on."""
     return dict(open_store(path).attrs)
 
 
 def count_recordings(path: Path) -> int:
-    """Number of recordings in a store; while it is being written, of those that are there.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
-    """
+    """Number of recordings in a store; while it is being written, of those that are there."""
     group = open_store(path)
-    if _in_parts(group) and HASH in group.attrs:
+    if in_parts(group) and HASH in group.attrs:
         return len(Stored.of(path, group).rows())
     return len(read_lengths(path))
 
 
 def read_lengths(path: Path) -> NDArray[np.int32]:
-    """Samples of each recording; while the store is being written, of those that are there.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
-    """
+    """Samples of each recording; while the store is being written, of those that are there."""
     group = open_store(path)
     with zarr_io.reading(path):
-        if _in_parts(group):
+        if in_parts(group):
             return store_reader.read_lengths(Stored.of(path, group))
         return zarr_io.read_array(group, "length", "int32")
 
 
 def recording_rows(path: Path) -> NDArray[np.int64]:
-    """Row in the store of each recording: ascending, and without gaps where no recording is missing.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
-    """
+    """Row in the store of each recording: ascending, and without gaps where no recording is missing."""
     group = open_store(path)
-    return Stored.of(path, group).rows() if _in_parts(group) else np.arange(count_recordings(path))
+    return Stored.of(path, group).rows() if in_parts(group) else np.arange(count_recordings(path))
 
 
-def _in_parts(group: zarr.Group) -> bool:
-    return int(group.attrs["format_version"]) > 2  # type: ignore[arg-type]
+def _open(path: Path, *, collected: bool = False) -> Stored | Recordings:
+    """An open store; all recordings, verified, of a store of version 1 or 2."""
+    group = open_store(path, collected=collected)
+    return Stored.of(path, group) if in_parts(group) else store_old.read(path, group)
 
 
 def _valid(path: Path, recordings: Recordings) -> Recordings:
@@ -384,16 +317,4 @@ def _valid(path: Path, recordings: Recordings) -> Recordings:
         validate(recordings)
     except InputError as error:
         raise InputError(f"{path} holds contradictory recordings: {error}") from error
-    return recordings
-
-
-def _read_old(path: Path, group: zarr.Group) -> Recordings:
-    """Recordings of a store of version 1 or 2, verified."""
-    store_reader.padded_to(path, group)
-    with zarr_io.reading(path):
-        read = store_v1.read if group.attrs["format_version"] == 1 else store_v2.read
-        recordings, digest = read(group)
-        expected = group.attrs[HASH]
-    if digest != expected:
-        raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
     return recordings

@@ -1,4 +1,7 @@
-"""Reading of a store of version 3: whole, some rows, part by part; what is read is verified."""
+"""Reading of a store of version 3: whole, some rows, part by part; what is read is verified.
+
+All functions raise an InputError where what they read is missing, damaged or not yet written.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import wrench_digests
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import parse_json
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -30,14 +32,12 @@ from rcbht_jax.io.store_schema import (
     WRENCH_HASH,
     Schema,
     digested,
+    in_parts,
     open_store,
     schema_in,
 )
 from rcbht_jax.io.summary import COUNTING, Summary, merged, summary_of
 from rcbht_jax.types import Recordings
-
-with needs_extra("store"):
-    import zarr
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -47,21 +47,17 @@ class Stored:
     """A store that is open for reading."""
 
     path: Path
-    group: zarr.Group
+    group: zarr_io.Group
     schema: Schema
     finished: bool
 
     @staticmethod
-    def of(path: Path, group: zarr.Group) -> Stored:
+    def of(path: Path, group: zarr_io.Group) -> Stored:
         """A store that has been opened, finished or not."""
         return Stored(path, group, schema_in(group), HASH in group.attrs)
 
     def check_finished(self) -> None:
-        """Refuse a store that is still being written.
-
-        Raises:
-            InputError: parts are missing.
-        """
+        """Refuse a store that is still being written."""
         if not self.finished:
             there = sum(digest is not None for digest in parts.digests(self.group))
             raise InputError(
@@ -80,11 +76,7 @@ class Stored:
         return np.flatnonzero(used)
 
     def check_unchanged(self) -> None:
-        """Refuse a store in whose place another one was put since it was opened, as ``--overwrite`` does.
-
-        Raises:
-            InputError: it is another one.
-        """
+        """Refuse a store in whose place another one was put since it was opened, as ``--overwrite`` does."""
         if self.finished and open_store(self.path).attrs.get(HASH) != self.group.attrs[HASH]:
             raise replaced(self.path)
 
@@ -106,11 +98,7 @@ def replaced(path: Path) -> InputError:
 
 
 def read_all(stored: Stored) -> Recordings:
-    """All recordings, padded as they were written.
-
-    Raises:
-        InputError: the store is damaged or not finished.
-    """
+    """All recordings, padded as they were written."""
     count, at = len(stored.rows()), 0
     wrench = np.zeros((count, padded_to(stored.path, stored.group), len(stored.schema.axes)), np.float32)
     tables = []
@@ -121,12 +109,8 @@ def read_all(stored: Stored) -> Recordings:
     return replace(Recordings.join(tables), wrench=wrench)
 
 
-def padded_to(path: Path, group: zarr.Group) -> int:
-    """Samples to which the recordings of a store of any version are padded.
-
-    Raises:
-        InputError: it declares far more than the longest has, or is damaged.
-    """
+def padded_to(path: Path, group: zarr_io.Group) -> int:
+    """Samples to which the recordings of a store of any version are padded."""
     with zarr_io.reading(path):
         padded = int(group["wrench"].shape[1])  # type: ignore[union-attr]
         longest = int(zarr_io.read_array(group, "length", "int32").max(initial=0))
@@ -138,15 +122,7 @@ def padded_to(path: Path, group: zarr.Group) -> int:
 
 
 def read_parts(stored: Stored, most: int | None = None) -> Iterator[Recordings]:
-    """All recordings in their order, in batches that each fit in memory; every part is verified.
-
-    Args:
-        stored: the store.
-        most: bytes of wrenches in one batch; None = whole parts.
-
-    Raises:
-        InputError: the store is damaged or not finished.
-    """
+    """All recordings in their order, in batches of so many bytes at most, None = whole parts; all is verified."""
     check_whole(stored)
     padded_to(stored.path, stored.group)
     for number in range(len(stored.schema.layout)):
@@ -166,11 +142,7 @@ def read_parts(stored: Stored, most: int | None = None) -> Iterator[Recordings]:
 
 
 def read_rows(stored: Stored, numbers: NDArray[np.int64]) -> Recordings:
-    """Some recordings, by number, in the given order; of wrenches only their chunks are read.
-
-    Raises:
-        InputError: no such recording, or what is read is damaged.
-    """
+    """Some recordings, by number, in the given order; of wrenches only their chunks are read."""
     rows = stored.rows()[numbers]
     order = np.argsort(rows, kind="stable")
     found: list[Recordings] = []
@@ -197,17 +169,9 @@ def read_table(stored: Stored) -> Recordings:
 
 
 def first_trials(path: Path, count: int) -> list[str]:
-    """Names of the trials of the first recordings, of a store of any size; [] = of version 1 or 2, or not finished.
-
-    Args:
-        path: the store.
-        count: recordings to look at; no others are read.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
-    """
+    """Names of the trials of the first ``count`` recordings; [] = of version 1 or 2, or not finished."""
     group = open_store(path)
-    if int(group.attrs["format_version"]) < 3 or HASH not in group.attrs:  # type: ignore[arg-type]
+    if not in_parts(group) or HASH not in group.attrs:
         return []
     stored = Stored.of(path, group)
     rows = stored.rows()
@@ -239,11 +203,7 @@ def read_digests(stored: Stored) -> NDArray[np.uint8]:
 
 
 def read_small(stored: Stored, number: int) -> Arrays:
-    """The arrays of a part but its wrenches, verified.
-
-    Raises:
-        InputError: the part is missing or damaged.
-    """
+    """The arrays of a part but its wrenches, verified."""
     rows, fields = stored.schema.layout.span(number), digested(stored.schema.fields)
     with zarr_io.reading(stored.path):
         small = {name: parts.read(stored.group, name, rows, made) for name, made in fields.items()}
@@ -254,11 +214,7 @@ def read_small(stored: Stored, number: int) -> Arrays:
 
 
 def check_whole(stored: Stored) -> None:
-    """Check that the parts are those of which the digest of the store is made, and its times of its rate.
-
-    Raises:
-        InputError: they are not, or the store is not finished.
-    """
+    """Check that the parts are those of which the digest of the store is made, and its times of its rate."""
     stored.check_finished()
     with zarr_io.reading(stored.path):
         _check_sealed(stored, stored.group, stored.schema.header, "its content")
@@ -274,9 +230,6 @@ def check_part(stored: Stored, number: int) -> None:
     """Read a part, its simulation included, and compare it with its digests, and its summary with its rows.
 
     Summaries of versions that counted other quantities are not compared.
-
-    Raises:
-        InputError: it is missing or damaged.
     """
     small, rows = read_small(stored, number), stored.schema.layout.span(number)
     _check_wrench(stored, small, _wrench(stored, rows, int(small["length"].max())))
@@ -298,22 +251,14 @@ def _check_summary(stored: Stored, number: int, small: Arrays) -> None:
 
 
 def check_simulation(stored: Stored) -> None:
-    """Check that the parts of the group ``simulation/`` are those of which its digest is made.
-
-    Raises:
-        InputError: they are not.
-    """
+    """Check that the parts of the group ``simulation/`` are those of which its digest is made."""
     with zarr_io.reading(stored.path):
         group, header = zarr_io.subgroup(stored.group, SIMULATION), sorted(stored.schema.simulation)
         _check_sealed(stored, group, header, "its simulation")
 
 
 def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = ()) -> Arrays:
-    """Arrays of the group ``simulation/`` of one part: all, which are verified, or some.
-
-    Raises:
-        InputError: the part is missing or damaged, or there is no simulation.
-    """
+    """Arrays of the group ``simulation/`` of one part: all, which are verified, or some."""
     sub, fields = zarr_io.subgroup(stored.group, SIMULATION), stored.schema.simulation
     with zarr_io.reading(stored.path):
         rows = stored.schema.layout.span(number)
@@ -325,11 +270,7 @@ def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = (
 
 
 def read_simulation(stored: Stored, names: tuple[str, ...] = ()) -> Iterator[Arrays]:
-    """Arrays ``[recording, ...]`` of the group ``simulation/``, of the recordings of one part after the other.
-
-    Raises:
-        InputError: the store is damaged or not finished, or there is no such array.
-    """
+    """Arrays ``[recording, ...]`` of the group ``simulation/``, of the recordings of one part after the other."""
     kept = stored.rows()
     check_simulation(stored)
     if missing := [name for name in names if name not in stored.schema.simulation]:
@@ -359,7 +300,7 @@ def _there(stored: Stored) -> NDArray[np.bool_]:
     return np.repeat(there, layout.part)[: layout.rows]
 
 
-def _check_sealed(stored: Stored, group: zarr.Group, header: Any, what: str) -> None:
+def _check_sealed(stored: Stored, group: zarr_io.Group, header: Any, what: str) -> None:
     digests = [digest or "" for digest in parts.digests(group)]
     if parts.whole_digest(header, digests) != group.attrs.get(HASH):
         raise stored.damaged(what)

@@ -11,18 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import wrench_digests
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import checked_number
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import VARIABLES
-from rcbht_jax.io.parts import Field, Layout
+from rcbht_jax.io.parts import Field, Layout, dtype_of
 from rcbht_jax.types import Recordings
-
-with needs_extra("store"):
-    import zarr
 
 FORMAT, FORMAT_VERSION = "rcbht-recordings", 3
 SIMULATION, COLUMNS, ANNOTATIONS, LABELS = "simulation", "columns", "annotations", "labels"
@@ -108,7 +104,7 @@ def _widths(recordings: Recordings) -> Iterator[int]:
     return (values.dtype.itemsize for values in texts)
 
 
-def schema_in(group: zarr.Group) -> Schema:
+def schema_in(group: zarr_io.Group) -> Schema:
     """The schema of a store of version 3.
 
     Raises:
@@ -124,11 +120,11 @@ def schema_in(group: zarr.Group) -> Schema:
             tuple(zarr_io.read_array(group, "axis", "string").tolist()), tuple(map(str, attrs["axis_units"])),
             {track: tuple(map(str, names)) for track, names in attrs["annotation_labels"].items()},
             {name: made.dtype for name, made in columns.items()},
-            parts.fields_in(sub) if isinstance(sub, zarr.Group) else {},
+            parts.fields_in(sub) if isinstance(sub, zarr_io.Group) else {},
         )  # fmt: skip
 
 
-def open_store(path: Path, *, collected: bool = False) -> zarr.Group:
+def open_store(path: Path, *, collected: bool = False) -> zarr_io.Group:
     """Open the store's group for reading; ``collected`` as for :func:`rcbht_jax.io.zarr.open_group`.
 
     Raises:
@@ -145,6 +141,11 @@ def open_store(path: Path, *, collected: bool = False) -> zarr.Group:
     return group
 
 
+def in_parts(group: zarr_io.Group) -> bool:
+    """Whether a store is written in parts, as from version 3 on."""
+    return int(group.attrs["format_version"]) > 2  # type: ignore[arg-type]
+
+
 def values_of(recordings: Recordings) -> dict[str, NDArray[Any]]:
     """The arrays of the recordings as they are stored, by name."""
     values = {name: np.asarray(getattr(recordings, name)) for name in VARIABLES}
@@ -158,11 +159,6 @@ def values_of(recordings: Recordings) -> dict[str, NDArray[Any]]:
 def digested(fields: Mapping[str, Field]) -> dict[str, Field]:
     """The fields that the digest of a part covers; wrenches have their own digests, so that rows can be read alone."""
     return {name: made for name, made in fields.items() if name != "wrench"}
-
-
-def dtype_of(values: NDArray[Any]) -> str:
-    """The dtype of a field that holds these values."""
-    return "string" if values.dtype.kind == "U" else str(values.dtype)
 
 
 def _slots(marks: Annotations, count: int) -> dict[str, NDArray[Any]]:

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax._util.values import expect
 from rcbht_jax.errors import InputError
@@ -42,9 +41,6 @@ from rcbht_jax.io.store_schema import (
 )
 from rcbht_jax.io.summary import COUNTING, summary_of
 from rcbht_jax.types import Recordings
-
-with needs_extra("store"):
-    import zarr
 
 
 def create(path: Path | str, schema: Schema, attrs: Mapping[str, Any], created: str) -> None:
@@ -170,7 +166,7 @@ def finish(path: Path | str, attrs: Mapping[str, Any] | None = None) -> None:
     zarr_io.consolidate(path)
 
 
-def seal_whole(group: zarr.Group, header: Any, attrs: Mapping[str, Any] | None = None) -> None:
+def seal_whole(group: zarr_io.Group, header: Any, attrs: Mapping[str, Any] | None = None) -> None:
     """Store the digest of a table all of whose parts are there.
 
     Raises:

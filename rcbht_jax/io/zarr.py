@@ -1,4 +1,4 @@
-"""Zarr helpers shared by the store and the label tracks: checked groups and arrays, one error message for damage."""
+"""Zarr helpers shared by the store and the label tracks: groups and arrays, of which an InputError names damage."""
 
 from __future__ import annotations
 
@@ -31,10 +31,11 @@ with needs_extra("store"):
     from zarr.core.metadata import ArrayV3Metadata
     from zarr.storage import LocalStore
 
-    from rcbht_jax.io.bounded_chunks import bounded
     from rcbht_jax.io.chunk_files import LEVEL
+    from rcbht_jax.io.chunk_reader import bounded
 
-
+Group = zarr.Group
+Array = zarr.Array
 META = "zarr.json"  # of a group or an array
 
 
@@ -61,11 +62,7 @@ def check_target(path: Path, kind: str, overwrite: bool) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Raise an error for an object store, which cannot rename: a store in it would not appear atomically.
-
-    Raises:
-        InputError: ``path`` is a URL.
-    """
+    """Raise an error for an object store, which cannot rename: a store in it would not appear atomically."""
     if url_of(path) is not None:
         raise InputError(
             f"{path} can be read, not written: stores are written in folders alone. Write into a folder, and copy it "
@@ -74,7 +71,7 @@ def check_writable(path: Path) -> None:
 
 
 @uninterrupted()
-def create_group(path: Path, attrs: Mapping[str, Any]) -> zarr.Group:
+def create_group(path: Path, attrs: Mapping[str, Any]) -> Group:
     """A new group with attributes.
 
     Raises:
@@ -87,7 +84,7 @@ def create_group(path: Path, attrs: Mapping[str, Any]) -> zarr.Group:
     return zarr.create_group(path, zarr_format=3, attributes=dict(attrs))
 
 
-def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = False) -> zarr.Group:
+def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = False) -> Group:
     """Open a group, for reading or for changing it.
 
     Args:
@@ -95,9 +92,6 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
         mode: "r" to read, "r+" to change.
         collected: take the metadata of its members from its own, where :func:`consolidate` collected them: quicker, but
             lost members are not noticed.
-
-    Raises:
-        InputError: ``path`` is not a readable Zarr v3 group.
     """
     if url_of(path) is not None:
         return _open_remote(path, mode)
@@ -113,7 +107,7 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
         raise InputError(f'{path} is not a Zarr group; expected a store made by "rcbht import".') from error
 
 
-def path_of(member: zarr.Group | zarr.Array[Any]) -> Path:
+def path_of(member: Group | Array[Any]) -> Path:
     """Path of a group or an array, as it was given."""
     return Path(str(member.store_path).removeprefix("file://"))
 
@@ -128,12 +122,7 @@ def subfolders(path: Path) -> list[str]:
         return [entry["name"].rstrip("/").rpartition("/")[2] for entry in entries if entry["type"] == "directory"]
 
 
-def has_group(path: Path) -> bool:
-    """Whether there is a group, or a folder where one should be."""
-    return path.is_dir() if url_of(path) is None else path.name in subfolders(path.parent)
-
-
-def _open_remote(path: Path, mode: Literal["r", "r+"]) -> zarr.Group:
+def _open_remote(path: Path, mode: Literal["r", "r+"]) -> Group:
     """A group in an object store; its metadata are collected, since each request takes its time."""
     if mode != "r":
         check_writable(path)
@@ -230,7 +219,7 @@ def reading(path: Path) -> Iterator[None]:
 
 @uninterrupted()
 def create_array(
-    group: zarr.Group,
+    group: Group,
     name: str,
     shape: tuple[int, ...],
     dtype: str,
@@ -238,7 +227,7 @@ def create_array(
     attrs: Mapping[str, str],
     chunks: tuple[int, ...],
     shards: tuple[int, ...] | None = None,
-) -> zarr.Array[Any]:
+) -> Array[Any]:
     """An array of zeros or empty texts, compressed, with a CRC per chunk; an array of that name is replaced."""
     return group.create_array(
         name,
@@ -255,7 +244,7 @@ def create_array(
 
 @uninterrupted()
 def write_array(
-    group: zarr.Group,
+    group: Group,
     name: str,
     values: NDArray[Any] | np.generic,
     dimensions: tuple[str, ...],
@@ -268,12 +257,8 @@ def write_array(
     array[...] = values.astype(np.dtypes.StringDType()) if dtype == "string" else values
 
 
-def member(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    """An array of a group, whose chunks are bounded.
-
-    Raises:
-        InputError: the array is missing, or packed in an unknown way.
-    """
+def member(group: Group, name: str) -> Array[Any]:
+    """An array of a group, whose chunks are bounded."""
     array = _local_array(group, name)
     if array is None:
         array = group.get(name)  # type: ignore[assignment]
@@ -282,7 +267,7 @@ def member(group: zarr.Group, name: str) -> zarr.Array[Any]:
     return bounded(array)
 
 
-def _local_array(group: zarr.Group, name: str) -> zarr.Array[Any] | None:
+def _local_array(group: Group, name: str) -> Array[Any] | None:
     """An array of local files, which Zarr would open in a task of its event loop; None if it is no such array."""
     place = group.store_path / name
     if not isinstance(place.store, _Files) or group.metadata.consolidated_metadata is not None:
@@ -294,16 +279,12 @@ def _local_array(group: zarr.Group, name: str) -> zarr.Array[Any] | None:
     content = json.loads(file.read_bytes())
     if content["node_type"] != "array":
         return None
-    return zarr.Array(zarr.AsyncArray(ArrayV3Metadata.from_dict(content), place))
+    return Array(zarr.AsyncArray(ArrayV3Metadata.from_dict(content), place))
 
 
 @uninterrupted()
-def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
-    """Read a whole array, strings as fixed-width NumPy strings; ``dtype`` None accepts any.
-
-    Raises:
-        InputError: the array is missing or has another dtype.
-    """
+def read_array(group: Group, name: str, dtype: str | None) -> NDArray[Any]:
+    """Read a whole array, strings as fixed-width NumPy strings; ``dtype`` None accepts any."""
     values = np.asarray(member(group, name)[...])
     if dtype == "string":
         return np.array(values.tolist(), np.str_)
@@ -312,14 +293,10 @@ def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
     return values
 
 
-def subgroup(group: zarr.Group, name: str) -> zarr.Group:
-    """A group inside a group.
-
-    Raises:
-        InputError: it is missing.
-    """
+def subgroup(group: Group, name: str) -> Group:
+    """A group inside a group."""
     sub = group.get(name)
-    if not isinstance(sub, zarr.Group):
+    if not isinstance(sub, Group):
         raise InputError(f"{path_of(group)} has no group {name}; it is incomplete. Import or copy it again.")
     return sub
 
@@ -342,12 +319,11 @@ def consolidate(path: Path) -> None:
 def check_collected(path: Path, chosen: Callable[[str], bool]) -> None:
     """Compare the metadata of members with what :func:`consolidate` collected of them, which xarray reads.
 
+    Of a URL, only what was collected is read.
+
     Args:
         path: of the root group.
         chosen: whether a member is compared, by its name in the group, such as "columns/mass".
-
-    Raises:
-        InputError: they differ. Of a URL, only what was collected is read.
     """
     if url_of(path) is not None:
         return
@@ -365,9 +341,6 @@ def uncollected(path: Path, folder: str) -> list[str]:
     """Members in a folder of a root group whose metadata :func:`consolidate` has not collected: xarray misses them.
 
     Where nothing is collected, xarray finds everything: none. Neither are there any below a URL.
-
-    Raises:
-        InputError: the metadata of the root group are damaged.
     """
     if url_of(path) is not None:
         return []

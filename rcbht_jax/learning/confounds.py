@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from rcbht_jax._util.arms import BOTH, rows_of_arm
-from rcbht_jax._util.left_out import reasons_of
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.printable import plural, reasons_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.class_groups import groups_of_classes

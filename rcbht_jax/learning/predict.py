@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import BOTH, title_of
 from rcbht_jax._util.digest import among
-from rcbht_jax._util.left_out import reasons_of
+from rcbht_jax._util.printable import reasons_of
 from rcbht_jax._util.signals import check_axes
 from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax._util.values import expect

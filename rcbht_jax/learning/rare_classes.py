@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.left_out import INTERVALS
+from rcbht_jax._util.printable import INTERVALS
 from rcbht_jax.learning.class_groups import groups_of_classes
 from rcbht_jax.learning.task_items import leave_out
 from rcbht_jax.learning.tasks import LabelledIntervals

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.left_out import INTERVALS
+from rcbht_jax._util.printable import INTERVALS
 from rcbht_jax.annotations import Annotations, nearest_samples
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Intervals

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import chosen_arms
-from rcbht_jax._util.left_out import reasons_of
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.printable import plural, reasons_of
 from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError

@@ -18,7 +18,7 @@ from rcbht_jax._util import compile_cache
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.bounded_chunks import content_size
+from rcbht_jax.io.chunk_reader import content_size
 from tests.support.store_cases import encoded_store, same, simple
 
 

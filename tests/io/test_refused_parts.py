@@ -74,6 +74,7 @@ def test_what_differs_between_the_simulations_of_two_parts_is_named(tmp_path: Pa
             some | {name: some[name].astype(np.float16)},
             f"Part 0 has simulation/{name} of type float16 .*; all parts of",
         ),
+        (some | {"fault": some["fault"].astype(object)}, "has simulation/fault of type object .* of type string"),
         (some | {"more": np.zeros(4)}, r"has simulation/more of type float64 \[\]; .* have no simulation/more\.$"),
         (
             {one: some[one] for one in some if one != name},

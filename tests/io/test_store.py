@@ -22,7 +22,7 @@ from hypothesis import given
 
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import bounded_chunks, parts, store, store_reader, store_schema
+from rcbht_jax.io import chunk_reader, parts, store, store_reader, store_schema
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.summary import COUNTING
 from rcbht_jax.labels import AXES
@@ -65,7 +65,7 @@ def test_the_sign_of_zero_survives(tmp_path: Path) -> None:
 def test_long_texts_are_in_parts_that_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A part of short recordings with one long text each was written, and then taken for a bomb."""
     monkeypatch.setattr(store_schema, "PART_BYTES", 2**18)
-    monkeypatch.setattr(bounded_chunks, "SMALL", 2**18)
+    monkeypatch.setattr(chunk_reader, "SMALL", 2**18)
     text = np.full(600, "of all recordings " * 50)
     made = Recordings.from_arrays([np.full((3, 6), n) for n in range(600)], 200.0, remark=text, note=text)
     store.write_recordings(tmp_path / "a.zarr", made, {})

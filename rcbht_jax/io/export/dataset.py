@@ -126,11 +126,12 @@ def load(
         return Block(some, label_store.read_rows(store, labels.name, numbers) if labels.name else None)
 
     table, longest = read_table(store), longest_of(store)
+    small = progress_of(store)[3] <= SMALL_BYTES  # as for "rcbht info"
     return DataSet(
         table, lambda: _blocks(store, labels, attrs), rows, read_digests(store), longest,
         labels.name, labels.attrs, attrs,
         lambda: simulation_batches(store),
-        lambda: WrenchFacts.of(table, _batches(store, attrs), longest) if _is_small(store) else None,
+        lambda: WrenchFacts.of(table, _batches(store, attrs), longest) if small else None,
     )  # fmt: skip
 
 
@@ -155,11 +156,6 @@ def _made_now(store: Path, window: int, rule: str, tolerance: Sequence[float], t
 
     attrs = {"semantics": "online", "window": window, **made_by(config, limits)}
     return _Labels(f"online-W{window}" + ("-fit" if rule == "fit" else ""), attrs, encode)
-
-
-def _is_small(store: Path) -> bool:
-    """Whether the store is read whole to describe it, as by "rcbht info"."""
-    return progress_of(store)[3] <= SMALL_BYTES
 
 
 def _batches(store: Path, attrs: dict[str, Any]) -> Iterator[Recordings]:

@@ -142,11 +142,7 @@ def _frames(block: Block, row: int, fps: int, first: int, task: int) -> Table:
 def _write_frames(
     data: DataSet, folder: Path, fps: int, tasks: list[str], episodes: _Episodes, progress: Callable[[int], None]
 ) -> int:
-    """Write the frames, one row group per episode, and inform ``episodes`` of each.
-
-    Returns:
-        the number of frames.
-    """
+    """Write the frames, one row group per episode, and inform ``episodes`` of each; returns how many there are."""
     pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
     names, ours = tables.trials(data.recordings), {"recording", "samples"} - set(data.recordings.columns)
     first, file, written, writer = 0, 0, 0, None

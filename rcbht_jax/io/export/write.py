@@ -130,10 +130,15 @@ def _slices(rows: int) -> Iterator[slice]:
     return (slice(first, first + ROWS) for first in range(0, rows, ROWS))
 
 
-def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
+def _write_about(data: DataSet, folder: Path) -> None:
+    """The tables about recordings."""
     _write_csv(folder / "trials.csv", tables.trials(data.recordings))
     for title, rows in tables.optional(data):
         _write_csv(folder / f"{title}.csv", rows)
+
+
+def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
+    _write_about(data, folder)
     (folder / "wrench").mkdir()
     for block in data.blocks():
         for table in tables.labels(block):
@@ -145,9 +150,7 @@ def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
 
 
 def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
-    _write_csv(folder / "trials.csv", tables.trials(data.recordings))
-    for title, rows in tables.optional(data):
-        _write_csv(folder / f"{title}.csv", rows)
+    _write_about(data, folder)
     for block in data.blocks():
         for row in range(len(block.recordings)):
             _mcap_recording(block, row, folder / f"{block.first + row:06d}.mcap")

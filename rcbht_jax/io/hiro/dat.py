@@ -57,7 +57,7 @@ def read_table(path: Path, columns: int) -> Float64[np.ndarray, "row {columns}"]
     bad = np.argwhere(~np.isfinite(table))
     if len(bad):
         row, column = bad[0]
-        where = f"{path}, line {_line_of_row(raw, int(row))}, column {column + 1}"
+        where = f"{_place(path, int(row))}, column {column + 1}"
         raise InputError(f"{where}: the value is {table[row, column]}; expected a finite number.")
     return table
 
@@ -77,7 +77,7 @@ def read_timed(path: Path, quantity: str) -> TimedTable:
     large = np.argwhere(np.abs(table[:, 1:]) > limit)
     if len(large):
         row, column = large[0]
-        where = f"{path}, line {_line_of_row(read_bytes(path, MAX_TEXT_BYTES), int(row))}, column {column + 2}"
+        where = f"{_place(path, int(row))}, column {column + 2}"
         value = table[row, column + 1]
         raise InputError(f"{where}: {value:g} is too large for {quantity} (limit {limit:g}); {hint}?")
     return TimedTable(table[:, 0], table[:, 1:], dt)
@@ -89,16 +89,15 @@ def read_state_times(path: Path) -> Float64[np.ndarray, " state"]:
     Raises:
         InputError: a line is not one finite number, or the times do not increase.
     """
-    raw = read_bytes(path, MAX_TEXT_BYTES, empty=True)
-    if not raw.strip():
+    if not read_bytes(path, MAX_TEXT_BYTES, empty=True).strip():
         return np.zeros(0)
     times = read_table(path, 1)[:, 0]
     step = np.diff(times)
     if (step <= 0).any():
         row = int(np.flatnonzero(step <= 0)[0]) + 1
         raise InputError(
-            f"{path}, line {_line_of_row(raw, row)}: state time {times[row]:g} s does not come after "
-            f"{times[row - 1]:g} s; expected increasing times."
+            f"{_place(path, row)}: state time {times[row]:g} s does not come after {times[row - 1]:g} s; expected "
+            "increasing times."
         )
     return times
 
@@ -110,7 +109,7 @@ def _time_step(path: Path, time: Float64[np.ndarray, " row"]) -> float:
     uneven = np.flatnonzero((step <= 0) | (np.abs(step - dt) > DT_TOLERANCE * abs(dt)))
     if len(uneven):
         row = int(uneven[0]) + 1
-        where = f"{path}, line {_line_of_row(read_bytes(path, MAX_TEXT_BYTES), row)}"
+        where = _place(path, row)
         if step[row - 1] <= 0:
             raise InputError(
                 f"{where}: time {time[row]:g} s does not come after {time[row - 1]:g} s; expected time to increase."
@@ -163,7 +162,7 @@ def _number(field: bytes, where: str) -> float:
         raise InputError(f"{where}: {text} is not a number.") from None
 
 
-def _line_of_row(raw: bytes, row: int) -> int:
-    """Line number (from 1) of a table row (from 0); blank lines are not rows."""
-    filled = [number for number, line in enumerate(raw.splitlines(), start=1) if line.split()]
-    return filled[row]
+def _place(path: Path, row: int) -> str:
+    """A file, and the line (from 1) of a row (from 0) of its table; blank lines are not rows."""
+    lines = enumerate(read_bytes(path, MAX_TEXT_BYTES).splitlines(), start=1)
+    return f"{path}, line {[number for number, line in lines if line.split()][row]}"

@@ -28,7 +28,7 @@ from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, leads_out
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.hiro.trial import ArmRecord, Report, data_file, read_trial, with_note
+from rcbht_jax.io.hiro.trial import ArmRecord, Report, data_file, read_trial
 from rcbht_jax.robots.snap_assembly import FRAMES, snap_recordings
 from rcbht_jax.types import Recordings
 
@@ -191,8 +191,8 @@ def _without_copies(
 
 def _contradicted(record: ArmRecord, other: str) -> ArmRecord:
     """The record without failure type and deviation, because it is unknown which of the names is right."""
-    untyped = replace(record, name=replace(record.name, failure_type=""), deviation=np.full(3, np.nan))
-    return with_note(untyped, f"contradictory-duplicate:{other}")
+    name, notes = replace(record.name, failure_type=""), (*record.notes, f"contradictory-duplicate:{other}")
+    return replace(record, name=name, deviation=np.full(3, np.nan), notes=notes)
 
 
 def _same_time_step(records: list[ArmRecord], name: Callable[[Path], str], report: ImportReport) -> list[ArmRecord]:

@@ -31,9 +31,6 @@ def onsets_from_marks(marks: Float64[np.ndarray, " mark"], time: Times, dt: floa
         start times and notes. A mark after the last sample counts as missing (the clock of many simulated failures
         was not reset); its value stays in the note. A mark on the last sample is used and noted. A fifth mark is the
         end of the record and is not used.
-
-    Raises:
-        InputError: more than five marks.
     """
     onset = np.full(4, np.nan)
     if len(marks) == 0:

@@ -7,8 +7,10 @@ is a link out of the data set counts as broken.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -24,6 +26,7 @@ from rcbht_jax.robots import kinematics
 
 ARMS = ("R", "L")
 Report = Callable[[Path, str], None]  # called with a path and what is wrong with it
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -69,16 +72,19 @@ def read_trial(folder: Path, source: str, skip: Report, warn: Report) -> list[Ar
         skip(folder, "no R_Torques.dat or L_Torques.dat inside.")
     records = []
     for arm, path in paths.items():
-        if path is None:
-            continue
-        try:
-            check_inside(path, folder.resolve().parent)
-            table = dat.read_timed(path, "wrench")
-        except InputError as error:
-            skip(path, str(error))
-            continue
-        records.append(_read_arm(folder, trial, arm, parse_trial(source, trial), table, warn))
+        if path is not None and (table := _read(path, partial(dat.read_timed, quantity="wrench"), skip)) is not None:
+            records.append(_read_arm(folder, trial, arm, parse_trial(source, trial), table, warn))
     return records
+
+
+def _read(path: Path, read: Callable[[Path], T], report: Report) -> T | None:
+    """The content of a file of a trial; None if it is unusable, which is reported."""
+    try:
+        check_inside(path, path.parent.resolve().parent)
+        return read(path)
+    except InputError as error:
+        report(path, str(error))
+        return None
 
 
 def _read_arm(folder: Path, trial: str, arm: str, name: TrialName, table: dat.TimedTable, warn: Report) -> ArmRecord:
@@ -103,14 +109,7 @@ def _read_arm(folder: Path, trial: str, arm: str, name: TrialName, table: dat.Ti
 def _read_signal(folder: Path, arm: str, kind: str, quantity: str, warn: Report) -> dat.TimedTable | None:
     """A signal file; None if it is missing, or unusable, which is reported to ``warn``."""
     path = data_file(folder, arm, kind)
-    if path is None:
-        return None
-    try:
-        check_inside(path, folder.resolve().parent)
-        return dat.read_timed(path, quantity)
-    except InputError as error:
-        warn(path, str(error))
-        return None
+    return None if path is None else _read(path, partial(dat.read_timed, quantity=quantity), warn)
 
 
 def _read_onset(folder: Path, arm: str, table: dat.TimedTable, warn: Report) -> tuple[Onset, list[str]]:
@@ -134,12 +133,8 @@ def _read_marks(folder: Path, arm: str, warn: Report) -> tuple[Float64[np.ndarra
     path = data_file(folder, arm, "State")
     if path is None:
         return np.zeros(0), ["state-file-missing"]
-    try:
-        check_inside(path, folder.resolve().parent)
-        return dat.read_state_times(path), []
-    except InputError as error:
-        warn(path, str(error))
-        return np.zeros(0), ["state-file-unusable"]
+    marks = _read(path, dat.read_state_times, warn)
+    return (np.zeros(0), ["state-file-unusable"]) if marks is None else (marks, [])
 
 
 def _harmonise(
@@ -181,8 +176,3 @@ def _grid_offset(folder: Path, onset: Onset, warn: Report) -> Float64[np.ndarray
     x, y, z = pose.values[last, :3]
     dx, dy = x - 0.311 - 20 / 11 * (0.495 - z), y + 0.1726
     return np.array([round(dx, 3), round(dy, 3), 0.0]) + 0.0  # + 0.0 turns -0.0 into 0.0
-
-
-def with_note(record: ArmRecord, note: str) -> ArmRecord:
-    """The record with an additional note."""
-    return replace(record, notes=(*record.notes, note))
