@@ -183,6 +183,9 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
     >>> batches = read_batches(Path("trials.zarr"), "online-W5", [3, 1])  # of a store of 4 recordings
     >>> [len(batch.mc.label) for batch in batches]
     [3, 1]
+
+    Raises:
+        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     folder, rows = _folder(path, name), recording_rows(path)
     attrs = own_attrs(path, name)
@@ -195,7 +198,11 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
 
 
 def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
-    """Label tracks of some recordings, by ascending number; only the parts that hold them are read."""
+    """Label tracks of some recordings, by ascending number; only the parts that hold them are read.
+
+    Raises:
+        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
+    """
     if "part_rows" in own_attrs(path, name):
         return label_parts.joined(list(label_parts.read(_folder(path, name), recording_rows(path)[numbers])))
     return label_parts.taken(_whole(path, name), numbers)
@@ -225,7 +232,11 @@ def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
 
 
 def verify_tracks(path: Path, name: str) -> None:
-    """Read a set of label tracks, part by part, and compare it with its checksums and the collected metadata."""
+    """Read a set of label tracks, part by part, and compare it with its checksums and the collected metadata.
+
+    Raises:
+        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
+    """
     for _ in read_batches(path, name, part_sizes(count_recordings(path))):
         pass
     if "part_rows" in read_tracks_attrs(path, name):
@@ -236,12 +247,19 @@ def uncollected_tracks(path: Path) -> list[str]:
     """Names of the label tracks that xarray misses, since the process that wrote them was killed.
 
     :func:`collect` mends that.
+
+    Raises:
+        InputError: ``path`` is not a store, or is damaged.
     """
     return [name for name in list_tracks(path) if zarr_io.uncollected(path, f"{LABELS}/{name}")]
 
 
 def collect(path: Path) -> None:
-    """Collect the metadata of all label tracks that are there, so that xarray finds them."""
+    """Collect the metadata of all label tracks that are there, so that xarray finds them.
+
+    Raises:
+        InputError: ``path`` cannot be changed.
+    """
     zarr_io.check_writable(path)
     label_parts.require_group(path)
     with zarr_io.locked(path):  # of two that write at the same time, the later one finds the tracks of both
@@ -335,7 +353,11 @@ def choose_name(path: Path, name: str = "") -> str:
 
 
 def list_tracks(path: Path | str) -> list[str]:
-    """Names of the label tracks in a store, sorted, including damaged ones."""
+    """Names of the label tracks in a store, sorted, including damaged ones.
+
+    Raises:
+        InputError: ``path`` is not a store.
+    """
     path = as_path(path)
     open_store(path)
     return sorted(name for name in zarr_io.subfolders(path / LABELS) if NAME.fullmatch(name))
