@@ -21,6 +21,24 @@ def printable(text: str) -> str:
     )
 
 
+def room(text: str) -> int:
+    """How many usual letters take as much room: letters of East Asian scripts are twice as wide.
+
+    >>> room("Fz"), room("\ud798")
+    (2, 2)
+    """
+    return sum(1 + (unicodedata.east_asian_width(letter) in "WF") for letter in text)
+
+
+def padded(text: str, width: int) -> str:
+    """Text and blanks that take the room of so many letters.
+
+    >>> padded("Fz", 4), padded("\ud798", 4) == "\ud798  "
+    ('Fz  ', True)
+    """
+    return text + " " * (width - room(text))
+
+
 def plural(count: int, one: str, many: str = "") -> str:
     """A number of things in words.
 

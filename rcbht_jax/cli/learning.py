@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.cells import cell
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.printable import padded, plural, room
 from rcbht_jax.cli.command import (
     Boundaries,
     Command,
@@ -340,12 +340,13 @@ def _interval(score: dict[str, float]) -> str:
 def _table(classes: Sequence[str], confusion: list[list[int]]) -> list[str]:
     """The rows of a confusion matrix; its columns have numbers where their names would make it too wide."""
     rows, columns, most = list(classes), list(classes), len(str(max(map(max, confusion))))
-    if max(map(len, rows)) + sum(2 + max(len(name), most) for name in columns) > WIDEST:
+    if max(map(room, rows)) + sum(2 + max(room(name), most) for name in columns) > WIDEST:
         columns = [str(number) for number in range(1, len(columns) + 1)]
         rows = [f"{number:>{len(columns[-1])}} {name}" for number, name in zip(columns, rows, strict=True)]
-    width, wide = max(map(len, rows)), [max(len(name), most) for name in columns]
+    width, wide = max(map(room, rows)), [max(room(name), most) for name in columns]
     return [
-        f"{name:{width}}" + "".join(f"  {one:>{size}}" for one, size in zip(cells, wide, strict=True))
+        padded(name, width)
+        + "".join("  " + " " * (size - room(one)) + one for one, size in zip(cells, wide, strict=True))
         for name, cells in zip(["", *rows], [columns, *(map(str, row) for row in confusion)], strict=True)
     ]
 
