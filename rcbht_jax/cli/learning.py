@@ -236,11 +236,11 @@ class Train(_Learning):
 class Classify(Command):
     """Classify every sentence of a store with a model of "rcbht train" and write a table.
 
-    The table has a row per sentence: source, trial, arm, session, start and end in seconds, predicted class, true class
-    (empty if the store has none), and a decision value for each pair of classes, positive for the first. If the store
-    has true classes, the accuracy is printed, separately for trials that the model was trained on; sentences of classes
-    that it has not learned are counted apart. The rate, the axes, their units and the encoder of the labels must be
-    those of the training.
+    The table has a row per sentence: source, trial, arm, session, start and end in seconds, predicted class, true
+    class (empty if the store has none), and a decision value for each pair of classes, positive for the first. If the
+    store has true classes, the accuracy is printed, separately for trials that the model was trained on; sentences of
+    classes that it has not learned are counted apart. The rate, the axes, their units and the encoder of the labels
+    must be those of the training.
 
     Example: rcbht classify new.zarr --model states.model -o classes.csv
     """

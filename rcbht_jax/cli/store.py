@@ -95,10 +95,10 @@ class Join(Command):
 class Info(Command):
     """Summarise a store: recordings by source, session and outcome, names, annotations, columns, tasks, label tracks.
 
-    A small store is read whole, which verifies its checksums, and its tasks are examined. For a store larger than
-    256 MiB, only the counts made when it was written and the names of the first trials are shown; --check reads all of
-    it, part by part. If a store is still being written, the recordings written so far are described. --json lists the
-    names of all trials of a small store.
+    A small store is read whole, which verifies its checksums, and its tasks are examined. For a store larger
+    than 256 MiB, only the counts made when it was written and the names of the first trials are shown; --check reads
+    all of it, part by part. If a store is still being written, the recordings written so far are described. --json
+    lists the names of all trials of a small store.
 
     Example: rcbht info hiro.zarr
     """

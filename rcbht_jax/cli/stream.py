@@ -160,9 +160,9 @@ class TrainOnline(RuleCommand):
 class Stream(Source):
     """Compute words, beliefs and events from a stream of wrenches, as JSON lines.
 
-    Without --model, words are reported, for any axes; with a model, beliefs. INPUT is a store, the folder of one
-    trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard input, such as {"time": 0.005, "wrench":
-    [Fx, Fy, Fz, Mx, My, Mz]} and {"begin": true} where a sub-task begins. Irregularities of the stream (gaps, repeated
+    Without --model, words are reported, for any axes; with a model, beliefs. INPUT is a store, the folder of one trial,
+    a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard input: {"time": 0.005, "wrench": [Fx, Fy, Fz,
+    Mx, My, Mz]}, for example, and {"begin": true} where a sub-task begins. Irregularities of the stream (gaps, repeated
     or late samples, NaN, jitter, silence) are reported as events.
 
     Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
