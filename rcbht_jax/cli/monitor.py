@@ -288,7 +288,7 @@ def _nominal(recordings: Recordings, outcome: str) -> NDArray[np.bool_]:
     nominal = recordings.outcome == outcome
     if not nominal.any():
         there = ", ".join(sorted(set(recordings.outcome.tolist())))
-        raise InputError(f"No recording has the outcome {outcome}; there are {there}. Choose one with --nominal.")
+        raise InputError(f"No recording has the outcome {outcome}, only {there}; choose one with --nominal.")
     return np.asarray(nominal)
 
 
