@@ -19,3 +19,12 @@ def reasons_of(dropped: Mapping[str, int]) -> list[tuple[str, str]]:
         (plural(count, "interval" if reason.startswith(INTERVALS) else "trial"), reason.removeprefix(INTERVALS))
         for reason, count in dropped.items()
     ]
+
+
+def left_out(dropped: Mapping[str, int]) -> str:
+    """The same as a sentence that follows others; "" = nothing is left out.
+
+    >>> left_out({"outcome unknown": 2}), left_out({})
+    (' Left out: 2 trials (outcome unknown).', '')
+    """
+    return f" Left out: {', '.join(f'{what} ({why})' for what, why in reasons_of(dropped))}." if dropped else ""
