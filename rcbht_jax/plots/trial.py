@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from rcbht_jax._util.arms import title_of
+from rcbht_jax._util.arms import title_among
 from rcbht_jax._util.columns import measured
 from rcbht_jax._util.printable import printable, room
 from rcbht_jax.errors import InputError
@@ -320,7 +320,7 @@ def _name_marks(ax: Axes, names: list[tuple[Mark, bool, int]]) -> None:
 
 
 def _title(recordings: Recordings, index: int, window: int | None, rule: str) -> str:
-    arm = title_of(str(recordings.arm[index]))
+    arm = title_among(str(recordings.arm[index]), recordings.arm)
     facts = [f"session {recordings.session[index]}", outcome_of(recordings, index), arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")
