@@ -237,7 +237,8 @@ class Stream(Source):
 
     def text(self, result: dict[str, Any]) -> str:
         # Standard output belongs to the events.
-        print(f"{result['source']}: {_counts(result['messages'] | result['events'])}", file=sys.stderr)
+        read, made = _counts(result["messages"]), _counts(result["events"])
+        print(f"{result['source']}: messages read: {read}; events: {made}", file=sys.stderr)
         return ""
 
 
@@ -294,7 +295,7 @@ class Serve(Source):
         return {"source": self.source, "messages": dict(session.counts)}
 
     def text(self, result: dict[str, Any]) -> str:
-        return f"{result['source']}: {_counts(result['messages'])}"
+        return f"{result['source']}: messages read: {_counts(result['messages'])}"
 
 
 @dataclass(frozen=True)
