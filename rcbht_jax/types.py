@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax import labels
+from rcbht_jax._util.arms import UNNAMED
 from rcbht_jax._util.columns import column_values
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.printable import plural
@@ -38,9 +39,8 @@ Array = Any  # jax.Array or numpy.ndarray: host and device code share these cont
 class Segment(ByValue):
     """A labelled span inside the encoder; every field has the same batch shape ``[*lanes]``.
 
-    Sums are kept instead of means so that merging only adds: no product feeds an addition, hence no
-    compiler may contract one into a fused multiply-add, hence streaming and batch agree bit for bit.
-    An empty slot has label 0; its other fields are undefined.
+    Sums are kept instead of means so that merging only adds: no product feeds an addition, so no compiler may fuse the
+    two, and streaming and batch agree bit for bit. An empty slot has label 0; its other fields are undefined.
     """
 
     label: Int[Array, "*lanes"]  # int32, code of rcbht_jax.labels
@@ -241,7 +241,7 @@ def _batched(values: Array) -> NDArray[Any]:
 
 
 # What is written where nothing was given; further columns may have any name.
-STANDARD_COLUMNS = {"arm": "R", "source": "mine", "session": "1", "outcome": "unknown", "note": ""}
+STANDARD_COLUMNS = {"arm": UNNAMED, "source": "mine", "session": "1", "outcome": "unknown", "note": ""}
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rcbht_jax.errors import InputError
 
 BOTH = "both"  # all arms, side by side
+UNNAMED = "R"  # the arm of recordings that name none
 _TITLES = {"R": "right arm", "L": "left arm", "right": "right arm", "left": "left arm"}
 
 
@@ -68,3 +69,12 @@ def title_of(arm: str) -> str:
     ('right arm', 'arm ur5', '')
     """
     return _TITLES.get(arm, f"arm {arm}" if arm else "")
+
+
+def title_among(arm: str, names: Iterable[str]) -> str:
+    """The same in a data set; "" where all recordings have the arm of those that name none: it may be any arm.
+
+    >>> title_among("R", ["R", "R"]), title_among("R", ["R", "L"]), title_among("left", ["left"])
+    ('', 'right arm', 'left arm')
+    """
+    return "" if set(map(str, names)) == {UNNAMED} else title_of(arm)

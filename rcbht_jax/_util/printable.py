@@ -23,6 +23,24 @@ def printable(text: str) -> str:
     )
 
 
+def room(text: str) -> int:
+    """How many usual letters take as much room: letters of East Asian scripts are twice as wide.
+
+    >>> room("Fz"), room("\ud798")
+    (2, 2)
+    """
+    return sum(1 + (unicodedata.east_asian_width(letter) in "WF") for letter in text)
+
+
+def padded(text: str, width: int) -> str:
+    """Text and blanks that take the room of so many letters.
+
+    >>> padded("Fz", 4), padded("\ud798", 4) == "\ud798  "
+    ('Fz  ', True)
+    """
+    return text + " " * (width - room(text))
+
+
 def plural(count: int, one: str, many: str = "") -> str:
     """A number of things in words.
 
@@ -42,6 +60,15 @@ def reasons_of(dropped: Mapping[str, int]) -> list[tuple[str, str]]:
         (plural(count, "interval" if reason.startswith(INTERVALS) else "trial"), reason.removeprefix(INTERVALS))
         for reason, count in dropped.items()
     ]
+
+
+def left_out(dropped: Mapping[str, int]) -> str:
+    """The same as a sentence that follows others; "" = nothing is left out.
+
+    >>> left_out({"outcome unknown": 2}), left_out({})
+    (' Left out: 2 trials (outcome unknown).', '')
+    """
+    return f" Left out: {', '.join(f'{what} ({why})' for what, why in reasons_of(dropped))}." if dropped else ""
 
 
 def spelled(name: object) -> str:

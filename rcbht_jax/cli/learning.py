@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.cells import table_text
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.printable import padded, plural, room
 from rcbht_jax.cli.command import (
     Boundaries,
     Command,
@@ -232,11 +232,11 @@ class Train(_Learning):
 class Classify(Command):
     """Classify every sentence of a store with a model of "rcbht train" and write a table.
 
-    The table has a row per sentence: source, trial, arm, session, start and end in seconds, predicted class, true class
-    (empty if the store has none), and a decision value for each pair of classes, positive for the first. If the store
-    has true classes, the accuracy is printed, separately for trials that the model was trained on; sentences of classes
-    that it has not learned are counted apart. The rate, the axes, their units and the encoder of the labels must be
-    those of the training.
+    The table has a row per sentence: source, trial, arm, session, start and end in seconds, predicted class, true
+    class (empty if the store has none), and a decision value for each pair of classes, positive for the first. If the
+    store has true classes, the accuracy is printed, separately for trials that the model was trained on; sentences of
+    classes that it has not learned are counted apart. The rate, the axes, their units and the encoder of the labels
+    must be those of the training.
 
     Example: rcbht classify new.zarr --model states.model -o classes.csv
     """
@@ -336,12 +336,13 @@ def _interval(score: dict[str, float]) -> str:
 def _table(classes: Sequence[str], confusion: list[list[int]]) -> list[str]:
     """The rows of a confusion matrix; its columns have numbers where their names would make it too wide."""
     rows, columns, most = list(classes), list(classes), len(str(max(map(max, confusion))))
-    if max(map(len, rows)) + sum(2 + max(len(name), most) for name in columns) > WIDEST:
+    if max(map(room, rows)) + sum(2 + max(room(name), most) for name in columns) > WIDEST:
         columns = [str(number) for number in range(1, len(columns) + 1)]
         rows = [f"{number:>{len(columns[-1])}} {name}" for number, name in zip(columns, rows, strict=True)]
-    width, wide = max(map(len, rows)), [max(len(name), most) for name in columns]
+    width, wide = max(map(room, rows)), [max(room(name), most) for name in columns]
     return [
-        f"{name:{width}}" + "".join(f"  {one:>{size}}" for one, size in zip(cells, wide, strict=True))
+        padded(name, width)
+        + "".join("  " + " " * (size - room(one)) + one for one, size in zip(cells, wide, strict=True))
         for name, cells in zip(["", *rows], [columns, *(map(str, row) for row in confusion)], strict=True)
     ]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import rows_of_arm
 from rcbht_jax._util.cells import number_of
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.printable import padded, plural, room
 from rcbht_jax.cli.command import Arm, Command, MadeBy, Store, option, progress_bar
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
@@ -217,9 +217,9 @@ class MonitorEvaluate(Command):
         from rcbht_jax.learning.metrics import wilson
 
         rows = {"all": result, **result["groups"]}
-        width = max(map(len, rows))
+        width = max(map(room, rows))
         head = f"{'':{width}}  nominal  anomalous  AUROC  false alarms  detected  delay"
-        lines = [head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())]
+        lines = [head, *(f"{padded(name, width)}  {_row(row)}" for name, row in rows.items())]
         if unknown := result["unknown"]:
             lines.append(f"left out: {plural(unknown, 'recording')}, outcome unknown or unfinished")
         false, calm = result["false_alarms_of"]
@@ -282,7 +282,7 @@ def _nominal(recordings: Recordings, outcome: str) -> NDArray[np.bool_]:
     nominal = recordings.outcome == outcome
     if not nominal.any():
         there = ", ".join(sorted(set(recordings.outcome.tolist())))
-        raise InputError(f"No recording has the outcome {outcome}; there are {there}. Choose one with --nominal.")
+        raise InputError(f"No recording has the outcome {outcome}, only {there}; choose one with --nominal.")
     return np.asarray(nominal)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.arms import chosen_arm, title_of
+from rcbht_jax._util.arms import chosen_arm, title_among
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     Arm,
@@ -77,13 +77,14 @@ class PlotTrial(Command):
         )
         save(figure, self.out)
         recording = {key: str(getattr(recordings, key)[index]) for key in ("trial", "arm", "source")}
-        return {"figure": str(self.out), "tracks": name, **recording}
+        title = title_among(recording["arm"], recordings.arm)
+        return {"figure": str(self.out), "tracks": name, **recording, "arm_title": title}
 
     def text(self, result: dict[str, Any]) -> str:
         missing = f'no labels; make them with "rcbht encode {self.store}"'
         name = result["tracks"]
         labels = missing if name is None else f"labels {name}{made_now_note(self.store, name)}"
-        what = ", ".join(filter(None, (f"{result['source']} {result['trial']}", title_of(result["arm"]))))
+        what = ", ".join(filter(None, (f"{result['source']} {result['trial']}", result["arm_title"])))
         return f"{result['figure']}: {what}, {labels}"
 
 
@@ -168,6 +169,7 @@ class PlotBeliefs(Command):
         model, recordings = load(self.model), read_recordings(self.store)
         model.check_axes(recordings.axes, recordings.units, str(self.store))
         arm = chosen_arm(recordings.arm.tolist(), self.arm)
+        title = title_among(arm, recordings.arm)
         recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
         session = Session(Introspector(model, belief_rate(self.rate), detect=detect))
         starts = NONE if detect else self.starts
@@ -175,12 +177,12 @@ class PlotBeliefs(Command):
         beliefs = sum(isinstance(event, Belief) for event in events)
         track = "" if starts == NONE else track_of_starts(recordings.annotations, starts, model.subtasks)
         how = f"beginnings of the track {track}" if track else "beginnings detected" if detect else "no beginnings"
-        save(belief_map(events, ", ".join(filter(None, (self.trial, title_of(arm), how)))), self.out)
-        return {"figure": str(self.out), "trial": self.trial, "arm": arm, "beliefs": beliefs}
+        save(belief_map(events, ", ".join(filter(None, (self.trial, title, how)))), self.out)
+        return {"figure": str(self.out), "trial": self.trial, "arm": arm, "arm_title": title, "beliefs": beliefs}
 
     def text(self, result: dict[str, Any]) -> str:
-        arm = f", {title_of(result['arm'])}" if result["arm"] else ""
-        return f"{result['figure']}: {result['beliefs']} beliefs about {result['trial']}{arm}"
+        about = ", ".join(filter(None, (result["trial"], result["arm_title"])))
+        return f"{result['figure']}: {result['beliefs']} beliefs about {about}"
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:

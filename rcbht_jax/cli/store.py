@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 
 import tyro
 
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.printable import padded, plural, room
 from rcbht_jax._util.untrusted import checked_number
 from rcbht_jax.cli.command import Command, Flag, Folder, OutStore, Store, Stores, option, progress_bar
 
@@ -97,10 +97,10 @@ class Join(Command):
 class Info(Command):
     """Summarise a store: recordings by source, session and outcome, names, annotations, columns, tasks, label tracks.
 
-    A small store is read whole, which verifies its checksums, and its tasks are examined. For a store larger than
-    256 MiB, only the counts made when it was written and the names of the first trials are shown; --check reads all of
-    it, part by part. If a store is still being written, the recordings written so far are described. --json lists the
-    names of all trials of a small store.
+    A small store is read whole, which verifies its checksums, and its tasks are examined. For a store larger
+    than 256 MiB, only the counts made when it was written and the names of the first trials are shown; --check reads
+    all of it, part by part. If a store is still being written, the recordings written so far are described. --json
+    lists the names of all trials of a small store.
 
     Example: rcbht info hiro.zarr
     """
@@ -166,11 +166,11 @@ class Info(Command):
         lines = [head, f"created: {result['created']}, by rcbht-jax {result['rcbht_jax_version']}", ""]
         keys = ("source", "session", "outcome", "arm")
         rows = [keys, *(tuple(str(group[key]) for key in keys) for group in result["groups"])]
-        wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        wide = [max(map(room, column)) for column in zip(*rows, strict=True)]
         seconds = ["{:7.2f} {:7.2f} {:7.2f}".format(*group["seconds"]) for group in result["groups"]]
         sizes = [f"{group['recordings']:5d}" for group in result["groups"]]
         for row, count, times in zip(rows, ["count", *sizes], [" seconds (min/median/max)", *seconds], strict=True):
-            names = " ".join(f"{text:{width}}" for text, width in zip(row, wide, strict=True))
+            names = " ".join(padded(text, width) for text, width in zip(row, wide, strict=True))
             lines.append(f"{names}  {count}  {times}")
         if shown := result["trials"][:FIRST]:
             more, others = len(result["trials"]) - len(shown), "" if result["all_trials"] else ", ..."

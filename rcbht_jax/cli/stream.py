@@ -156,9 +156,9 @@ class TrainOnline(RuleCommand):
 class Stream(Source):
     """Compute words, beliefs and events from a stream of wrenches, as JSON lines.
 
-    Without --model, words are reported, for any axes; with a model, beliefs. INPUT is a store, the folder of one
-    trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard input, such as {"time": 0.005, "wrench":
-    [Fx, Fy, Fz, Mx, My, Mz]} and {"begin": true} where a sub-task begins. Irregularities of the stream (gaps, repeated
+    Without --model, words are reported, for any axes; with a model, beliefs. INPUT is a store, the folder of one trial,
+    a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard input: {"time": 0.005, "wrench": [Fx, Fy, Fz,
+    Mx, My, Mz]}, for example, and {"begin": true} where a sub-task begins. Irregularities of the stream (gaps, repeated
     or late samples, NaN, jitter, silence) are reported as events.
 
     Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
@@ -233,7 +233,8 @@ class Stream(Source):
 
     def text(self, result: dict[str, Any]) -> str:
         # Standard output belongs to the events.
-        print(f"{result['source']}: {_counts(result['messages'] | result['events'])}", file=sys.stderr)
+        read, made = _counts(result["messages"]), _counts(result["events"])
+        print(f"{result['source']}: messages read: {read}; events: {made}", file=sys.stderr)
         return ""
 
 
@@ -290,7 +291,7 @@ class Serve(Source):
         return {"source": self.source, "messages": dict(session.counts)}
 
     def text(self, result: dict[str, Any]) -> str:
-        return f"{result['source']}: {_counts(result['messages'])}"
+        return f"{result['source']}: messages read: {_counts(result['messages'])}"
 
 
 @dataclass(frozen=True)

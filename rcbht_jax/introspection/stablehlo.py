@@ -96,6 +96,8 @@ def write_chain(path: Path, model: IntrospectionModel, platforms: Sequence[str] 
             archive.writestr(META, json.dumps(meta, indent=1))
             archive.writestr(STATE, state.getvalue())
             archive.writestr(STABLEHLO, code)
+    except InputError:  # a whole sentence already
+        raise
     except (OSError, ValueError) as error:
         raise InputError(f"the chain cannot be written to {path}: {error}.") from error
     return meta

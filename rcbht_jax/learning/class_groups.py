@@ -9,12 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.selection import group_numbers
+from rcbht_jax.errors import InputError
 from rcbht_jax.learning.task_items import trial_names
 from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Recordings
 
 _DIVISIONS = 200  # that are tried: where any trains all classes, one of the first dozen did
 Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
+
+
+class TooFewTrials(InputError):
+    """A class is in too few trials, or other groups, to be trained on and tested."""
 
 
 def groups_of_classes(y: NDArray[Any], groups: NDArray[Any], classes: Iterable[Any]) -> NDArray[np.int64]:

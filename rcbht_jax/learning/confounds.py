@@ -37,12 +37,13 @@ def examined(
         items, _ = learnable(labelled_intervals(recordings, spec))
     except InputError as error:
         return {}, [str(error)]
+    left = [f"{what} left out: {reason}." for what, reason in reasons_of(items.dropped)]
     trials = groups_of_classes(items.y, items.trial, range(len(items.classes)))
     if trials.min() < 2:
         several = (trials > 1).sum()
-        return {}, [f"{several} of its {len(trials)} classes are in two trials or more; two such classes are needed."]
+        too_few = f"{several} of its {len(trials)} classes are in two trials or more; two such classes are needed."
+        return {}, [too_few, *left]
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
-    left = [f"{what} left out: {reason}." for what, reason in reasons_of(items.dropped)]
     remarks = [] if spec.arms == BOTH else rows_of_arm(recordings.arm, spec.arms)[1]
     sentences = [*confounds(items, facts), *left, *remarks]
     return dict(zip(items.classes, counts, strict=True)), sentences

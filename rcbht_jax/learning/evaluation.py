@@ -18,7 +18,7 @@ from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.class_groups import fewest_groups, groups_by
 from rcbht_jax.learning.confounds import confounds
-from rcbht_jax.learning.rare_classes import learnable
+from rcbht_jax.learning.rare_classes import learnable, naming_left_out
 from rcbht_jax.learning.svm import Grid, Split, Weight, grouped_folds
 from rcbht_jax.learning.tasks import (
     LabelledIntervals,
@@ -177,7 +177,8 @@ def evaluate(
     }
     matrices = {name: part.values for name, (part, _) in described.items()}
     weights = {name: weight for name, (_, weight) in described.items()}
-    return score(items, matrices, protocol, asdict(task), provenance, weights, progress, facts, splitter, groups)
+    with naming_left_out(items):
+        return score(items, matrices, protocol, asdict(task), provenance, weights, progress, facts, splitter, groups)
 
 
 def score(

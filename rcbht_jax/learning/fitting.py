@@ -13,7 +13,7 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.class_groups import groups_by, inner_groups
 from rcbht_jax.learning.evaluation import Grammars, candidates
 from rcbht_jax.learning.model_io import TrainedModel
-from rcbht_jax.learning.rare_classes import learnable
+from rcbht_jax.learning.rare_classes import learnable, naming_left_out
 from rcbht_jax.learning.svm import Grid, fit, select
 from rcbht_jax.learning.tasks import TaskSpec, TrackBatches, labelled_intervals, track_of
 from rcbht_jax.learning.wrench_facts import WrenchFacts
@@ -70,7 +70,8 @@ def train(
     grid = Grid() if grid is None else grid
     expect("The grid", grid, Grid)
     apart = inner_groups(items.y, groups_by(group, recordings, items), items.trial)
-    chosen = select(matrices, items.y, apart, grid, seed, weights, progress)
+    with naming_left_out(items):
+        chosen = select(matrices, items.y, apart, grid, seed, weights, progress)
     best, weight = described[chosen.features]
     svm = fit(best.values, items.y, items.classes, chosen, weight)
     how = dict(encoder or {})

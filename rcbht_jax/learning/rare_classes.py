@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.printable import INTERVALS
-from rcbht_jax.learning.class_groups import groups_of_classes
+from rcbht_jax._util.printable import INTERVALS, left_out
+from rcbht_jax.learning.class_groups import TooFewTrials, groups_of_classes
 from rcbht_jax.learning.task_items import leave_out
 from rcbht_jax.learning.tasks import LabelledIntervals
 
@@ -48,3 +50,12 @@ def learnable(
     leave_out(dropped, reason, len(np.unique(items.trial[gone])))
     leave_out(dropped, INTERVALS + reason, int((~kept & ~gone).sum()))
     return replace(items.take(kept), dropped=dict(dropped)), kept
+
+
+@contextmanager
+def naming_left_out(items: LabelledIntervals) -> Iterator[None]:
+    """Add what a task left out to the error that too few trials are there: these may be the ones that are missing."""
+    try:
+        yield
+    except TooFewTrials as error:
+        raise TooFewTrials(f"{error}{left_out(items.dropped)}") from None

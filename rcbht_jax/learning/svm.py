@@ -25,7 +25,7 @@ from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.class_groups import Split as Split
-from rcbht_jax.learning.class_groups import fewest_groups, groups_of_classes, training_all
+from rcbht_jax.learning.class_groups import TooFewTrials, fewest_groups, groups_of_classes, training_all
 from rcbht_jax.learning.scaling import Scale, fit_scale
 
 KERNELS = ("linear", "poly", "rbf")
@@ -296,9 +296,9 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
     fewest = fewest_groups(y, groups)
     if folds < 2 or fewest < folds:
         if fewest < 2:
-            raise InputError(f"The rarest class has {fewest} {group}; cross-validation needs two of every class.")
+            raise TooFewTrials(f"The rarest class has {fewest} {group}; cross-validation needs two of every class.")
         possible = "2" if fewest == 2 else f"2 to {fewest}"
-        raise InputError(f"{folds} folds: the rarest class has {fewest} {group}s, so choose {possible} folds.")
+        raise TooFewTrials(f"{folds} folds: the rarest class has {fewest} {group}s, so choose {possible} folds.")
     found = StratifiedGroupKFold(folds, shuffle=True, random_state=seed).split(y, y, groups)
     return training_all([(a.astype(np.int64), b.astype(np.int64)) for a, b in found], y, groups, seed)
 
@@ -308,7 +308,7 @@ def _inner_folds(y: Ints, groups: NDArray[Any], most: int, seed: int) -> list[Sp
     classes = np.unique(y)
     several = classes[groups_of_classes(y, groups, classes) > 1]
     if len(several) < 2:
-        raise InputError(
+        raise TooFewTrials(
             f"Kernel, cost and scaling are chosen on the training part, where {len(several) or 'no'} class has two "
             "trials; it takes two such classes, or a single kernel, cost, scaling and set of features."
         )

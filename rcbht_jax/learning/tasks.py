@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import chosen_arms
-from rcbht_jax._util.printable import plural, reasons_of
+from rcbht_jax._util.printable import left_out, plural
 from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
@@ -187,7 +187,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
     if len(classes) < 2:
         raise InputError(
             f"the task {spec.task} finds {_listed('class', classes)} in {plural(len(rows), 'trial')} that passed the "
-            f"filters; it needs two.{_reasons(dropped)}"
+            f"filters; it needs two.{left_out(dropped)}"
         )
     y, first = np.array([classes.index(name) for name in found.label.tolist()], np.int64), found.rows[:, 0]
     leave_out_sources(recordings, chosen_recordings(recordings, spec, True), first, dropped)
@@ -305,10 +305,6 @@ def extract_batched_features(
 
 def _listed(noun: str, names: Sequence[str]) -> str:
     return f"only the {noun} {names[0]}" if names else f"no {noun}"
-
-
-def _reasons(dropped: Mapping[str, int]) -> str:
-    return f" Left out: {', '.join(f'{what} ({why})' for what, why in reasons_of(dropped))}." if dropped else ""
 
 
 def _outcomes(recordings: Recordings, spec: TaskSpec) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from rcbht_jax._util.printable import room
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Event, SubtaskStarted
 from rcbht_jax.plots.canvas import cut, new_figure, plain, stacked
@@ -72,7 +73,7 @@ def _mark_starts(figure: Figure, panels: int, events: Sequence[Event]) -> None:
             panel.axvline(start.time, color="black", linewidth=0.8, linestyle="--" if start.detected else "-")
     low, high = figure.axes[0].get_xlim()
     letter = (high - low) / LETTERS
-    widths = [(len(start.label) + 1) * letter for start in starts]
+    widths = [(room(start.label) + 1) * letter for start in starts]
     ends = [min(start.time + width, high) for start, width in zip(starts, widths, strict=True)]
     rows = stacked([(end - width, end) for end, width in zip(ends, widths, strict=True)], MOST_ROWS)
     for start, end, width, row in zip(starts, ends, widths, rows, strict=True):

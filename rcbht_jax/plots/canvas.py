@@ -19,7 +19,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import ScalarFormatter
 
 from rcbht_jax._util.atomic import DISK_FULL, atomic_write
-from rcbht_jax._util.printable import printable
+from rcbht_jax._util.printable import printable, room
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
 from rcbht_jax.features.spans import check_rate
@@ -71,12 +71,17 @@ def plain(text: str) -> str:
 
 
 def cut(text: str, letters: int) -> str:
-    """A text of so many letters at most.
+    """A text that takes the room of so many letters at most.
 
-    >>> cut("operator", 8), cut("operators", 8)
-    ('operator', 'operato…')
+    >>> cut("operator", 8), cut("operators", 8), room(cut("\ud798" * 8, 8))
+    ('operator', 'operato…', 7)
     """
-    return text if len(text) <= letters else f"{text[: letters - 1]}…"
+    if room(text) <= letters:
+        return text
+    kept = text[:letters]
+    while room(kept) >= letters:
+        kept = kept[:-1]
+    return f"{kept}…"
 
 
 def stacked(spans: Iterable[tuple[float, float]], most: int) -> list[int | None]:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import MaxNLocator
 
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.printable import plural, room
 from rcbht_jax._util.selection import rows_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS
@@ -90,7 +90,7 @@ def label_map(
     # Up to a thousand labels need one wide panel per axis; states are short and fit in two columns.
     columns = 1 if by == "word" or len(recordings.axes) == 1 else 2
     states = tuple(cut(state, LONG_STATE) for state in states)
-    leaning = LETTER * max(map(len, states), default=0)  # inches below the panels, for names wider than their state
+    leaning = LETTER * max(map(room, states), default=0)  # inches below the panels, for names wider than their state
     leaning *= leaning * len(states) > WIDTH * (RIGHT - _LEFT) / columns
     groups = _groups(recordings, rows)
     figure, panels = _panels(recordings.axes, columns, len(rows), len(groups), FOOT + leaning)
@@ -205,7 +205,7 @@ def _groups(recordings: Recordings, rows: Rows) -> list[tuple[int, int, str]]:
     for start, stop in zip(starts, [*starts[1:], len(rows)], strict=True):
         session, (outcome, count) = keys[start][0], (keys[start][1], f" ({stop - start})")
         pair = cut(session, LONG), cut(outcome, LONG - len(count)) + count
-        groups.append((start, stop, (",\n" if len(", ".join(pair)) > LONG + 2 else ", ").join(map(plain, pair))))
+        groups.append((start, stop, (",\n" if room(", ".join(pair)) > LONG + 2 else ", ").join(map(plain, pair))))
     return groups
 
 

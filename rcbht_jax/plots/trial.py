@@ -15,9 +15,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from rcbht_jax._util.arms import title_of
+from rcbht_jax._util.arms import title_among
 from rcbht_jax._util.columns import measured
-from rcbht_jax._util.printable import printable
+from rcbht_jax._util.printable import printable, room
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, name
 from rcbht_jax.plots.canvas import (
@@ -235,8 +235,8 @@ def _name_axis(ax: Axes, name: str, unit: str) -> None:
     """Name and unit beside a panel; long ones in two lines, not beyond the panel's height, the unit whole."""
     end = f", {cut(unit, LONG[1] - 4)}" if unit else ""
     text = name + end
-    short = len(text) <= LONG[0]
-    lines = [text] if short else [line.replace("_ ", "_") for line in wrap(text.replace("_", "_ "), LONG[1])]
+    short, most = room(text) <= LONG[0], LONG[1] * len(text) // max(1, room(text))
+    lines = [text] if short else [line.replace("_ ", "_") for line in wrap(text.replace("_", "_ "), most)]
     if len(lines) > 2:
         lines = [lines[0], cut(name[len(lines[0]) :].lstrip(), LONG[1] - len(end)) + end]
     small: dict[str, Any] = {} if short else {"labelpad": 1.0, "linespacing": 1.0}
@@ -296,7 +296,7 @@ def _draw_marks(axes: tuple[Axes, ...], marks: list[Mark]) -> None:
 
 def _name_rows(marks: list[Mark], view: _View) -> list[tuple[Mark, bool, int]]:
     """Names of the states: whether they stand right of their line, and the row, one up where they would overlap."""
-    widths = [(len(mark.text) * 7.6 + 10) / view.pixels for mark in marks]
+    widths = [(room(mark.text) * 7.6 + 10) / view.pixels for mark in marks]
     fits = [mark.seconds + width < view.stop for mark, width in zip(marks, widths, strict=True)]
     lefts = [mark.seconds - width * (not fit) for mark, width, fit in zip(marks, widths, fits, strict=True)]
     rows = stacked([(left, left + width) for left, width in zip(lefts, widths, strict=True)], MOST_ROWS)
@@ -320,7 +320,7 @@ def _name_marks(ax: Axes, names: list[tuple[Mark, bool, int]]) -> None:
 
 
 def _title(recordings: Recordings, index: int, window: int | None, rule: str) -> str:
-    arm = title_of(str(recordings.arm[index]))
+    arm = title_among(str(recordings.arm[index]), recordings.arm)
     facts = [f"session {recordings.session[index]}", outcome_of(recordings, index), arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.arms import title_of
 from rcbht_jax.events import Belief
 from rcbht_jax.introspection.description import describe_recording
 from rcbht_jax.introspection.introspector import Introspector
@@ -96,7 +95,6 @@ def pack(
     raw = b"".join(part.tobytes() for part in [*wide, wrench, *narrow])
     about = {
         **{field: str(getattr(recordings, field)[row]) for field in ("trial", "arm", "source", "session", "outcome")},
-        "arm_title": title_of(str(recordings.arm[row])),
         "facts": outcome_of(recordings, row),
         "samples": samples,
         "low": lowest.tolist(),

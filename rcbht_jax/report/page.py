@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.arms import title_among
 from rcbht_jax._util.columns import measured
 from rcbht_jax._util.digest import among
 from rcbht_jax._util.printable import plural
@@ -59,7 +60,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     for row in range(len(rows)):
         beliefs = [] if introspector is None else infer_beliefs(introspector, shown.recordings, row)
         about, blob = pack(shown.recordings, shown.tracks, row, beliefs)
-        abouts.append(about)
+        abouts.append(about | {"arm_title": title_among(about["arm"], data.recordings.arm)})
         blobs.append(blob)
         progress(1)
     what = measured(data.recordings.axes, data.recordings.units)

@@ -245,7 +245,7 @@ let box = null;
 facts.trials.forEach((trial, number) => {
   const title = `${trial.source}, ${trial.outcome}`;
   if (!box || box.label !== title) { box = document.createElement("optgroup"); box.label = title; byId("trial").append(box); }
-  box.append(new Option(trial.arm ? `${trial.trial} (${trial.arm})` : trial.trial, number));
+  box.append(new Option(trial.arm_title ? `${trial.trial} (${trial.arm})` : trial.trial, number));
 });
 byId("axis").append(new Option("all", -1), ...axes.map((name, a) => new Option(name, a)));
 byId("layer").append(...layers.map((name, l) => new Option(name, l)));

@@ -42,9 +42,9 @@ WINDOW = 5  # samples, of the encoder that labels a store without labels
 class View(Command):
     """Show one trial: the motion of arm and parts, the wrench, the labels.
 
-    A simulated trial is simulated again from its store; a recorded one moves the arm through the recorded joint angles
-    (--data is the folder that was imported). On a display the trial opens in MuJoCo's viewer. Without one, or with -o,
-    it is written to a file: key frames above wrench and labels (.png, .svg, .pdf), or a film (.gif, .mp4).
+    A simulated trial is simulated again from its store; a recorded one moves the arm through the recorded joint
+    angles (--data is the folder that was imported). On a display the trial opens in MuJoCo's viewer. Without one, or
+    with -o, it is written to a file: key frames above wrench and labels (.png, .svg, .pdf), or a film (.gif, .mp4).
 
     Example: rcbht view trials.zarr sim-B-000003 -o trial.png
     """

@@ -198,7 +198,7 @@ def test_one_arm_is_monitored(store: Path, model: Path, capsys: pytest.CaptureFi
         (["fit", "--score-rate", "30"], "--score-rate is 30; the store has 20 samples per second"),
         (["fit", "--score-rate", "0"], "score_rate is 0"),
         (["fit", "--where", "tool=2"], "three or more"),  # a column of numbers
-        (["fit", "--nominal", "good"], "outcome good; there are failure, success. Choose one with --nominal."),
+        (["fit", "--nominal", "good"], "outcome good, only failure, success; choose one with --nominal."),
     ],
 )
 def test_wrong_input_is_one_sentence(

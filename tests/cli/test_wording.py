@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,14 @@ def test_a_wide_confusion_matrix_numbers_its_columns() -> None:
 def test_help_shows_what_an_option_takes(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main([*name.split(), "--help"]) == 0
     assert not re.search(r"None\b", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("name", list(main.all_commands()))
+def test_help_has_a_line_for_each_paragraph(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where a line of the source began with a sign or a number, the help broke the line within a sentence."""
+    assert main.main([*name.split(), "--help"]) == 0
+    about = capsys.readouterr().out.partition("--json prints")[0].strip().splitlines()
+    assert [pair for pair in pairwise(about) if all(pair)] == []
 
 
 def test_only_what_is_left_out_is_none(capsys: pytest.CaptureFixture[str]) -> None:

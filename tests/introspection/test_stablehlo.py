@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief
+from rcbht_jax.introspection import stablehlo
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.stablehlo import write_chain
 from tests.support.introspection_models import few_axes, model, trial
@@ -77,3 +79,10 @@ def test_artefact_is_whole_or_absent(tmp_path):
     with zipfile.ZipFile(tmp_path / "c") as archive:
         assert archive.testzip() is None
         assert b"rcbht-chain-1" in archive.read("chain.json")
+
+
+def test_a_missing_package_is_named_in_one_sentence(tmp_path, monkeypatch):
+    """The sentence became part of another one, and ended with two full stops."""
+    monkeypatch.setattr(stablehlo, "export_chain", lambda *_: require("missing", "export"))
+    with pytest.raises(InputError, match=r'^missing is not installed: pip install "rcbht-jax\[export\]"\.$'):
+        write_chain(tmp_path / "c", model())

@@ -131,6 +131,23 @@ def test_two_classes_must_remain(recordings: Recordings, tracks: LabelTracks) ->
         evaluate(recordings, tracks, task, SPEC, EvaluationProtocol(grid=GRID))
 
 
+def test_what_is_left_out_is_named_where_too_few_trials_remain(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of three annotated trials one succeeded: the others are missing, and nothing said so."""
+    rows = [(row, "phase", label, at, at + 1.0) for row in range(3) for at, label in ((0.0, "reach"), (1.0, "push"))]
+    wrench = np.random.default_rng(0).normal(size=(3, 400, 6))
+    made = Recordings.from_arrays(wrench, 200, outcome=["success", "failure", "failure"], annotations=rows)
+    write_recordings(tmp_path / "a.zarr", made, {})
+    store, left = str(tmp_path / "a.zarr"), "2 trials left out: outcome not success."
+    assert main(["info", store]) == 0
+    assert left in capsys.readouterr().out
+    assert main(["encode", store]) == 0
+    for options in (["evaluate"], ["train", "-o", str(tmp_path / "a.model")]):
+        assert main([options[0], store, "--task", "phase", *options[1:]]) == 2
+        assert capsys.readouterr().err.endswith(" Left out: 2 trials (outcome not success).\n")
+
+
 def test_two_trials_per_class_leave_nothing_to_choose_on() -> None:
     """A training half then has one of each, which the error must not say of the data."""
     made = Recordings.example().take(np.array([0, 1, 4, 5]))

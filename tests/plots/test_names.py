@@ -61,3 +61,16 @@ def test_letters_that_the_usual_font_lacks_come_from_an_installed_one(
         save(belief_map([belief], "trial"), tmp_path / "a.png")
     monkeypatch.setattr(canvas, "_MORE_SCRIPTS", ("No Such Font", "STIXGeneral"))
     save(belief_map([belief], "trial"), tmp_path / "a.png")
+
+
+@pytest.mark.filterwarnings("ignore:No installed font", "ignore:Glyph")
+@pytest.mark.parametrize("session", ["\uc6d4\uc694\uc77c & <b>", "\uc6d4\uc694\uc77c" * 10])
+def test_letters_twice_as_wide_have_room_beside_a_label_map(session: str) -> None:
+    """Names of Korean letters began beyond the picture's edge: letters were counted, not their width."""
+    wrench = np.random.default_rng(0).normal(size=(1, 400, 1)).cumsum(1)
+    recordings = Recordings.from_arrays(wrench, 100, axes=["Fz"], session=[session], outcome=["success"])
+    figure = label_map(recordings, rj.encode(wrench, 100), "llb")
+    figure.canvas.draw()
+    (label,) = figure.axes[0].get_yticklabels()
+    assert session[:3] in label.get_text()
+    assert label.get_window_extent().x0 >= 0

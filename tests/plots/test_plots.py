@@ -155,7 +155,7 @@ def test_title_and_legends(recordings: Recordings, tracks: LabelTracks) -> None:
     figure = trial_figure(recordings, tracks, 2, window=20)
     assert figure.get_suptitle().split("\n") == [
         "t1   ·   BAD",
-        "session A, failure (failure type: +x-r), right arm, window 20 samples (100 ms)",
+        "session A, failure (failure type: +x-r), window 20 samples (100 ms)",
     ]
     legends = {legend.get_gid(): [text.get_text().split()[0] for text in legend.texts] for legend in figure.legends}
     for layer in LAYERS:
@@ -332,7 +332,7 @@ def test_commands_write_figures(store: Path, capsys: pytest.CaptureFixture[str])
     out = store.with_name("t.png")
     assert main.main(["plot", "trial", str(store), "t2", "-o", str(out)]) == 0
     made = "online-W5-fit made now (--tracks shows those of the store: online-W5)"
-    assert capsys.readouterr().out == f"{out}: GOOD t2, right arm, labels {made}\n"
+    assert capsys.readouterr().out == f"{out}: GOOD t2, labels {made}\n"
     assert out.is_file()
     out = store.with_name("m.svg")
     assert main.main(["plot", "map", str(store), "-o", str(out), "--source", "GOOD", "--layer", "mc", "--json"]) == 0

@@ -39,7 +39,7 @@ def test_the_command_says_what_makes_labels(
     bare, out = tmp_path / "bare.zarr", tmp_path / "x.png"
     write_recordings(bare, recordings, {})
     assert main.main(["plot", "trial", str(bare), "two", "-o", str(out)]) == 0
-    assert f'right arm, no labels; make them with "rcbht encode {bare}"\n' in capsys.readouterr().out
+    assert f' two, no labels; make them with "rcbht encode {bare}"\n' in capsys.readouterr().out
     assert out.is_file()
     assert main.main(["plot", "trial", str(bare), "two", "-o", str(out), "--json"]) == 0
     assert '"tracks": null' in capsys.readouterr().out

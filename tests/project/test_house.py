@@ -32,6 +32,17 @@ def test_every_public_name_is_in_the_reference() -> None:
     assert set(rcbht_jax.__all__) <= set(entries)
 
 
+def test_contributing_names_what_is_at_the_root_of_each_package() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    for package in ("rcbht_jax", "sim_mjx"):
+        table = re.search(rf"^\| in `{package}` \| content \|\n((?:\|.*\n)+)", text, re.M)
+        assert table is not None
+        named = set(re.findall(r"`([\w.]+/?)`", "\n".join(row.split("|")[1] for row in table[1].splitlines())))
+        folders = {f"{path.parent.name}/" for path in (ROOT / package).glob("*/*.py")}
+        modules = {path.name for path in (ROOT / package).glob("*.py")} - {"__init__.py"}
+        assert named == folders | modules
+
+
 def gather(node: ast.AST, hidden: frozenset[str], variables: set[str], names: dict[str, set[type]]) -> None:
     """Variables of the comprehensions of a function, and how it uses other names; without functions inside it."""
     if isinstance(node, COMPREHENSIONS):

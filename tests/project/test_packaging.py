@@ -189,7 +189,7 @@ def test_the_long_description_needs_no_repository() -> None:
 
 def test_the_install_page_lists_the_extras() -> None:
     listed = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs/install.md").read_text(), re.M)
-    experiments = {"bench", "peers", "search"}
+    experiments = {"peers", "search"}
     assert set(listed) == set(PROJECT["optional-dependencies"]) - experiments
 
 
