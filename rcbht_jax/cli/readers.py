@@ -15,6 +15,7 @@ class Reads(NamedTuple):
     axes: tuple[str, ...]
     units: tuple[str, ...]
     rate: float  # Hz
+    arm: str = ""  # whose wrench was learned, as it was named
 
 
 def readers_of(
@@ -38,13 +39,13 @@ def readers_of(
         from rcbht_jax.introspection.segmenter_stream import SegmenterStream
 
         labels = segmenter_file.load(segmenter)
-        reads.append(Reads(labels.axes, labels.units, 1 / labels.encoder.dt))
+        reads.append(Reads(labels.axes, labels.units, 1 / labels.encoder.dt, labels.arm))
         readers.append(SegmenterStream(labels, certainty))
     if monitor is not None:
         from rcbht_jax.introspection import nominal_file
         from rcbht_jax.introspection.nominal_watch import NominalWatch
 
         nominal = nominal_file.load(monitor)
-        reads.append(Reads(nominal.axes, nominal.units, nominal.monitor.rate))
+        reads.append(Reads(nominal.axes, nominal.units, nominal.monitor.rate, nominal.arm))
         readers.append(NominalWatch(nominal, false_alarms))
     return readers, reads

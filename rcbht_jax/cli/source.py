@@ -15,7 +15,6 @@ import tyro
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.cli.command import (
-    Arm,
     BeliefRate,
     CompileCache,
     MadeBy,
@@ -51,7 +50,13 @@ class Source(RuleCommand):
     """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
     model: OnlineModel = None
     trial: Annotated[tuple[str, ...], option("Trials of a store; default all, one after the other.", "")] = ()
-    arm: Arm = ""
+    arm: Annotated[
+        str,
+        option(
+            "Arm whose wrench to use, if the store has several.",
+            "that of the monitor or the segmenter, else the last by name, as the right one",
+        ),
+    ] = ""
     starts: Annotated[
         str,
         option(
@@ -151,7 +156,8 @@ class Source(RuleCommand):
         self.check()
         model = None if self.model is None else load(self.model)
         readers, read = readers_of(self.segmenter, self.monitor, self.certainty, self.false_alarms)
-        live, messages = self.source == "-", self._messages(model)
+        arms = [""] * (model is not None) + [one.arm for one in read]
+        live, messages = self.source == "-", self._messages(model, arms)
         compile_cache.use(self.compile_cache)
         if live:  # its beginning must not be read faster than it is played
             messages = paced(messages, self.pace)
@@ -330,7 +336,9 @@ class Source(RuleCommand):
             )
         return named
 
-    def _messages(self, model: IntrospectionModel | None) -> Messages:
+    def _messages(self, model: IntrospectionModel | None, arms: list[str]) -> Messages:
+        from rcbht_jax._util.arms import common_arm
+        from rcbht_jax.io.hiro.trial import ARMS
         from rcbht_jax.io.importing.find import kind_of
         from rcbht_jax.io.messages import is_bag, read_live
         from rcbht_jax.io.playback import play, read_folder
@@ -350,9 +358,10 @@ class Source(RuleCommand):
             recordings = read_recordings(path)
             if model is not None:
                 model.check_axes(recordings.axes, recordings.units, str(path))
-            return play(recordings, self.trial, self.arm, starts, str(path), model.subtasks if model else "")
+            arm = self.arm or common_arm(recordings.arm.tolist(), arms)
+            return play(recordings, self.trial, arm, starts, str(path), model.subtasks if model else "")
         if path.is_dir():
-            return read_folder(path, self.arm, starts)
+            return read_folder(path, self.arm or common_arm(ARMS, arms), starts)
         if path.is_file():
             kind = kind_of(path.name) or "csv"
             lines = f' Lines of wrenches can also be piped: "- < {path}".' if kind == "jsonl" else ""
