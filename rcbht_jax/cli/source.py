@@ -238,12 +238,15 @@ class Source(RuleCommand):
         path, live = as_path(self.source), self.source == "-"
         store, known = _is_store(path), live or path.exists()  # a source that does not exist is refused as such
         bag = is_bag(path)
+        recorded = store or not known or (path.is_dir() and not bag)
         needs = {
             "false_alarms": (self.monitor is not None, "--monitor"),
             "certainty": (self.model is not None or self.segmenter is not None, "--model or --segmenter"),
             "rate": (self.model is not None, "--model"),
             "trial": (store or not known, "a store"),
-            "arm": (store or not known or (path.is_dir() and not bag), "a store or the folder of a trial"),
+            "arm": (recorded, "a store or the folder of a trial"),
+            "starts": (recorded or self.starts == "detected", "a store or the folder of a trial"),
+            "lead": (not store, "lines, a bag or the folder of a trial"),
             "topic": (not known or bag, "a bag or MCAP file"),
             "timeout": (live or not known, "lines on standard input"),
         }
