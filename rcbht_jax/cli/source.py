@@ -351,6 +351,7 @@ class Source(RuleCommand):
             return read_live(_standard_input(), self.timeout)
         path = as_path(self.source)
         starts = "none" if self.starts == "detected" else self.starts
+        learnt = model.subtasks if model else ""
         if model is not None and not _is_store(path):  # of ROS, or of a trial in HIRO's layout
             model.check_wrench(str(path))
         if is_bag(path):
@@ -362,9 +363,9 @@ class Source(RuleCommand):
             if model is not None:
                 model.check_axes(recordings.axes, recordings.units, str(path))
             arm = self.arm or common_arm(recordings.arm.tolist(), arms)
-            return play(recordings, self.trial, arm, starts, str(path), model.subtasks if model else "")
+            return play(recordings, self.trial, arm, starts, str(path), learnt)
         if path.is_dir():
-            return read_folder(path, self.arm or common_arm(ARMS, arms), starts)
+            return read_folder(path, self.arm or common_arm(ARMS, arms), starts, learnt)
         if path.is_file():
             kind = kind_of(path.name) or "csv"
             lines = f' Lines of wrenches can also be piped: "- < {path}".' if kind == "jsonl" else ""

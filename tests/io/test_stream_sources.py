@@ -298,6 +298,12 @@ def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     onsets = np.rint(hiro_recordings.starts(HARMONISED)[row, 1:] / DT).astype(int)
     assert begins == (onsets + np.arange(3)).tolist()
     assert Begin not in {type(m) for m in read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="none")}
+    for starts, learnt in (("harmonised", "states-merged"), ("states-merged", ""), ("recorded", ""), ("states", "")):
+        folder = read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts=starts, learnt=learnt)
+        store = list(play(read_recordings(hiro_store), (name,), starts=starts, learnt=learnt))[1:]
+        assert [type(m) for m in folder] == [type(m) for m in store]
+    with pytest.raises(InputError, match="no track 'phase'; there are states, states-harmonised, states-merged"):
+        list(read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="phase"))
     for wrong in (
         lambda: play(hiro_recordings, ("x",)), lambda: read_folder(hiro_dir), lambda: play(read_recordings(hiro_dir)),
     ):  # fmt: skip
