@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import signal
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -165,6 +168,27 @@ def test_a_monitor_reads_the_axes_of_a_bag_by_their_names(tmp_path, capsys, monk
         scores.append([event["score"] for event in events if event["event"] == "AnomalyScore"])
     assert len(scores[0]) == 60
     assert scores[0] == scores[1]
+
+
+def test_a_stream_that_is_interrupted_in_its_lead_keeps_its_recording(tmp_path, monkeypatch):
+    """Nothing was written where Ctrl-C came within the ten seconds that give the thresholds."""
+
+    class Interrupted(io.BytesIO):
+        def readline(self, size: int | None = -1) -> bytes:
+            if line := super().readline(size):
+                return line
+            time.sleep(1)  # until what came before has been read
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(60)
+            return b""
+
+    data = b"".join(json.dumps({"time": 0.01 * k, "wrench": [0.1 * k] * 6}).encode() + b"\n" for k in range(200))
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": Interrupted(data)}))
+    out, events = tmp_path / "o.mcap", tmp_path / "e.jsonl"
+    assert main(["stream", "-", "--mcap", str(out), "-o", str(events), "--timeout", "100"]) == 130
+    assert len(list(read_bag(out))) == 200
+    words = map(json.loads, events.read_text().splitlines())
+    assert max(word["end"] for word in words if word["event"] == "Word") == 200
 
 
 def test_an_event_before_the_first_reading_is_no_message_of_1970(model_path, tmp_path, monkeypatch):
