@@ -54,9 +54,10 @@ def test_any_axes_trials_and_what_stands_on_one_line(tmp_path):
     lines[20:20] = [{"wrench": bad} for bad in (["a", 1.0], [[1.0], 2.0], {"Fx": 1.0}, None)]  # were tracebacks
     done = subprocess.run(
         [sys.executable, str(EXAMPLE), "c"],
-        input="\n".join(map(json.dumps, lines)), capture_output=True, text=True, cwd=tmp_path, timeout=300, check=True,
+        input="\n".join([*map(json.dumps, lines), "", "[]", '{"wrench": [1.0, ']),  # each of these was a traceback
+        capture_output=True, text=True, cwd=tmp_path, timeout=300, check=True,
     )  # fmt: skip
-    assert done.stderr.count("left out: ") == 6
+    assert done.stderr.count("left out: ") == 9
     introspector = Introspector(two, rate=None)
     events = introspector.push(wrench[:12]) + introspector.begin() + introspector.push(wrench[12:23])
     introspector.reset()
