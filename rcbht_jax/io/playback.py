@@ -39,15 +39,15 @@ def play(
         learnt: track whose sub-tasks a model has learned.
 
     Raises:
-        InputError: the data set has no such trial or arm.
+        InputError: the data set has no such trial or arm, or no recording of this arm of one of the trials.
     """
     unknown = set(trials) - set(recordings.trial.tolist())
     if unknown:
         raise InputError(f"{name} has no trial {', '.join(sorted(unknown))}.")
     arm = chosen_arm(recordings.arm.tolist(), arm)
     chosen = (recordings.arm == arm) & (np.isin(recordings.trial, trials) if trials else True)
-    if not chosen.any():
-        raise InputError(f"{name} has no recording of {title_of(arm)} among the chosen trials.")
+    if missing := set(trials) - set(recordings.trial[chosen].tolist()):
+        raise InputError(f"{name} has no recording of {title_of(arm)} of the trial {', '.join(sorted(missing))}.")
     track = "" if starts == NONE else track_of_starts(recordings.annotations, starts, learnt)
     for row in np.flatnonzero(chosen).tolist():
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)

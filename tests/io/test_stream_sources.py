@@ -284,6 +284,17 @@ def test_silence_of_a_live_source():
 # --- recordings ------------------------------------------------------------------------------------------------------
 
 
+def test_a_trial_without_the_arm_is_refused():
+    """It was left out in silence where another of the chosen trials has the arm."""
+    trials, arms = ["one", "two", "two"], ["left", "left", "right"]
+    both = Recordings.from_arrays(np.zeros((3, 9, 6)), trial=trials, arm=arms)
+    assert [m.trial for m in play(both, ("one", "two"), "left") if isinstance(m, Reset)] == ["one", "two"]
+    assert [m.trial for m in play(both) if isinstance(m, Reset)] == ["two"]
+    for chosen in (("one", "two"), ("one",)):
+        with pytest.raises(InputError, match="no recording of right arm of the trial one"):
+            next(play(both, chosen))
+
+
 def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     name = "20121127-HIROSA-S-13"
     row = int(np.flatnonzero(hiro_recordings.trial == name)[0])
