@@ -14,6 +14,7 @@ import pytest
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief
 from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.model import load
 from rcbht_jax.introspection.stablehlo import write_chain
 from tests.support.introspection_models import few_axes, model, trial
 
@@ -75,6 +76,8 @@ def test_artefact_is_whole_or_absent(tmp_path):
         write_chain(tmp_path / "c", model(), ("abacus",))
     assert not list(tmp_path.iterdir())
     write_chain(tmp_path / "c", model(), ("cpu",))
+    with pytest.raises(InputError, match='was made by "rcbht export-model"; this needs a file of "rcbht train-online"'):
+        load(tmp_path / "c")
     with zipfile.ZipFile(tmp_path / "c") as archive:
         assert archive.testzip() is None
         assert b"rcbht-chain-1" in archive.read("chain.json")
