@@ -155,13 +155,17 @@ def main() -> None:
     """Run the node until it is stopped."""
     import rclpy
     from geometry_msgs.msg import WrenchStamped
+    from rcl_interfaces.msg import ParameterDescriptor
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import String
 
     rclpy.init()
     node = rclpy.create_node("rcbht")
-    parameters = {name: node.declare_parameter(name, value).value for name, value in PARAMETERS.items()}
+    any_type = ParameterDescriptor(dynamic_typing=True)  # else ROS refuses "rate:=200", which is no double
+    parameters = {
+        name: type(value)(node.declare_parameter(name, value, any_type).value) for name, value in PARAMETERS.items()
+    }
     publishers = {name: node.create_publisher(String, f"~/{name}", 100) for name in (*TOPICS.values(), "events")}
     bridge = Bridge(parameters, lambda topic, text: publishers[topic].publish(String(data=text)))
 

@@ -6,8 +6,8 @@
 Each line of the input is {"wrench": [Fx, Fy, Fz, Mx, My, Mz]}, one per sampling period, in the order and the units that
 chain.json in the archive names, or {"begin": true} where a sub-task begins and {"reset": true} where a trial does; a
 reading on such a line is the next one. One JSON line with the probabilities of every head is printed per window. A
-reading that is no list of finite numbers, one per axis, is left out with a message: it would stay in the state for
-good.
+line that is no JSON object is left out with a message, and so is a reading that is no list of finite numbers, one per
+axis: it would stay in the state for good.
 """
 
 import io
@@ -30,7 +30,13 @@ def main() -> None:
     window, begins = np.zeros(inputs[0].shape, np.float32), np.zeros(inputs[2].shape, np.int32)
     state, received = start, 0
     for line in sys.stdin:
-        message = json.loads(line)
+        try:
+            message = json.loads(line)
+        except ValueError:  # such as an empty line, or the last one of a file that was cut off
+            message = None
+        if not isinstance(message, dict):
+            print(f"left out: {line.strip()}", file=sys.stderr)
+            continue
         if message.get("reset"):
             state, received, begins = start, 0, np.zeros_like(begins)
         if message.get("begin"):

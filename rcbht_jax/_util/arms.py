@@ -50,6 +50,30 @@ def chosen_arm(names: Iterable[str], wanted: str) -> str:
     return wanted if wanted in arms else arms[0]
 
 
+def common_arm(names: Iterable[str], learned: Iterable[str]) -> str:
+    """The arm that all readers of one stream learned, "" = the usual one; other arguments as of :func:`chosen_arm`.
+
+    Args:
+        names: of the arms of recordings.
+        learned: the arm of each reader, as it was named.
+
+    Raises:
+        InputError: they learned different arms, or one that is not there.
+
+    Example:
+        >>> common_arm(["left", "right"], ["left"]), common_arm(["left", "right"], ["", "right"])
+        ('left', 'right')
+    """
+    named = tuple(learned)
+    arms = arms_in(chosen_arm(names, arm) for arm in named) if any(named) else ("",)
+    if len(arms) > 1:
+        raise InputError(
+            f"Model, segmenter and monitor learned different arms, {' and '.join(arms)}; use those of one arm, or name "
+            "one with --arm."
+        )
+    return arms[0]
+
+
 def rows_of_arm(names: NDArray[np.str_], wanted: str) -> tuple[NDArray[np.int64], list[str]]:
     """The recordings of the arm of :func:`chosen_arm`, and a remark that names it where there are others.
 

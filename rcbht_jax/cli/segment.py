@@ -95,7 +95,7 @@ class Segment(Command):
             intervals = ((int(chosen[row]), *rest) for row, *rest in result.rows())  # numbers in the store
             draft.write_text(table_text(head, *intervals), encoding="utf-8")
         if self.write_model is not None:
-            save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes))
+            save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes, self.arm))
         model = {} if self.write_model is None else {"model": str(self.write_model)}
         missing = sum(not len(labels) for labels in result.predicted)
         how = {"causal": not self.offline, "rule": self.rule, "unlabelled": missing, "remarks": remarks}

@@ -8,14 +8,13 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.cli.command import (
-    Arm,
     BeliefRate,
     CompileCache,
     MadeBy,
@@ -27,6 +26,7 @@ from rcbht_jax.cli.command import (
     unset,
 )
 from rcbht_jax.cli.monitor import MONITOR, FalseAlarms
+from rcbht_jax.cli.readers import Reads, readers_of
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
@@ -34,20 +34,12 @@ if TYPE_CHECKING:
     from rcbht_jax.introspection.introspector import Introspector
     from rcbht_jax.introspection.model import IntrospectionModel
     from rcbht_jax.introspection.session import Session
-    from rcbht_jax.introspection.together import Reader, Together
+    from rcbht_jax.introspection.together import Together
     from rcbht_jax.introspection.words import WordIntrospector
     from rcbht_jax.io.messages import LineReader, Message
 
     AnyIntrospector = Introspector | WordIntrospector | Together
     Messages = Iterator[Message]
-
-
-class Reads(NamedTuple):
-    """The signal that a model or a monitor reads."""
-
-    axes: tuple[str, ...]
-    units: tuple[str, ...]
-    rate: float  # Hz
 
 
 @dataclass(frozen=True)
@@ -58,7 +50,13 @@ class Source(RuleCommand):
     """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
     model: OnlineModel = None
     trial: Annotated[tuple[str, ...], option("Trials of a store; default all, one after the other.", "")] = ()
-    arm: Arm = ""
+    arm: Annotated[
+        str,
+        option(
+            "Arm whose wrench to use, if the store has several.",
+            "that of the monitor or the segmenter, else the last by name, as the right one",
+        ),
+    ] = ""
     starts: Annotated[
         str,
         option(
@@ -154,14 +152,15 @@ class Source(RuleCommand):
 
         self.check()
         model = None if self.model is None else load(self.model)
-        readers, reads = self._readers()
-        live, messages = self.source == "-", self._messages(model)
+        readers, read = readers_of(self.segmenter, self.monitor, self.certainty, self.false_alarms)
+        arms = [""] * (model is not None) + [one.arm for one in read]
+        live, messages = self.source == "-", self._messages(model, arms)
         compile_cache.use(self.compile_cache)
         if live:  # its beginning must not be read faster than it is played
             messages = paced(messages, self.pace)
         introspector: AnyIntrospector
         if model is None:
-            introspector, messages = self._words(messages, say, reads)
+            introspector, messages = self._words(messages, say, read[-1] if read else None)
         else:
             detect = self.starts == "detected"
             beside = self._beside(model)
@@ -169,8 +168,8 @@ class Source(RuleCommand):
                 model, belief_rate(self.rate), self.certainty, detect=detect, words=words and not beside
             )
             if beside:
-                reads = Reads(model.axes, model.units, 1 / model.encoder.dt)
-                others, messages = self._words(messages, say, reads)
+                learned = Reads(model.axes, model.units, 1 / model.encoder.dt)
+                others, messages = self._words(messages, say, learned)
                 introspector = Together(introspector, others)
         if snaps := detector_of(self.snap, 1 / introspector.config.dt):
             introspector = Together(introspector, readers=[snaps])
@@ -190,26 +189,6 @@ class Source(RuleCommand):
         from rcbht_jax.introspection.model import load
 
         return self.source == "-" and (self.model is None or self._beside(load(self.model)))
-
-    def _readers(self) -> tuple[list[Reader], Reads | None]:
-        """The segmenter and the monitor of the options, and what the last of them reads."""
-        readers: list[Reader] = []
-        reads: Reads | None = None
-        if self.segmenter is not None:
-            from rcbht_jax.introspection import segmenter_file
-            from rcbht_jax.introspection.segmenter_stream import SegmenterStream
-
-            segmenter = segmenter_file.load(self.segmenter)
-            reads = Reads(segmenter.axes, segmenter.units, 1 / segmenter.encoder.dt)
-            readers.append(SegmenterStream(segmenter, self.certainty))
-        if self.monitor is not None:
-            from rcbht_jax.introspection import nominal_file
-            from rcbht_jax.introspection.nominal_watch import NominalWatch
-
-            file = nominal_file.load(self.monitor)
-            reads = Reads(file.axes, file.units, file.monitor.rate)
-            readers.append(NominalWatch(file, self.false_alarms))
-        return readers, reads
 
     def _beside(self, model: IntrospectionModel) -> bool:
         """Whether words are shown that the model does not read."""
@@ -248,12 +227,15 @@ class Source(RuleCommand):
         path, live = as_path(self.source), self.source == "-"
         store, known = _is_store(path), live or path.exists()  # a source that does not exist is refused as such
         bag = is_bag(path)
+        recorded = store or not known or (path.is_dir() and not bag)
         needs = {
             "false_alarms": (self.monitor is not None, "--monitor"),
             "certainty": (self.model is not None or self.segmenter is not None, "--model or --segmenter"),
             "rate": (self.model is not None, "--model"),
             "trial": (store or not known, "a store"),
-            "arm": (store or not known or (path.is_dir() and not bag), "a store or the folder of a trial"),
+            "arm": (recorded, "a store or the folder of a trial"),
+            "starts": (recorded or self.starts == "detected", "a store or the folder of a trial"),
+            "lead": (not store, "lines, a bag or the folder of a trial"),
             "topic": (not known or bag, "a bag or MCAP file"),
             "timeout": (live or not known, "lines on standard input"),
         }
@@ -296,15 +278,13 @@ class Source(RuleCommand):
                 say(f"taking the {what} from the first {self.lead:g} s")
             opening = read_opening(messages, self.lead if learns or measured else 0.0, known)
             messages, rate = opening.messages, known or opening.rate()
-            its = reads is not None and not self.axes and len(reads.axes) == len(opening.axes)
-            axes, units = reads[:2] if reads and its else (self._axes_of(opening.axes), None)
-            recordings = opening.recordings(rate, axes, units, self.max_gap)
+            recordings = opening.recordings(rate, *self._signal(opening.axes, reads), self.max_gap)
         if self.axes:
             if len(self.axes) != len(recordings.axes):
                 raise InputError(
                     f"--axes names {plural(len(self.axes), 'axis', 'axes')}; the stream has {len(recordings.axes)}."
                 )
-            stated = recordings.units if _is_store(path) else ("",) * len(self.axes)
+            stated = ("",) * len(self.axes) if self.source == "-" else recordings.units
             units = tuple(unit or UNIT_OF.get(axis, "") for unit, axis in zip(stated, self.axes, strict=True))
             recordings = replace(recordings, axes=distinct(self.axes), units=units)
         if _is_store(path):
@@ -316,6 +296,19 @@ class Source(RuleCommand):
         config = self.config(1 / rate)
         limits = self.limits(config, thresholds, recordings)
         return WordIntrospector(config, limits, recordings.axes, recordings.units), messages
+
+    def _signal(self, axes: tuple[str, ...], reads: Reads | None) -> tuple[tuple[str, ...], tuple[str, ...] | None]:
+        """Names and units of a stream's axes, None = by the names: lines have neither, and are what is read.
+
+        Bags and folders hold a wrench in N and Nm, which a reader may name otherwise.
+        """
+        from rcbht_jax.labels import UNITS
+
+        wrench = None if self.source == "-" else UNITS
+        its = reads is not None and not self.axes and len(reads.axes) == len(axes)
+        if reads and its and not (wrench and set(reads.axes) == set(axes)):
+            return reads.axes, wrench or reads.units or None
+        return self._axes_of(axes), wrench
 
     def _axes_of(self, axes: tuple[str, ...]) -> tuple[str, ...]:
         """Names of a stream's axes that nobody named: those in the file of thresholds, if it has other ones."""
@@ -331,7 +324,9 @@ class Source(RuleCommand):
             )
         return named
 
-    def _messages(self, model: IntrospectionModel | None) -> Messages:
+    def _messages(self, model: IntrospectionModel | None, arms: list[str]) -> Messages:
+        from rcbht_jax._util.arms import common_arm
+        from rcbht_jax.io.hiro.trial import ARMS
         from rcbht_jax.io.importing.find import kind_of
         from rcbht_jax.io.messages import is_bag, read_live
         from rcbht_jax.io.playback import play, read_folder
@@ -341,6 +336,7 @@ class Source(RuleCommand):
             return read_live(_standard_input(), self.timeout)
         path = as_path(self.source)
         starts = "none" if self.starts == "detected" else self.starts
+        learnt = model.subtasks if model else ""
         if model is not None and not _is_store(path):  # of ROS, or of a trial in HIRO's layout
             model.check_wrench(str(path))
         if is_bag(path):
@@ -351,9 +347,10 @@ class Source(RuleCommand):
             recordings = read_recordings(path)
             if model is not None:
                 model.check_axes(recordings.axes, recordings.units, str(path))
-            return play(recordings, self.trial, self.arm, starts, str(path), model.subtasks if model else "")
+            arm = self.arm or common_arm(recordings.arm.tolist(), arms)
+            return play(recordings, self.trial, arm, starts, str(path), learnt)
         if path.is_dir():
-            return read_folder(path, self.arm, starts)
+            return read_folder(path, self.arm or common_arm(ARMS, arms), starts, learnt)
         if path.is_file():
             kind = kind_of(path.name) or "csv"
             lines = f' Lines of wrenches can also be piped: "- < {path}".' if kind == "jsonl" else ""

@@ -221,7 +221,7 @@ class Stream(Source):
                     events = session.feed(message)
                     report(events, message if _left_out(session) == left_out else None, latest)
                     received = session.introspector.received
-                    if received < before:  # a gap or a new trial: words that begin at the same sample are others
+                    if session.ended is not None:  # words that begin at the same sample are others
                         revisions = Revisions()
                     elif self.provisional and received // window != before // window:
                         report([*revisions.after_window(session.introspector.provisional())])

@@ -67,7 +67,7 @@ class Opening:
                 "the stamps, and state the rate with --sampling-rate."
             )
         if not len(steps):
-            raise InputError("The readings have no time stamps; state their rate with --sampling-rate.")
+            raise InputError("No two readings of a trial have time stamps; state their rate with --sampling-rate.")
         return 1 / checked_period(clock(np.cumsum([0.0, *steps])).period)
 
     def recordings(
@@ -95,6 +95,7 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
 
     Raises:
         InputError: the stream, or ``MOST`` messages of it, has no reading.
+        KeyboardInterrupt: before the first reading; a later one ends the messages of the opening.
 
     Example:
         >>> opening = read_opening(iter([Sample((0.0, 1.0), 0.01 * k) for k in range(100)]))
@@ -104,13 +105,18 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
     read: list[Message] = []
     samples: list[tuple[int, Sample]] = []  # with their stretch
     elapsed, least = Elapsed(rate), 1 if rate and not seconds else READINGS
-    for message in islice(messages, MOST):
-        read.append(message)
-        if not elapsed.feed(message):
-            continue
-        samples.append((elapsed.stretch, message))
-        if elapsed.readings >= least and elapsed.seconds >= seconds:
-            break
+    try:
+        for message in islice(messages, MOST):
+            read.append(message)
+            if not elapsed.feed(message):
+                continue
+            samples.append((elapsed.stretch, message))
+            if elapsed.readings >= least and elapsed.seconds >= seconds:
+                break
+    except KeyboardInterrupt as end:  # raised again after the readings, which are kept so
+        if not samples:
+            raise
+        messages = _ended_by(end)
     if not samples:
         what = f"The first {MOST} messages of the stream have" if len(read) == MOST else "The stream ended and has"
         wrong = next((f"; the first problem: {one.text}" for one in read if isinstance(one, Malformed)), "")
@@ -120,6 +126,12 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
     time = np.array([np.nan if sample.time is None else sample.time for _, sample in kept])
     wrench = np.array([sample.wrench for _, sample in kept], np.float64)
     return Opening(wrench, time, chain(read, messages), np.array([stretch for stretch, _ in kept]))
+
+
+def _ended_by(end: KeyboardInterrupt) -> Iterator[Message]:
+    """No message, but the interruption of a stream."""
+    yield from ()
+    raise end
 
 
 class Elapsed:

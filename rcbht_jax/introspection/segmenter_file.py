@@ -40,15 +40,17 @@ class SegmenterFile:
     limits: AnyLimits  # of the words
     first: Forest
     second: Forest
+    arm: str = ""  # whose wrench it learned, as it was named; "" = the last by name, as the right one
 
     @classmethod
-    def of(cls, segmenter: Any, track: str, labels: tuple[str, ...]) -> SegmenterFile:
+    def of(cls, segmenter: Any, track: str, labels: tuple[str, ...], arm: str = "") -> SegmenterFile:
         """What a stream needs of a fitted segmenter.
 
         Args:
             segmenter: a fitted, causal :class:`rcbht_jax.introspection.segmenter.WrenchSegmenter`.
             track: of the annotations that it learned.
             labels: of the track, by code.
+            arm: whose wrench it learned, as it was named.
 
         Raises:
             NotFittedError: of scikit-learn: it is not fitted.
@@ -57,9 +59,9 @@ class SegmenterFile:
         (encoder, limits), (axes, units) = segmenter.encoder(), segmenter.axes_
         if segmenter.offline:
             raise InputError("A segmenter that reads later samples cannot follow a stream; leave out --offline.")
-        forests = (Forest.of(forest, segmenter.classes_) for forest in (segmenter.first_, segmenter.second_))
+        first, second = (Forest.of(forest, segmenter.classes_) for forest in (segmenter.first_, segmenter.second_))
         classes = tuple(labels[code] for code in segmenter.classes_)
-        return cls(track, classes, axes, units, bool(segmenter.words), encoder, limits, *forests)
+        return cls(track, classes, axes, units, bool(segmenter.words), encoder, limits, first, second, arm)
 
 
 def save(path: Path | str, file: SegmenterFile) -> None:
@@ -68,7 +70,7 @@ def save(path: Path | str, file: SegmenterFile) -> None:
     Raises:
         InputError: the folder does not exist.
     """
-    plain = {name: getattr(file, name) for name in ("track", "classes", "axes", "units", "words")}
+    plain = {name: getattr(file, name) for name in ("track", "classes", "axes", "units", "words", "arm")}
     meta = {"format": FORMAT, "version": rcbht_jax.__version__, "encoder": config_fields(file.encoder), **plain}
     trees = file.first.arrays("first.") | file.second.arrays("second.")
     write_archive(path, meta, dict(limit_arrays(file.limits)) | trees)
@@ -94,4 +96,5 @@ def load(path: Path | str) -> SegmenterFile:
             Forest.from_arrays(archive, columns, len(classes), f"{name}.")
             for name, columns in zip(FORESTS, columns_of(units, len(classes), words), strict=True)
         )
-        return SegmenterFile(track, classes, axes, units, words, config, limits, first, second)
+        (arm,) = checked_texts("its arm", [meta.get("arm", "")])
+        return SegmenterFile(track, classes, axes, units, words, config, limits, first, second, arm)

@@ -110,6 +110,8 @@ class Session(Copyable):
         self._grid = introspector.config.dt, bridge, self._axes
         self._resampler = Resampler(*self._grid)
         self.time = 0.0  # s, stamp of the latest sample
+        # Events of the latest message that end what was received before it; None = it goes on.
+        self.ended: int | None = None
         self._silent = False
         self._end = math.inf  # s, stamp of the last sample before the latest gap of the trial
         self._begun = False  # the trial has a sample; until then:
@@ -124,6 +126,7 @@ class Session(Copyable):
 
     def feed(self, message: Message) -> list[Event]:
         """The events that one message causes, in order."""
+        self.ended = None
         if isinstance(message, Sample) and len(message.wrench) != self._axes:
             text = f"a reading has {plural(len(message.wrench), 'value')}; expected {self._axes}, one for each axis"
             message = Malformed(text)
@@ -138,6 +141,7 @@ class Session(Copyable):
             return [] if self._tare.begins(message.label) else self.introspector.begin(message.label)
         if isinstance(message, Reset):
             events = self.finish() + self.introspector.reset()
+            self.ended = len(events) if self._begun else None
             self._resampler, self._tare = Resampler(*self._grid), Tare(self._tare.samples)
             self._reset, self._begin, self._begun, self._end = message, None, False, math.inf
             return events
@@ -162,6 +166,7 @@ class Session(Copyable):
             self._end = before if self.taken > 1 else self._end  # a single sample had a stray stamp
             events += self._release(before) + self.introspector.finish()
             events += self.introspector.reset()  # not of the tare: after a gap the arm may be in contact
+            self.ended = len(events)
             if isinstance(self.introspector, Together) and self.time > self._end:  # else the source began anew
                 self.introspector.wait()
         if len(resampled.samples):

@@ -13,7 +13,7 @@ from rcbht_jax.annotations import Annotations, corrected_variant
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample
-from rcbht_jax.robots.snap_assembly import STATES
+from rcbht_jax.robots.snap_assembly import state_tracks
 from rcbht_jax.types import Recordings
 
 NONE, RECORDED, USUAL = "none", "recorded", "harmonised"
@@ -39,15 +39,15 @@ def play(
         learnt: track whose sub-tasks a model has learned.
 
     Raises:
-        InputError: the data set has no such trial or arm.
+        InputError: the data set has no such trial or arm, or no recording of this arm of one of the trials.
     """
     unknown = set(trials) - set(recordings.trial.tolist())
     if unknown:
         raise InputError(f"{name} has no trial {', '.join(sorted(unknown))}.")
     arm = chosen_arm(recordings.arm.tolist(), arm)
     chosen = (recordings.arm == arm) & (np.isin(recordings.trial, trials) if trials else True)
-    if not chosen.any():
-        raise InputError(f"{name} has no recording of {title_of(arm)} among the chosen trials.")
+    if missing := set(trials) - set(recordings.trial[chosen].tolist()):
+        raise InputError(f"{name} has no recording of {title_of(arm)} of the trial {', '.join(sorted(missing))}.")
     track = "" if starts == NONE else track_of_starts(recordings.annotations, starts, learnt)
     for row in np.flatnonzero(chosen).tolist():
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
@@ -82,11 +82,11 @@ def track_of_starts(annotations: Annotations, starts: str = USUAL, learnt: str =
     return variant if starts == USUAL and variant in annotations.labels else track
 
 
-def read_folder(path: Path, arm: str = "", starts: str = USUAL) -> Iterator[Message]:
-    """One trial folder in HIRO's layout (``R_Torques.dat`` and so on).
+def read_folder(path: Path, arm: str = "", starts: str = USUAL, learnt: str = "") -> Iterator[Message]:
+    """One trial folder in HIRO's layout (``R_Torques.dat`` and so on); ``starts`` and ``learnt`` as of :func:`play`.
 
     Raises:
-        InputError: the folder holds no readable trial of that arm.
+        InputError: the folder holds no readable trial of that arm, or its import would have no such track.
     """
     problems: list[str] = []
 
@@ -99,9 +99,9 @@ def read_folder(path: Path, arm: str = "", starts: str = USUAL) -> Iterator[Mess
         raise InputError(problems[0] if problems else f"{path} has no arm {arm}.")
     record = records[0]
     table = record.table
-    onset = record.onset_harmonised if starts == USUAL else record.onset
-    marks = Annotations.from_starts("state", STATES, onset, table.time[-1:])
-    begins = marks.begins(0, len(table.time), float(np.median(np.diff(table.time)))) if starts != NONE else {}
+    marks = state_tracks(record.onset[None], record.onset_harmonised[None], table.time[-1:])
+    track = "" if starts == NONE else track_of_starts(marks, starts, learnt)
+    begins = marks.begins(0, len(table.time), float(np.median(np.diff(table.time))), track) if track else {}
     yield from _trial(table.time, table.values.astype(np.float64), begins)
 
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import json
 import warnings
+import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ MAKERS = {
     "rcbht-monitor-1": "rcbht monitor fit",
     "rcbht-segmenter-1": "rcbht segment --write-model",
 }
+CHAIN = "chain.json"  # in archives of "rcbht export-model"
 
 _ARRAYS = ("center", "width", "knots", "support", "support_count", "dual", "intercept")
 
@@ -190,8 +192,7 @@ def reading(
         meta = parse_json(str(archive.pop("meta")))
         if meta["format"] != kind:  # first: a file of another kind is not damaged
             if {kind, meta["format"]} <= MAKERS.keys():
-                made, needed = MAKERS[meta["format"]], MAKERS[kind]
-                raise InputError(f'{path} was made by "{made}"; this needs a file of "{needed}".')
+                raise _made_by(path, MAKERS[meta["format"]], kind)
             raise InputError(f"{path} has the format {meta['format']}; this version reads {kind} here.")
         for name, values in archive.items():
             check_finite(path, name, values[:0] if name in gaps else values)
@@ -201,8 +202,20 @@ def reading(
             raise
         raise InputError(f"{path} is damaged: {str(error).rstrip('.')}.") from error
     except Exception as error:  # a damaged archive can fail in any way inside zipfile, NumPy and json
+        if _is_chain(path):
+            raise _made_by(path, "rcbht export-model", kind) from error
         detail = (str(error).splitlines() or [""])[0] or type(error).__name__
         raise InputError(f"{path} is not a readable model file: {detail}.") from error
+
+
+def _made_by(path: Path, maker: str, kind: str) -> InputError:
+    return InputError(f'{path} was made by "{maker}"; this needs a file of "{MAKERS[kind]}".')
+
+
+def _is_chain(path: Path) -> bool:
+    with suppress(Exception), zipfile.ZipFile(path) as archive:
+        return CHAIN in archive.namelist()
+    return False
 
 
 def _check(svm: SvmModel, features: int, path: Path) -> None:

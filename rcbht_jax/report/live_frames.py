@@ -134,15 +134,15 @@ class Frames:
         before, when = self._received, self._time
         events = self._session.feed(message)
         self._received, self._time = self._session.taken, self._session.time
-        anew = self._received < before
-        if anew:  # the words that end the former trial
-            self._take(event for event in events if event.sample > self._received)
+        ended = self._session.ended
+        if ended is not None:  # the words that end the former trial
+            self._take(events[:ended])
             self._publish(before, when, [])
             self._trial, self._begins = self._trial + 1, True
             self._raised.clear()
-        self._take(event for event in events if not (anew and event.sample > self._received))
+        self._take(events[ended or 0 :])
         # One reading at most for each sample of the encoder: those left out, or between samples, are not shown.
-        if isinstance(message, Sample) and (anew or self._received > before):
+        if isinstance(message, Sample) and (ended is not None or self._received > before):
             if self._begins and not (self._trial and when < self._time < when + GAP):
                 self._base = self._time if abs(self._time) > DATE else 0.0
             self._begins = False

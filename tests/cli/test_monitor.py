@@ -12,6 +12,9 @@ import pytest
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.introspection.nominal_file import load
+from rcbht_jax.introspection.segmenter import WrenchSegmenter
+from rcbht_jax.introspection.segmenter_file import SegmenterFile
+from rcbht_jax.introspection.segmenter_file import save as save_segmenter
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.types import Recordings
 
@@ -186,6 +189,30 @@ def test_one_arm_is_monitored(store: Path, model: Path, capsys: pytest.CaptureFi
     for watched, words, arm in ((model, (), "R"), (left, (), "L"), (left, ("--arm", "R"), "R")):
         events = lines(capsys, "monitor", "watch", two, "-m", watched, "--false-alarms", 0.1, *words)
         assert [event["arm"] for event in events if event["event"] == "End"] == [arm] * 24
+
+
+@pytest.mark.usefixtures("model")
+def test_a_stream_plays_the_arm_that_was_learned(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The other arm was played to a monitor or a segmenter of the left one, and raised an alarm in every recording."""
+    right = read_recordings(store).take(np.arange(24))
+    left = replace(right, arm=np.full(24, "L"), wrench=-2 * right.wrench)
+    two, monitor, segmenter = store.parent / "arms.zarr", store.parent / "l.monitor", store.parent / "l.segmenter"
+    write_recordings(two, Recordings.join([left, right]), {})
+    assert main(["monitor", "fit", str(two), "--arm", "L", "--group", "day", "-o", str(monitor)]) == 0
+    fitted = WrenchSegmenter(trees=3, words=False).fit(left.take(np.arange(3)), [np.arange(50) // 25] * 3)
+    save_segmenter(segmenter, SegmenterFile.of(fitted, "phase", ("before", "after"), "L"))
+
+    def said(*words: object) -> list[dict]:
+        events = lines(capsys, "stream", two, "--robot", "hiro", "--trial", right.trial[3], *words)
+        return [event for event in events if event["event"] in ("AnomalyScore", "Belief")]
+
+    for reader in (("--monitor", monitor, "--false-alarms", 0.1), ("--segmenter", segmenter)):
+        own = said(*reader)
+        assert own == said(*reader, "--arm", "L")
+        assert own != said(*reader, "--arm", "R")
+    both = ["--monitor", str(store.parent / "five.monitor"), "--segmenter", str(segmenter)]
+    assert main(["stream", str(two), "--false-alarms", "0.1", *both]) == 2
+    assert "learned different arms, R and L; use those of one arm, or name one with --arm" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

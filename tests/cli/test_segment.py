@@ -12,6 +12,7 @@ import pytest
 
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli.main import main
+from rcbht_jax.introspection import segmenter_file
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.types import Recordings
@@ -72,6 +73,11 @@ def test_one_arm_is_labelled(store, tmp_path, capsys, monkeypatch):
         with out.open(newline="") as file:
             rows = {(row["recording"], row["arm"]) for row in csv.DictReader(file)}
         assert rows == {(str(first + number), named[0].upper()) for number in range(5)}
+    saved = []
+    monkeypatch.setattr(segmenter_file, "save", lambda path, file: saved.append(file))
+    monkeypatch.setattr(segmenter_file.SegmenterFile, "of", lambda segmenter, track, labels, arm: arm)
+    assert main(["segment", str(two), "-o", str(out), "--arm", "L", "--write-model", str(tmp_path / "s")]) == 0
+    assert saved == ["L"]
 
 
 def test_a_recording_that_nothing_labels_is_reported(store, tmp_path, capsys):

@@ -316,6 +316,8 @@ def test_options_that_contradict_each_other(model_path, capsys, monkeypatch):
         ("-", "--rate -4", "--model"),
         ("-", "--trial t01", "a store"),
         ("-", "--arm L", "a store or the folder of a trial"),
+        ("-", "--starts phase", "a store or the folder of a trial"),
+        ("s.zarr", "--lead 5", "lines, a bag or the folder of a trial"),
         ("-", "--topic /wrench", "a bag or MCAP file"),
         ("s.zarr", "--topic /wrench", "a bag or MCAP file"),
         ("s.zarr", "--timeout -1", "lines on standard input"),

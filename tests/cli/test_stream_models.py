@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import signal
 import sys
+import time
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,6 +122,73 @@ def test_a_bag_that_a_model_would_misread_is_refused(tmp_path, capsys, command):
         assert main([command, str(tmp_path / "run.mcap"), "-m", str(tmp_path / "m"), *out]) == 2
         assert said in capsys.readouterr().err
     replace(model(), extra={"axes": list("abcdef"), "units": [""] * 6}).check_wrench("it")  # names of its own
+
+
+def a_monitor(path: Path, axes: Sequence[str], units: Sequence[str]) -> Path:
+    """A monitor of a signal whose axes differ, at 20 Hz; the first rises."""
+    push = np.interp(np.arange(60), [0, 20, 40, 60], [0, 0, 6, 6])[:, None] * np.arange(6, 0, -1)
+    fitted = NominalMonitor(rate=20).fit([push + 0.1 * np.sin(k + np.arange(60))[:, None] for k in range(12)])
+    nominal_file.save(path, nominal_file.MonitorFile(fitted, tuple(axes), (), tuple(units)))
+    return path
+
+
+@pytest.mark.parametrize("command", ["stream", "serve"])
+def test_a_bag_that_a_monitor_would_misread_is_refused(tmp_path, capsys, command):
+    """Any six values passed for those that it learned: in another unit, or of the joints, they were scored."""
+    with McapWriter(tmp_path / "run.mcap") as bag:
+        for k in range(60):
+            bag.wrench(0.05 * k, (0.1 * k,) * 6)
+    for axes, units, said in (
+        (rj.labels.AXES, ("mN",) * 3 + ("Nm",) * 3, "The stream has Fx in N; the model learned it in mN."),
+        (tuple("abcdef"), ("Nm",) * 6, "The stream has a in N; the model learned it in Nm."),
+    ):
+        monitor = a_monitor(tmp_path / "m", axes, units)
+        out = ["--port", "0", "--no-stay"] if command == "serve" else ["-o", str(tmp_path / "x.jsonl")]
+        assert (
+            main([command, str(tmp_path / "run.mcap"), "--monitor", str(monitor), "--false-alarms", "0.1", *out]) == 2
+        )
+        assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("units", [("N",) * 3 + ("Nm",) * 3, ("",) * 6, ()])
+def test_a_monitor_reads_the_axes_of_a_bag_by_their_names(tmp_path, capsys, monkeypatch, units):
+    """Those of a monitor that learned them in another order took each other's place."""
+    turned, wrench = rj.labels.AXES[::-1], np.cumsum(np.ones((60, 6)), 0) * np.arange(6)
+    lines = b""
+    with McapWriter(tmp_path / "run.mcap") as bag:
+        for k, row in enumerate(wrench.tolist()):
+            bag.wrench(0.05 * k, tuple(row))
+            lines += json.dumps({"time": 0.05 * k, "wrench": row[::-1]}).encode() + b"\n"
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(lines)}))
+    options = ["--monitor", str(a_monitor(tmp_path / "m", turned, units and units[::-1])), "--false-alarms", "0.1"]
+    scores = []
+    for source in (str(tmp_path / "run.mcap"), "-"):  # lines have no names: they are in the order of the monitor
+        assert main(["stream", source, *options]) == 0
+        events = map(json.loads, capsys.readouterr().out.splitlines())
+        scores.append([event["score"] for event in events if event["event"] == "AnomalyScore"])
+    assert len(scores[0]) == 60
+    assert scores[0] == scores[1]
+
+
+def test_a_stream_that_is_interrupted_in_its_lead_keeps_its_recording(tmp_path, monkeypatch):
+    """Nothing was written where Ctrl-C came within the ten seconds that give the thresholds."""
+
+    class Interrupted(io.BytesIO):
+        def readline(self, size: int | None = -1) -> bytes:
+            if line := super().readline(size):
+                return line
+            time.sleep(1)  # until what came before has been read
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(60)
+            return b""
+
+    data = b"".join(json.dumps({"time": 0.01 * k, "wrench": [0.1 * k] * 6}).encode() + b"\n" for k in range(200))
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": Interrupted(data)}))
+    out, events = tmp_path / "o.mcap", tmp_path / "e.jsonl"
+    assert main(["stream", "-", "--mcap", str(out), "-o", str(events), "--timeout", "100"]) == 130
+    assert len(list(read_bag(out))) == 200
+    words = map(json.loads, events.read_text().splitlines())
+    assert max(word["end"] for word in words if word["event"] == "Word") == 200
 
 
 def test_an_event_before_the_first_reading_is_no_message_of_1970(model_path, tmp_path, monkeypatch):

@@ -160,8 +160,11 @@ def test_main_connects_the_topics(monkeypatch: pytest.MonkeyPatch) -> None:
     taken: dict[str, Callable[[Any], None]] = {}
 
     class Node:
-        def declare_parameter(self, name: str, value: Any) -> Any:
-            return SimpleNamespace(value="hiro" if name == "robot" else value)
+        def declare_parameter(self, name: str, value: Any, descriptor: Any) -> Any:
+            """ROS refuses another type than that of the default, unless the descriptor says otherwise."""
+            given = {"robot": "hiro", "rate": 200, "lead": 5}.get(name, value)
+            assert type(given) is type(value) or descriptor["dynamic_typing"]
+            return SimpleNamespace(value=given)
 
         def create_publisher(self, kind: Any, topic: str, depth: int) -> Any:
             return SimpleNamespace(publish=lambda message: told.setdefault(topic, []).append(message.data))
@@ -185,8 +188,10 @@ def test_main_connects_the_topics(monkeypatch: pytest.MonkeyPatch) -> None:
 
     nothing = SimpleNamespace(WrenchStamped=None, ExternalShutdownException=RuntimeError, String=SimpleNamespace)
     nothing.QoSProfile, nothing.ReliabilityPolicy = dict, SimpleNamespace(BEST_EFFORT=1)
+    nothing.ParameterDescriptor = dict
     nothing.init, nothing.try_shutdown, nothing.create_node, nothing.spin = list, list, lambda name: Node(), spin
-    for name in ("rclpy", "rclpy.executors", "rclpy.qos", "geometry_msgs", "geometry_msgs.msg", "std_msgs.msg"):
+    messages = ("geometry_msgs", "geometry_msgs.msg", "rcl_interfaces", "rcl_interfaces.msg", "std_msgs.msg")
+    for name in ("rclpy", "rclpy.executors", "rclpy.qos", *messages):
         module = ModuleType(name)
         module.__dict__.update(vars(nothing))
         monkeypatch.setitem(sys.modules, name, module)

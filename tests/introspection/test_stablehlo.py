@@ -16,6 +16,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief
 from rcbht_jax.introspection import stablehlo
 from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.model import load
 from rcbht_jax.introspection.stablehlo import write_chain
 from tests.support.introspection_models import few_axes, model, trial
 
@@ -56,9 +57,10 @@ def test_any_axes_trials_and_what_stands_on_one_line(tmp_path):
     lines[20:20] = [{"wrench": bad} for bad in (["a", 1.0], [[1.0], 2.0], {"Fx": 1.0}, None)]  # were tracebacks
     done = subprocess.run(
         [sys.executable, str(EXAMPLE), "c"],
-        input="\n".join(map(json.dumps, lines)), capture_output=True, text=True, cwd=tmp_path, timeout=300, check=True,
+        input="\n".join([*map(json.dumps, lines), "", "[]", '{"wrench": [1.0, ']),  # each of these was a traceback
+        capture_output=True, text=True, cwd=tmp_path, timeout=300, check=True,
     )  # fmt: skip
-    assert done.stderr.count("left out: ") == 6
+    assert done.stderr.count("left out: ") == 9
     introspector = Introspector(two, rate=None)
     events = introspector.push(wrench[:12]) + introspector.begin() + introspector.push(wrench[12:23])
     introspector.reset()
@@ -76,6 +78,8 @@ def test_artefact_is_whole_or_absent(tmp_path):
         write_chain(tmp_path / "c", model(), ("abacus",))
     assert not list(tmp_path.iterdir())
     write_chain(tmp_path / "c", model(), ("cpu",))
+    with pytest.raises(InputError, match='was made by "rcbht export-model"; this needs a file of "rcbht train-online"'):
+        load(tmp_path / "c")
     with zipfile.ZipFile(tmp_path / "c") as archive:
         assert archive.testzip() is None
         assert b"rcbht-chain-1" in archive.read("chain.json")

@@ -284,6 +284,17 @@ def test_silence_of_a_live_source():
 # --- recordings ------------------------------------------------------------------------------------------------------
 
 
+def test_a_trial_without_the_arm_is_refused():
+    """It was left out in silence where another of the chosen trials has the arm."""
+    trials, arms = ["one", "two", "two"], ["left", "left", "right"]
+    both = Recordings.from_arrays(np.zeros((3, 9, 6)), trial=trials, arm=arms)
+    assert [m.trial for m in play(both, ("one", "two"), "left") if isinstance(m, Reset)] == ["one", "two"]
+    assert [m.trial for m in play(both) if isinstance(m, Reset)] == ["two"]
+    for chosen in (("one", "two"), ("one",)):
+        with pytest.raises(InputError, match="no recording of right arm of the trial one"):
+            next(play(both, chosen))
+
+
 def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     name = "20121127-HIROSA-S-13"
     row = int(np.flatnonzero(hiro_recordings.trial == name)[0])
@@ -298,6 +309,12 @@ def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     onsets = np.rint(hiro_recordings.starts(HARMONISED)[row, 1:] / DT).astype(int)
     assert begins == (onsets + np.arange(3)).tolist()
     assert Begin not in {type(m) for m in read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="none")}
+    for starts, learnt in (("harmonised", "states-merged"), ("states-merged", ""), ("recorded", ""), ("states", "")):
+        folder = read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts=starts, learnt=learnt)
+        store = list(play(read_recordings(hiro_store), (name,), starts=starts, learnt=learnt))[1:]
+        assert [type(m) for m in folder] == [type(m) for m in store]
+    with pytest.raises(InputError, match="no track 'phase'; there are states, states-harmonised, states-merged"):
+        list(read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="phase"))
     for wrong in (
         lambda: play(hiro_recordings, ("x",)), lambda: read_folder(hiro_dir), lambda: play(read_recordings(hiro_dir)),
     ):  # fmt: skip
