@@ -87,7 +87,7 @@ def split_unit(name: str) -> tuple[str, str]:
     """
     match = _BRACKETS.match(name.strip())
     if match and match[1] and (unit := _unit(_SINCE.sub("", match[2].strip()))):
-        return match[1], unit
+        return match[1].rstrip(" _/:,.-") or match[1], unit  # Fx_[N], Fx/[N]
     after = _AFTER.match(name.strip())
     # A path may end in a single letter: only forces, moments and the unit of a time are known by their place.
     placed = after and (_QUANTITY.search(after[2]) or after[1].lower() in (*TIMES, *TIMES_ABROAD))

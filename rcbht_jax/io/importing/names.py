@@ -43,6 +43,7 @@ _QUALIFIERS = (
     "history|calibrated|tared|est|estimated|left|right|l|r"
 )
 _WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*(?!\{arm\})[\[({]\s*([^\W\d][^\])}]*)[\])}]$")
+_LAST_ARM = re.compile(r"(?:[\s\[(]+|(?<=[^\W_]))\{arm\}[\s\])]*$")  # Fx{arm}, Fx [{arm}]
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
 _LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
 _LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
@@ -56,7 +57,7 @@ _AXIS = re.compile(
 _WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)[._/ \-]*([xyz])()$")
 _AXIS_FIRST = re.compile(r"^(|.*[._/ \-])([xyz])[._/ \-]*([^\W\d_]+)((?:[._/ \-][\w{}]+)?)$")  # x_force
 _ELEMENT = re.compile(
-    r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
+    r"^(|.*?[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
     r"((?:_(?:" + _QUALIFIERS + r"|\{arm\}))*(?:_\d+(?=_\d+$))?)"
     r"(?:[._/](?:signals[._/])?(?:data|values?|variables))?(_|\[|\(|)(\d+)[\])]?$"
 )
@@ -76,7 +77,7 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     found: dict[tuple[str, str], dict[str, str]] = {}  # by what stands before and after an axis
     rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
     for name, (base, unit) in _parsed(names).items():
-        base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(base)))
+        base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(_LAST_ARM.sub("_{arm}", base))))
         if part := _axis_of(base, unit):
             place, kind, letter, certain = part
             axes = found.setdefault(place, {})
