@@ -138,6 +138,16 @@ def restarts(time: Float[np.ndarray, " sample"]) -> NDArray[np.int64]:
     return starts if near.all() and np.diff(bounds).min() >= HELD else starts[:0]
 
 
+def from_each_start(time: Float[np.ndarray, " sample"], most: int) -> list[NDArray[np.int64]]:
+    """The samples from each time at which :func:`restarts` says that it begins, to the next; all if there are ``most``.
+
+    >>> [rows[0].item() for rows in from_each_start(np.tile(np.arange(20) * 0.01, 2), most=9)]
+    [0, 20]
+    """
+    starts = restarts(time)
+    return np.split(np.arange(len(time)), starts if len(starts) < most else [])
+
+
 def _equal(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.bool_]:
     return (one == other) | (np.isnan(one) & np.isnan(other))
 

@@ -16,7 +16,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.numerals import two_meanings
-from rcbht_jax.io.importing.record import check_columns, groups_of
+from rcbht_jax.io.importing.record import check_columns, rows_of_recordings
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, unit_of_times, with_time
 from rcbht_jax.io.importing.topics import filled
@@ -145,7 +145,7 @@ def _arm(table: Table, group: str, free: list[str]) -> str:
 def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     """Columns of the data set and annotations, from columns of text and of labels."""
     columns, tracks = dict(mapping.columns), list(mapping.annotations)
-    groups = _groups(table, mapping)
+    groups = rows_of_recordings(table, mapping)
     facts = _facts(table, groups, free)
     groups = groups[:MOST_GROUPS]
     numbers: list[str] = []
@@ -200,14 +200,6 @@ def _facts(table: Table, groups: list[NDArray[np.int64]], free: list[str]) -> se
     numbers = (name for name in free if table.columns[name].dtype.kind != "U" and name not in axes)
     steps = ((name, np.diff(table.columns[name])) for name in numbers)
     return {name for name, step in steps if len(step[~border]) and not step[~border].any() and step.any()}
-
-
-def _groups(table: Table, mapping: Mapping) -> list[NDArray[np.int64]]:
-    """The rows of each recording."""
-    if not mapping.group:
-        return [np.arange(len(next(iter(table.columns.values()))))]
-    groups, _ = groups_of(table, mapping)
-    return list(groups.values())
 
 
 def _is_label(name: str) -> bool:

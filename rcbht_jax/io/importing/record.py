@@ -114,10 +114,10 @@ def records(
                 yield table.name, f"rows without a value in {name} belong to no recording."
         parts = of_each_arm(parts, table.columns[sides]) if sides else parts
     elif (stamps := _readable_stamps(table, mapping, parts[""])) is not None:
-        starts = conform.restarts(stamps)
-        if 0 < len(starts) < MAX_GROUPS:
-            parts = {str(number): part for number, part in enumerate(np.split(parts[""], starts), 1)}
-            table = replace(table, notes=(*table.notes, f"restarts:{len(starts)}"))
+        several = conform.from_each_start(stamps, MAX_GROUPS)
+        if len(several) > 1:
+            parts = {str(number): part for number, part in enumerate(several, 1)}
+            table = replace(table, notes=(*table.notes, f"restarts:{len(parts) - 1}"))
     given = _given(table, mapping, parts)
     for value, part in parts.items():
         name = f"{table.name}#{value}" if value else table.name
@@ -172,6 +172,24 @@ def groups_of(table: Table, mapping: Mapping) -> tuple[dict[str, NDArray[Any]], 
     every = np.arange(len(table.columns[mapping.group]))
     arms = mapping.columns.get("arm", Value()).column == mapping.group  # whose blocks may take turns
     return rows_of_groups(table, mapping.group, None if arms else lambda: _readable_stamps(table, mapping, every))
+
+
+def rows_of_recordings(table: Table, mapping: Mapping) -> list[NDArray[Any]]:
+    """The rows of each recording of a table, by its group, or by where numbers of its time start anew.
+
+    >>> table = Table("a.csv", {"t": np.tile(np.arange(20) * 0.01, 2)})
+    >>> [rows[0].item() for rows in rows_of_recordings(table, Mapping(time="t"))]
+    [0, 20]
+
+    Raises:
+        InputError: as :func:`groups_of`.
+    """
+    if mapping.group:
+        return list(groups_of(table, mapping)[0].values())
+    every = np.arange(len(next(iter(table.columns.values()))))
+    numbers = mapping.time in table.columns and table.columns[mapping.time].dtype.kind != "U"
+    stamps = _readable_stamps(table, mapping, every) if numbers else None
+    return [every] if stamps is None else conform.from_each_start(stamps, MAX_GROUPS)
 
 
 def _on_clock(table: Table, mapping: Mapping, rows: NDArray[Any], first: float) -> float:
