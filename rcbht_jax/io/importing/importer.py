@@ -45,6 +45,7 @@ from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
+from rcbht_jax.io.importing.stand_ins import stand_ins
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.ts import read_ts
@@ -286,8 +287,8 @@ def _understood(
     words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
     bare = "" if base.channels else nameless(table, mapping)
     report.remarks += [text for text in (more, bare, left, lines, words) if text and text not in report.remarks]
-    if mixed := interleaved(table, mapping):
-        report.warnings.append((table.name, mixed))
+    doubts = interleaved(table, mapping), stand_ins(table, mapping)
+    report.warnings += [(table.name, doubt) for doubt in doubts if doubt]
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)
