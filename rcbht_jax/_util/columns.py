@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -49,6 +49,9 @@ TIMES = (
 TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
     "zeit", "zeitstempel", "temps", "tiempo", "tempo", "czas", "tijd", "время", "时间", "時間", "시간",
 )  # fmt: skip
+
+_KINDS = {"U": "text", "M": "dates", "m": "durations"}  # of columns, but for numbers
+_EMPTY = {"text": "", "dates": np.datetime64("NaT"), "durations": np.timedelta64("NaT")}
 
 _QUANTITIES = r"(?:[FMT]|(?:force|torque|moment|tau)[ _]?)"
 _WRENCH = re.compile(rf"(?:^[FMT][ _]|(?:^|[\W_]){_QUANTITIES})[xyz](?![a-z])", re.I)  # of a wrench, without a unit
@@ -213,6 +216,41 @@ def column_values(name: str, values: Any, count: int, standard: NDArray[np.str_]
         raise InputError(f"Column {name} holds objects of the kinds {', '.join(kinds)}; expected texts, or numbers.")
     other = [""] * count if standard is None else standard.tolist()
     return np.array([str(value) if given else text for value, given, text in zip(items, there, other, strict=True)])
+
+
+def joined_columns(parts: Sequence[Mapping[str, NDArray[Any]]], counts: Sequence[int]) -> dict[str, NDArray[Any]]:
+    """The columns ``[recording]`` of several data sets, one after the other.
+
+    One that a set lacks is empty there: "", NaN or, of dates and durations, NaT.
+
+    Args:
+        parts: the columns of each set by name.
+        counts: of recordings in each set.
+
+    Raises:
+        InputError: a column holds values of several kinds, or whole numbers that a float beside them would round.
+
+    Example:
+        >>> joined_columns([{"mass": np.array([1, 2])}, {"day": np.array(["mon"])}], [2, 1])
+        {'mass': array([ 1.,  2., nan]), 'day': array(['', '', 'mon'], dtype='<U3')}
+    """
+    found = {}
+    for name in dict.fromkeys(name for part in parts for name in part):
+        there = [part[name] for part in parts if name in part]
+        kinds = sorted({_KINDS.get(column.dtype.kind, "numbers") for column in there}, reverse=True)
+        if len(kinds) > 1:
+            raise InputError(f"data sets to be joined have {' and '.join(kinds)} in the column {name}.")
+        empty = _EMPTY.get(kinds[0], np.nan)
+        pairs = zip(parts, counts, strict=True)
+        found[name] = np.concatenate([part[name] if name in part else np.full(count, empty) for part, count in pairs])
+        if found[name].dtype.kind == "f" and any(map(_is_too_large, there)):
+            raise InputError(f"the column {name} has whole numbers too large for a float beside others; make it text.")
+    return found
+
+
+def _is_too_large(column: NDArray[Any]) -> bool:
+    """Whether a column has whole numbers that floats cannot hold."""
+    return column.dtype.kind in "iu" and any(int(float(value)) != value for value in column.tolist())
 
 
 def _is_nan(value: Any) -> bool:
