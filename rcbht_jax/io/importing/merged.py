@@ -40,8 +40,8 @@ def merged(meanings: Iterable[Meaning]) -> Meaning:
                 columns[name] = value if value == replace(own, last=True) else own
     changing = {(track.track, track.column) for track in tracks}
     columns = {name: value for name, value in columns.items() if (name, value.column) not in changing}
-    known = [{row.column for row in rows} for mapping, rows in several if mapping.channels]
-    groups = (mapping.group for mapping, _ in several if all(mapping.group in columns for columns in known))
+    titles = [{row.column for row in rows} for mapping, rows in several if mapping.channels]
+    groups = (mapping.group for mapping, _ in several if all(mapping.group in columns for columns in titles))
     group = first.group or next(groups, "")
     return replace(first, annotations=tuple(tracks), columns=columns, group=group), _rows(several)
 

@@ -17,7 +17,7 @@ _HUGE = 1e15  # no sensor measures as much
 _FAR = 5  # times the largest other value
 
 
-def without_stand_ins(values: NDArray[np.float64], mapping: Mapping) -> NDArray[np.float64]:
+def without_stand_ins(values: NDArray[Any], mapping: Mapping) -> NDArray[Any]:
     """The values, NaN for those that a mapping calls missing.
 
     >>> without_stand_ins(np.array([1.5, -9999.0]), Mapping(missing=(-9999.0,))).tolist()
