@@ -185,8 +185,23 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
     least, most = np.quantile(spans, (BURSTS, 1 - BURSTS))
     if most - least < EVEN * middle:  # no sample is lost: a sensor between the rows of a faster log
         return Clock(1 / _nice(steps / float(np.clip(spans, least, most).mean())), False)
+    if _are_rounded(every, float(np.ptp(away))):
+        return Clock(1 / _nice(1 / period), False)
     period = float(spans[spans < (1 + 0.5 / steps) * np.median(spans)].mean()) / steps
     return Clock(1 / _nice(1 / (period if abs(period / middle - 1) < NEAR else middle)), False)
+
+
+def _are_rounded(steps: NDArray[np.float64], spread: float) -> bool:
+    """Whether even samples have rounded stamps, as those of 800 Hz in ms: steps of two sizes, a tick apart.
+
+    Where many samples are lost, stamps lie further than two ticks (``spread``) from those of even ones.
+    """
+    long = steps > (steps.min() + steps.max()) / 2
+    if min(long.sum(), (~long).sum()) < 3 * HELD:
+        return False
+    sizes = np.where(long, np.median(steps[long]), np.median(steps[~long]))
+    tick = float(np.ptp(sizes))
+    return spread < 2 * tick and bool(np.abs(steps - sizes).max() < 0.05 * tick)
 
 
 def _within_bursts(steps: NDArray[np.float64]) -> float:
