@@ -43,6 +43,7 @@ _QUALIFIERS = (
     "history|calibrated|tared|est|estimated|left|right|l|r"
 )
 _WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*(?!\{arm\})[\[({]\s*([^\W\d][^\])}]*)[\])}]$")
+_FRAMES = r"tcp|tool|flange|ee|eef|base|world|sensor|left|right|\{arm\}"  # between a force and its axis: F_TCP_x
 _LAST_ARM = re.compile(r"(?:[\s\[(]+|(?<=[^\W_]))\{arm\}[\s\])]*$")  # Fx{arm}, Fx [{arm}]
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
 _LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
@@ -50,11 +51,12 @@ _LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
 _QUOTES = re.compile(r"""["'`]""")  # of parts of a path: /'FT'/'Fx'
 _TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX
 _AXIS = re.compile(
-    r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
+    r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?((?:[._/ \-](?:" + _FRAMES + r"))?)"
+    r"[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
     r"((?:[._/ \-][\w{}]+)?)$"
 )
 # in any language, where a unit tells the quantity
-_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)[._/ \-]*([xyz])()$")
+_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)()[._/ \-]*([xyz])()$")
 _AXIS_FIRST = re.compile(r"^(|.*[._/ \-])([xyz])[._/ \-]*([^\W\d_]+)((?:[._/ \-][\w{}]+)?)$")  # x_force
 _ELEMENT = re.compile(
     r"^(|.*?[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
@@ -127,15 +129,15 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
     known = unit in (*FORCES, *MOMENTS)
     last, first = _AXIS.match(base) or (_WORD.match(base) if known else None), _AXIS_FIRST.match(base)
     if last:
-        before, word, number, letter, after = last.groups()
+        before, word, number, frame, letter, after = last.groups()
     elif first and (known or first[3] in ("force", "torque", "moment")):
-        before, letter, word, after, number = *first.groups(), ""
+        before, letter, word, after, number, frame = *first.groups(), "", ""
     else:
         return None
     if after[1:] in (*TIMES, *NANOSECONDS):  # of its samples
         return None
     kind = "M" if is_moment(f"{word}{letter}", unit) else "F"
-    return (f"{before}{number}", after), kind, letter, word in ("torque", "moment", "tau", "m")
+    return (f"{before}{number}{frame}", after), kind, letter, word in ("torque", "moment", "tau", "m")
 
 
 def is_axis(name: str) -> bool:

@@ -42,3 +42,22 @@ def test_arms_behind_axes_leave_no_mark_in_their_names(form: str, tmp_path: Path
 def test_a_mark_between_a_name_and_its_unit_is_part_of_neither() -> None:
     found = [split_unit(name) for name in ("Fx_[N]", "Time_[s]", "Fx/[N]", "Fx: (N)", "Fx - [N]", "_[N]")]
     assert found == [("Fx", "N"), ("Time", "s"), ("Fx", "N"), ("Fx", "N"), ("Fx", "N"), ("_", "N")]
+
+
+@pytest.mark.parametrize("form", ["{}_TCP_{}", "{} base {} [N]", "ft.{}.tool.{}", "left_{}_world_{}"])
+def test_a_frame_may_stand_between_a_force_and_its_axis(form: str) -> None:
+    names = [form.format(kind, axis) for kind in ("Force", "Torque") for axis in "XYZ"]
+    names = [name.replace("[N]", "[Nm]") if "Torque" in name else name for name in names]
+    assert wrenches(names) == [dict(zip(AXES, names, strict=True))]
+
+
+def test_wrenches_in_two_frames_are_not_mixed(tmp_path: Path) -> None:
+    names = [f"{kind}_{frame}_{axis}" for frame in ("tcp", "base") for kind in "FM" for axis in "xyz"]
+    assert wrenches(names) == [dict(zip(AXES, names[:6], strict=True)), dict(zip(AXES, names[6:], strict=True))]
+    write(
+        tmp_path / "a.csv",
+        [f"{kind}_{arm}_{axis}" for arm in ("left", "right") for kind in ("force", "torque") for axis in "xyz"],
+    )
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.axes, recordings.arm.tolist()) == (AXES, ["left", "right"])
+    np.testing.assert_allclose(recordings.wrench, [WRENCH[:, :6], WRENCH[:, 6:]], rtol=1e-6)
