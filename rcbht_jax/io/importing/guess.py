@@ -244,9 +244,10 @@ def _check_axes(table: Table, free: list[str]) -> None:
         whole = len(words) > MAX_LABELS and re.split(r"[\W_]+", snake(column))[-1] in names.WHOLE
         if len(words) and (column in axes or whole):
             first = next(text for text in table.columns[column] if text)
+            how = " Write plain numbers, and their unit in the name of the column: Fx [N]."
             raise InputError(
                 f"{table.name}: column {column!r} holds {str(first)[:30]!r}, which is not a number."
-                + two_meanings(str(first))
+                + (two_meanings(str(first)) or how)
             )
 
 

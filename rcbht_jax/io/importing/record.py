@@ -47,7 +47,7 @@ class Record:
     origin: float = 0.0  # s, of the first sample on the source's clock
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
     listed: bool = False  # in the table of recordings
-    doubts: list[str] = field(default_factory=list)  # about its annotations
+    doubts: list[str] = field(default_factory=list)  # about its annotations and its tare
 
     @property
     def file(self) -> str:
@@ -128,8 +128,8 @@ def records(
                 record = _record(table, mapping, part, name, row or {}, stamps)
             begin = record.origin if mapping.time else record.origin + part[0] * record.period
             intervals, doubts = given.of(begin, record.end, record.period)
-            intervals += record.intervals
-            yield replace(record, part=place, listed=row is not None, intervals=intervals, doubts=doubts)
+            record.intervals[:0], record.doubts[:0] = intervals, doubts
+            yield replace(record, part=place, listed=row is not None)
         except InputError as error:
             yield name, str(error)
     if lost := given.lost:
@@ -239,8 +239,8 @@ def _check(table: Table, mapping: Mapping) -> None:
     if not mapping.time and (mapping.source_rate or table.rate) is None:
         texts = (key for key, values in table.columns.items() if base_and_unit(key)[0] in TIMES and len(values))
         if name := next(texts, ""):
-            found = str(table.columns[name][0])
-            raise InputError(f"{table.name}: column {name!r} holds {found!r}, which is not a time.")
+            found = no_time([str(table.columns[name][0])])
+            raise InputError(f"{table.name}: column {name!r} holds {found}")
         raise InputError(f"{table.name} has no column of time; name it in a map, or give --source-rate.")
 
 
@@ -284,7 +284,9 @@ def _record(
     notes += [*padded, f"zeros:{zeros}"] if conform.HELD <= zeros < len(raw) else padded
     values = _moved(mapping, time, values)
     origin = _on_clock(table, mapping, counted, float(first))
-    return Record(name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], origin)
+    all_of_it = ["is no longer than the tare: the mean of all of it was subtracted."] * bool(time[-1] < mapping.tare)
+    flags = [*table.notes, *notes]
+    return Record(name, time, values, mapping.axes, mapping.units, columns, intervals, flags, origin, doubts=all_of_it)
 
 
 def _facts(table: Table) -> dict[str, str | float]:
@@ -307,9 +309,7 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
         try:
             return seconds_of(column.tolist())
         except ValueError:
-            raise InputError(
-                f"column {mapping.time!r} holds {no_time(column.tolist())!r}, which is not a time."
-            ) from None
+            raise InputError(f"column {mapping.time!r} holds {no_time(column.tolist())}") from None
     scaled: NDArray[np.float64] = column * SECONDS[unit_of_times(table, mapping)]
     return scaled + table.columns[mapping.nanoseconds][rows] * 1e-9 if mapping.nanoseconds else scaled
 
