@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax import labels
 from rcbht_jax._util.arms import UNNAMED
-from rcbht_jax._util.columns import column_values
+from rcbht_jax._util.columns import column_values, joined_columns
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.selection import number_of, rows_of
@@ -366,7 +366,7 @@ class Recordings(ByValue):
     def join(parts: Sequence[Recordings]) -> Recordings:
         """Several data sets as one, padded to the longest recording.
 
-        A column that a part lacks is empty there: "" or NaN.
+        A column that a part lacks is empty there: "", NaN or NaT.
 
         Raises:
             InputError: there are none, or their sampling periods, axes or kinds of columns differ.
@@ -381,20 +381,9 @@ class Recordings(ByValue):
         texts: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts]) for name in ("length", *_TEXTS)
         }
-        names = dict.fromkeys(name for part in parts for name in part.columns)
-        for name in names:
-            if len({part.columns[name].dtype.kind == "U" for part in parts if name in part.columns}) > 1:
-                raise InputError(f"data sets to be joined have text and numbers in the column {name}.")
-        columns = {name: np.concatenate([_column(part, name, parts) for part in parts]) for name in names}
+        columns = joined_columns([part.columns for part in parts], [len(part) for part in parts])
         marks = Annotations.join([part.annotations for part in parts], [len(part) for part in parts])
         return replace(parts[0], wrench=np.concatenate(wide), columns=columns, annotations=marks, **texts)
 
 
 _TEXTS = ("trial", *STANDARD_COLUMNS)
-
-
-def _column(part: Recordings, name: str, parts: Sequence[Recordings]) -> NDArray[Any]:
-    if name in part.columns:
-        return part.columns[name]
-    kind = next(other.columns[name].dtype.kind for other in parts if name in other.columns)
-    return np.full(len(part), "" if kind == "U" else np.nan)

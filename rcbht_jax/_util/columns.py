@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -50,6 +50,9 @@ TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
     "zeit", "zeitstempel", "temps", "tiempo", "tempo", "czas", "tijd", "время", "时间", "時間", "시간",
 )  # fmt: skip
 
+_KINDS = {"U": "text", "M": "dates", "m": "durations"}  # of columns, but for numbers
+_EMPTY = {"text": "", "dates": np.datetime64("NaT"), "durations": np.timedelta64("NaT")}
+
 _QUANTITIES = r"(?:[FMT]|(?:force|torque|moment|tau)[ _]?)"
 _WRENCH = re.compile(rf"(?:^[FMT][ _]|(?:^|[\W_]){_QUANTITIES})[xyz](?![a-z])", re.I)  # of a wrench, without a unit
 _NAMED = tuple(  # how a name states a force or a moment, the clearest first; the last of those in a name
@@ -87,7 +90,7 @@ def split_unit(name: str) -> tuple[str, str]:
     """
     match = _BRACKETS.match(name.strip())
     if match and match[1] and (unit := _unit(_SINCE.sub("", match[2].strip()))):
-        return match[1], unit
+        return match[1].rstrip(" _/:,.-") or match[1], unit  # Fx_[N], Fx/[N]
     after = _AFTER.match(name.strip())
     # A path may end in a single letter: only forces, moments and the unit of a time are known by their place.
     placed = after and (_QUANTITY.search(after[2]) or after[1].lower() in (*TIMES, *TIMES_ABROAD))
@@ -233,6 +236,41 @@ def decoded(value: Any) -> Any:
     ('Fx', 7)
     """
     return value.decode(errors="replace") if isinstance(value, bytes) else value
+
+
+def joined_columns(parts: Sequence[Mapping[str, NDArray[Any]]], counts: Sequence[int]) -> dict[str, NDArray[Any]]:
+    """The columns ``[recording]`` of several data sets, one after the other.
+
+    One that a set lacks is empty there: "", NaN or, of dates and durations, NaT.
+
+    Args:
+        parts: the columns of each set by name.
+        counts: of recordings in each set.
+
+    Raises:
+        InputError: a column holds values of several kinds, or whole numbers that a float beside them would round.
+
+    Example:
+        >>> joined_columns([{"mass": np.array([1, 2])}, {"day": np.array(["mon"])}], [2, 1])
+        {'mass': array([ 1.,  2., nan]), 'day': array(['', '', 'mon'], dtype='<U3')}
+    """
+    found = {}
+    for name in dict.fromkeys(name for part in parts for name in part):
+        there = [part[name] for part in parts if name in part]
+        kinds = sorted({_KINDS.get(column.dtype.kind, "numbers") for column in there}, reverse=True)
+        if len(kinds) > 1:
+            raise InputError(f"data sets to be joined have {' and '.join(kinds)} in the column {name}.")
+        empty = _EMPTY.get(kinds[0], np.nan)
+        pairs = zip(parts, counts, strict=True)
+        found[name] = np.concatenate([part[name] if name in part else np.full(count, empty) for part, count in pairs])
+        if found[name].dtype.kind == "f" and any(map(_is_too_large, there)):
+            raise InputError(f"the column {name} has whole numbers too large for a float beside others; make it text.")
+    return found
+
+
+def _is_too_large(column: NDArray[Any]) -> bool:
+    """Whether a column has whole numbers that floats cannot hold."""
+    return column.dtype.kind in "iu" and any(int(float(value)) != value for value in column.tolist())
 
 
 def measured(axes: Sequence[str], units: Sequence[str]) -> str:

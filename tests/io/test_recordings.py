@@ -47,6 +47,28 @@ def test_sets_of_other_sampling_periods_and_no_sets_cannot_be_joined() -> None:
         Recordings.join([])
 
 
+def test_columns_of_every_kind_are_joined_and_empty_where_a_set_lacks_them() -> None:
+    """Dates ended with an error of NumPy, and large whole numbers were rounded without a word."""
+    columns = {
+        "day": np.array(["2026-05-01", "2026-05-02"], "datetime64[D]"),
+        "took": np.array([1500, 2500], "timedelta64[ms]"),
+        "stamp": np.array([1714560000000000000, 2**60]),
+        "mass": np.array([1, 2]),
+        "who": np.array(["kim", "lee"]),
+    }
+    own, other = replace(simple(2), columns=columns), replace(simple(3), columns={})
+    found = Recordings.join([own, other]).columns
+    assert all(found[name][:2].tolist() == values.tolist() for name, values in columns.items())
+    assert all(np.isnat(found[name][2:]).all() for name in ("day", "took"))
+    assert found["who"][2:].tolist() == ["", "", ""]
+    assert np.isnan(found["mass"][2:]).all()
+    text = replace(simple(3), columns={"day": np.array(["mon"] * 3)})
+    with pytest.raises(InputError, match="text and dates in the column day"):
+        Recordings.join([own, text])
+    with pytest.raises(InputError, match="the column stamp has whole numbers too large"):
+        Recordings.join([replace(own, columns={"stamp": np.array([1714560000000000001, 1])}), other])
+
+
 def test_tables_and_named_arrays_are_read_by_their_names() -> None:
     """A column of time is no axis, axes of xarray may stand anywhere, and what is masked is missing."""
     values, names = np.random.default_rng(0).normal(size=(2, 30, 2)).astype(np.float32), ["grip", "Fz"]

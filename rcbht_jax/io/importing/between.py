@@ -32,8 +32,11 @@ class Between:
         self.left: list[str] = []  # how the first lines begin that were left out
         self.count = 0
 
-    def samples(self, number: int, row: list[str]) -> list[Line]:
-        """The rows that are known to be samples now that one more was read."""
+    def samples(self, number: int, row: list[str], ended: bool = True) -> list[Line]:
+        """The rows that are known to be samples now that one more was read.
+
+        One without the end of a line and with too few cells was cut off while the log was written: it is no sample.
+        """
         if row in self._heads or (row[0].startswith(("#", "%", "//")) and len(row) != self._width):
             self._leave(row)
             return []
@@ -41,6 +44,9 @@ class Between:
             self._words = is_word(row[0])
         if self._words is False and len(self._held) < HELD and is_word(row[0]):
             self._held.append((number, row))
+            return []
+        if not ended and self._samples and len(row) < self._width and not any("\n" in cell for cell in row):
+            self._leave([f"{row[0][:LETTERS]}, ... (the last line, which is cut off)"], LETTERS + LETTERS)
             return []
         found = [*self._held, (number, row)]
         self._held = []
@@ -61,7 +67,7 @@ class Between:
             self._leave(row)
         return []
 
-    def _leave(self, row: list[str]) -> None:
+    def _leave(self, row: list[str], letters: int = LETTERS) -> None:
         self.count += 1
         if len(self.left) < LISTED:
-            self.left.append(row[0][:LETTERS])
+            self.left.append(row[0][:letters])

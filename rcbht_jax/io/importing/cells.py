@@ -28,6 +28,7 @@ _BLANKS = re.compile(r"\s+(?![\[(][^\W\d][^\s\])]*[\])])")  # but before a unit:
 _QUOTED = re.compile(r'"([^"]*)"|([^\s"]+)')  # between blanks
 _OF_DAY = re.compile(r"\d:\d\d,\d+$")  # the end of a time with a decimal comma
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
+_FORTRAN = re.compile(r"[+-]?\d*\.\d*[dD][+-]?\d+")  # a number of double precision
 _BETWEEN_BLANKS = re.compile(r"[+-]?\d+(?:,\d+(?:[eE][+-]?\d+)?)?")  # numbers, some with decimal commas
 
 
@@ -103,9 +104,13 @@ def is_number(cell: str) -> bool:
 def plain(cell: str, delimiter: str) -> str:
     """A cell with a point where a table without commas between cells has a decimal one, and without brackets of a row.
 
-    >>> plain("1,5", ";"), plain("1,5", ","), plain("( 1.5", ",")
-    ('1.5', '1,5', '1.5')
+    An exponent of Fortran has its D replaced.
+
+    >>> plain("1,5", ";"), plain("1,5", ","), plain("( 1.5", ","), plain("-1.5D+02", ",")
+    ('1.5', '1,5', '1.5', '-1.5E+02')
     """
+    if ("D" in cell or "d" in cell) and _FORTRAN.fullmatch(cell):
+        return cell.upper().replace("D", "E")
     if cell[:1] in ("(", "[") or cell[-1:] in (")", "]"):
         inner = cell.strip("()[] ")
         return inner if inner and is_number(inner) else cell

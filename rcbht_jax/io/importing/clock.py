@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import SECONDS, UNITS
 
 DAY, NOON = 86400.0, 12
-_ISO = re.compile(r"\d{4}-\d{2}(-\d{2}([T ].*)?)?$")
-_ZONE = re.compile(r"\s*(?:Z|UTC|GMT|([+-])(\d{2})(?::?(\d{2}))?)$")
+_ISO = re.compile(r"\d{4}-\d{2}(-\d{2}([T ][\d:.,]+\s*(Z|UTC|GMT|[+-][\d:]+)?(\[[\w/+-]+\])?)?)?$")
+_ZONE = re.compile(r"\s*(?:Z|UTC|GMT|([+-])(\d{2})(?::?(\d{2}))?)(?:\[[\w/+-]+\])?$")  # and as Java names it
 _CLOCK = re.compile(
     r"(?:^|[ T])(\d{1,2}):([0-5]?\d):([0-5]?\d(?:[.,]\d+|:\d{3}|:\d{6})?)(?:\s*([AP])\.?M\.?)?$", re.IGNORECASE
 )
@@ -83,17 +83,22 @@ def first_second(texts: Sequence[str]) -> float:
 
 
 def no_time(texts: Sequence[str]) -> str:
-    """The first text that is no time, else the first.
+    """The end of a sentence about the first text that is no time, else about the first.
 
     >>> no_time(["10:00:00", "noon"])
-    'noon'
+    "'noon', which is not a time; write 2026-05-01T12:00:00.5 or numbers, or give --source-rate, which replaces them."
     """
-    for text in texts:
-        try:
-            seconds_of([text])
-        except ValueError:
-            return text
-    return texts[0]
+    wrong = next((text for text in texts if not _is_time(text)), texts[0])
+    how = "write 2026-05-01T12:00:00.5 or numbers, or give --source-rate, which replaces them."
+    return f"{wrong!r}, which is not a time; {how}"
+
+
+def _is_time(text: str) -> bool:
+    try:
+        seconds_of([text])
+    except ValueError:
+        return False
+    return True
 
 
 def _alone(text: str) -> float:

@@ -138,6 +138,16 @@ def restarts(time: Float[np.ndarray, " sample"]) -> NDArray[np.int64]:
     return starts if near.all() and np.diff(bounds).min() >= HELD else starts[:0]
 
 
+def from_each_start(time: Float[np.ndarray, " sample"], most: int) -> list[NDArray[np.int64]]:
+    """The samples from each time at which :func:`restarts` says that it begins, to the next; all if there are ``most``.
+
+    >>> [rows[0].item() for rows in from_each_start(np.tile(np.arange(20) * 0.01, 2), most=9)]
+    [0, 20]
+    """
+    starts = restarts(time)
+    return np.split(np.arange(len(time)), starts if len(starts) < most else [])
+
+
 def _equal(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.bool_]:
     return (one == other) | (np.isnan(one) & np.isnan(other))
 
@@ -175,8 +185,23 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
     least, most = np.quantile(spans, (BURSTS, 1 - BURSTS))
     if most - least < EVEN * middle:  # no sample is lost: a sensor between the rows of a faster log
         return Clock(1 / _nice(steps / float(np.clip(spans, least, most).mean())), False)
+    if _are_rounded(every, float(np.ptp(away))):
+        return Clock(1 / _nice(1 / period), False)
     period = float(spans[spans < (1 + 0.5 / steps) * np.median(spans)].mean()) / steps
     return Clock(1 / _nice(1 / (period if abs(period / middle - 1) < NEAR else middle)), False)
+
+
+def _are_rounded(steps: NDArray[np.float64], spread: float) -> bool:
+    """Whether even samples have rounded stamps, as those of 800 Hz in ms: steps of two sizes, a tick apart.
+
+    Where many samples are lost, stamps lie further than two ticks (``spread``) from those of even ones.
+    """
+    long = steps > (steps.min() + steps.max()) / 2
+    if min(long.sum(), (~long).sum()) < 3 * HELD:
+        return False
+    sizes = np.where(long, np.median(steps[long]), np.median(steps[~long]))
+    tick = float(np.ptp(sizes))
+    return spread < 2 * tick and bool(np.abs(steps - sizes).max() < 0.05 * tick)
 
 
 def _within_bursts(steps: NDArray[np.float64]) -> float:

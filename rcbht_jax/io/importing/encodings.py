@@ -36,8 +36,7 @@ def encoding_of(file: BinaryIO) -> str:
     block = b""
     try:
         while block := file.read(BLOCK):
-            decoder.decode(block)
-        decoder.decode(b"", final=True)
+            decoder.decode(block)  # the last sign may be cut
     except UnicodeDecodeError:
         encoding = _other(block)
     file.seek(0)

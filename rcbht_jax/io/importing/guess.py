@@ -16,7 +16,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.numerals import two_meanings
-from rcbht_jax.io.importing.record import check_columns, groups_of
+from rcbht_jax.io.importing.record import check_columns, rows_of_recordings
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, unit_of_times, with_time
 from rcbht_jax.io.importing.topics import filled
@@ -145,7 +145,7 @@ def _arm(table: Table, group: str, free: list[str]) -> str:
 def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     """Columns of the data set and annotations, from columns of text and of labels."""
     columns, tracks = dict(mapping.columns), list(mapping.annotations)
-    groups = _groups(table, mapping)
+    groups = rows_of_recordings(table, mapping)
     facts = _facts(table, groups, free)
     groups = groups[:MOST_GROUPS]
     numbers: list[str] = []
@@ -202,14 +202,6 @@ def _facts(table: Table, groups: list[NDArray[np.int64]], free: list[str]) -> se
     return {name for name, step in steps if len(step[~border]) and not step[~border].any() and step.any()}
 
 
-def _groups(table: Table, mapping: Mapping) -> list[NDArray[np.int64]]:
-    """The rows of each recording."""
-    if not mapping.group:
-        return [np.arange(len(next(iter(table.columns.values()))))]
-    groups, _ = groups_of(table, mapping)
-    return list(groups.values())
-
-
 def _is_label(name: str) -> bool:
     """Whether whole numbers in a column of this name stand for words."""
     short = re.split(r"[./]", base_and_unit(name)[0])[-1]
@@ -252,9 +244,10 @@ def _check_axes(table: Table, free: list[str]) -> None:
         whole = len(words) > MAX_LABELS and re.split(r"[\W_]+", snake(column))[-1] in names.WHOLE
         if len(words) and (column in axes or whole):
             first = next(text for text in table.columns[column] if text)
+            how = " Write plain numbers, and their unit in the name of the column: Fx [N]."
             raise InputError(
                 f"{table.name}: column {column!r} holds {str(first)[:30]!r}, which is not a number."
-                + two_meanings(str(first))
+                + (two_meanings(str(first)) or how)
             )
 
 

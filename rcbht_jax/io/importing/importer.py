@@ -5,9 +5,9 @@ that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:CO
 ``stuck:AXIS``, ``counts`` (were divided), ``other-arrays:COUNT`` (arrays), ``missing:COUNT``, ``repeated:COUNT``,
 ``unordered:COUNT``, ``reversed``, ``padded:COUNT``, ``between:COUNT``, ``held:COUNT``, ``zeros:COUNT`` (samples),
 ``windows:COUNT`` (of so many samples), ``lines:COUNT`` (that are no samples), ``restarts:COUNT`` (of the time),
-``again:COUNT`` (values of the group that come again after others),
-``cp1252``, ``cp1251``, ``cp932``, ``gb18030``, ``changes:COLUMN`` (one that should be constant),
-``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
+``again:COUNT`` (values of the group that come again after others), ``cp1252``, ``cp1251``, ``cp932``, ``gb18030``,
+``changes:COLUMN`` (one that should be constant), ``beginning-of:OTHER``, ``copy-of:OTHER``,
+``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
+from rcbht_jax.io.importing.stand_ins import stand_ins
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.ts import read_ts
@@ -84,8 +85,7 @@ def read_source(
     Args:
         source: a file or a folder.
         kind: one of :data:`rcbht_jax.io.importing.find.KINDS`; "auto" = by suffix.
-        mapping: what the columns mean; what it leaves open is guessed by
-            :func:`~rcbht_jax.io.importing.guess.guess`.
+        mapping: what the columns mean; :func:`~rcbht_jax.io.importing.guess.guess` finds what it leaves open.
         progress: wraps the list of files, for a progress bar.
         keep_copies: also import recordings that are exact copies of others, and note ``copy-of:OTHER``.
 
@@ -242,9 +242,10 @@ def _read(
                     lacks.add(described)
                 except InputError as error:  # the other tables of the file may be usable
                     report.skipped.append((table.name, _reason(error, source)))
+                    lacks.add(described, read=False)
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
-    report.warnings += lacks.warnings()
+    report.warnings, report.remarks = report.warnings + lacks.warnings(), report.remarks + lacks.remarks()
     if lost := listing.absent(rows, (record for record, _ in found), (name for name, _ in report.skipped)):
         report.warnings.append((base.table, lost))
     return found, used, marked, constants
@@ -286,8 +287,8 @@ def _understood(
     words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
     bare = "" if base.channels else nameless(table, mapping)
     report.remarks += [text for text in (more, bare, left, lines, words) if text and text not in report.remarks]
-    if mixed := interleaved(table, mapping):
-        report.warnings.append((table.name, mixed))
+    doubts = interleaved(table, mapping), stand_ins(table, mapping)
+    report.warnings += [(table.name, doubt) for doubt in doubts if doubt]
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, parse_json
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.between import LETTERS
 from rcbht_jax.io.importing.cells import texts
 from rcbht_jax.io.importing.groups import MAX_GROUPS
 from rcbht_jax.io.importing.table import Table
@@ -31,7 +33,7 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
     Fields of objects within objects are columns ``name.field``, elements of lists of numbers ``name_0``, ``name_1``,
     ...; null and a field that is not there are missing values. As in a stream (:mod:`rcbht_jax.io.messages`),
     ``{"reset": true}`` begins a table of its own, and ``{"begin": true}`` a sub-task: their numbers are the column
-    ``phase``.
+    ``phase``. A last line that was cut off while the log was written is left out.
 
     >>> text = '{"time": 0, "wrench": [0.5, 2]}\\n{"begin": true}\\n{"time": 0.1, "wrench": [null, 3]}\\n'
     >>> _ = Path("run.jsonl").write_text(text)
@@ -43,14 +45,16 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
         InputError: not a regular file, too large, a line that is no object of JSON, events that ``rcbht stream`` wrote,
             text in a column of numbers, or too many columns; the sentence names the line.
     """
-    parts = [Rows()]
+    parts, left = [Rows()], list[str]()
     with opened(path) as file:
         for number, line in enumerate(iter(lambda: file.readline(MAX_TABLE_LINE), b""), 1):
             try:
                 if line.strip():
                     _add(parts, _object(line))
             except (ValueError, OverflowError) as error:  # a whole number may be too large for a float
-                raise InputError(f"{path}, line {number}: {error}.") from None
+                if not (parts[-1].count and _is_cut(line, error)):
+                    raise InputError(f"{path}, line {number}: {error}.") from None
+                left.append(f"{line[:LETTERS].decode('utf-8', 'ignore')} ... (the last line, which is cut off)")
     parts = [rows for rows in parts if rows.count]
     if not parts:
         raise InputError(f"{path} has no line with a number or a text.")
@@ -58,7 +62,10 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
         part = str(place) if len(parts) > 1 else ""
         units = UNITS if "wrench_6" not in rows.values else {}
         of = f"{name}#{part}" if part else name
-        yield Table(of, rows.columns(path), units=units, others=tuple(sorted(rows.others)), part=part)
+        lines = tuple(left) if rows is parts[-1] else ()
+        notes = tuple(f"lines:{len(one)}" for one in [lines] if one)
+        columns = rows.columns(path)
+        yield Table(of, columns, units=units, others=tuple(sorted(rows.others)), part=part, lines=lines, notes=notes)
 
 
 @dataclass
@@ -122,6 +129,11 @@ def _object(line: bytes) -> dict[str, Any]:
     if isinstance(value.get("event"), str) and "wrench" not in value:
         raise ValueError("it is an event that rcbht stream wrote; the readings are in the file that it read")
     return value
+
+
+def _is_cut(line: bytes, error: Exception) -> bool:
+    """Whether a line that is no JSON has no end, as the last one of a log that was cut off while it was written."""
+    return not line.endswith(b"\n") and isinstance(error, json.JSONDecodeError | UnicodeDecodeError)
 
 
 def _add(parts: list[Rows], value: dict[str, Any]) -> None:

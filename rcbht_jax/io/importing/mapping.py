@@ -91,6 +91,7 @@ class Mapping:
     rate: float | None = None  # samples per second of the store
     files: tuple[str, ...] = ()  # patterns such as "*_ft.csv" of the files that are recordings; none = all
     arms: tuple[str, ...] = ()  # of a table with columns of several; "{arm}" is their place in the names of columns
+    missing: tuple[float, ...] = ()  # numbers in channels that stand for missing values, such as -9999
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ def merged(meanings: Iterable[Meaning]) -> Meaning:
     """The mapping of the first table with the annotations and columns of all, and what all columns are understood as.
 
     A column that is a track of annotations in any table is one in all; one that counts with its last value in any
-    does so in all.
+    does so in all. One that separates recordings in any does so if all have it.
 
     >>> from rcbht_jax.io.importing.mapping import Track, Value
     >>> first = Mapping(columns={"phase": Value("phase")}), [Understood("phase", "column phase")]
@@ -40,7 +40,10 @@ def merged(meanings: Iterable[Meaning]) -> Meaning:
                 columns[name] = value if value == replace(own, last=True) else own
     changing = {(track.track, track.column) for track in tracks}
     columns = {name: value for name, value in columns.items() if (name, value.column) not in changing}
-    return replace(first, annotations=tuple(tracks), columns=columns), _rows(several)
+    titles = [{row.column for row in rows} for mapping, rows in several if mapping.channels]
+    groups = (mapping.group for mapping, _ in several if all(mapping.group in columns for columns in titles))
+    group = first.group or next(groups, "")
+    return replace(first, annotations=tuple(tracks), columns=columns, group=group), _rows(several)
 
 
 def _rows(meanings: Iterable[Meaning]) -> list[Understood]:

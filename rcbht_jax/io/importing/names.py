@@ -43,20 +43,23 @@ _QUALIFIERS = (
     "history|calibrated|tared|est|estimated|left|right|l|r"
 )
 _WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*(?!\{arm\})[\[({]\s*([^\W\d][^\])}]*)[\])}]$")
+_FRAMES = r"tcp|tool|flange|ee|eef|base|world|sensor|left|right|\{arm\}"  # between a force and its axis: F_TCP_x
+_LAST_ARM = re.compile(r"(?:[\s\[(]+|(?<=[^\W_]))\{arm\}[\s\])]*$")  # Fx{arm}, Fx [{arm}]
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
 _LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
 _LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
 _QUOTES = re.compile(r"""["'`]""")  # of parts of a path: /'FT'/'Fx'
 _TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX
 _AXIS = re.compile(
-    r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
+    r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?((?:[._/ \-](?:" + _FRAMES + r"))?)"
+    r"[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
     r"((?:[._/ \-][\w{}]+)?)$"
 )
 # in any language, where a unit tells the quantity
-_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)[._/ \-]*([xyz])()$")
+_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)()[._/ \-]*([xyz])()$")
 _AXIS_FIRST = re.compile(r"^(|.*[._/ \-])([xyz])[._/ \-]*([^\W\d_]+)((?:[._/ \-][\w{}]+)?)$")  # x_force
 _ELEMENT = re.compile(
-    r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
+    r"^(|.*?[._/ \-])(wrench|force_torque|forcetorque|ft|ft_sensor|f_ext_hat_k|forces?|f|torques?|moments?|tau|t|m)"
     r"((?:_(?:" + _QUALIFIERS + r"|\{arm\}))*(?:_\d+(?=_\d+$))?)"
     r"(?:[._/](?:signals[._/])?(?:data|values?|variables))?(_|\[|\(|)(\d+)[\])]?$"
 )
@@ -76,7 +79,7 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     found: dict[tuple[str, str], dict[str, str]] = {}  # by what stands before and after an axis
     rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
     for name, (base, unit) in _parsed(names).items():
-        base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(base)))
+        base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(_LAST_ARM.sub("_{arm}", base))))
         if part := _axis_of(base, unit):
             place, kind, letter, certain = part
             axes = found.setdefault(place, {})
@@ -126,15 +129,15 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
     known = unit in (*FORCES, *MOMENTS)
     last, first = _AXIS.match(base) or (_WORD.match(base) if known else None), _AXIS_FIRST.match(base)
     if last:
-        before, word, number, letter, after = last.groups()
+        before, word, number, frame, letter, after = last.groups()
     elif first and (known or first[3] in ("force", "torque", "moment")):
-        before, letter, word, after, number = *first.groups(), ""
+        before, letter, word, after, number, frame = *first.groups(), "", ""
     else:
         return None
     if after[1:] in (*TIMES, *NANOSECONDS):  # of its samples
         return None
     kind = "M" if is_moment(f"{word}{letter}", unit) else "F"
-    return (f"{before}{number}", after), kind, letter, word in ("torque", "moment", "tau", "m")
+    return (f"{before}{number}{frame}", after), kind, letter, word in ("torque", "moment", "tau", "m")
 
 
 def is_axis(name: str) -> bool:

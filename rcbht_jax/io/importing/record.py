@@ -47,7 +47,7 @@ class Record:
     origin: float = 0.0  # s, of the first sample on the source's clock
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
     listed: bool = False  # in the table of recordings
-    doubts: list[str] = field(default_factory=list)  # about its annotations
+    doubts: list[str] = field(default_factory=list)  # about its annotations and its tare
 
     @property
     def file(self) -> str:
@@ -114,10 +114,10 @@ def records(
                 yield table.name, f"rows without a value in {name} belong to no recording."
         parts = of_each_arm(parts, table.columns[sides]) if sides else parts
     elif (stamps := _readable_stamps(table, mapping, parts[""])) is not None:
-        starts = conform.restarts(stamps)
-        if 0 < len(starts) < MAX_GROUPS:
-            parts = {str(number): part for number, part in enumerate(np.split(parts[""], starts), 1)}
-            table = replace(table, notes=(*table.notes, f"restarts:{len(starts)}"))
+        several = conform.from_each_start(stamps, MAX_GROUPS)
+        if len(several) > 1:
+            parts = {str(number): part for number, part in enumerate(several, 1)}
+            table = replace(table, notes=(*table.notes, f"restarts:{len(parts) - 1}"))
     given = _given(table, mapping, parts)
     for value, part in parts.items():
         name = f"{table.name}#{value}" if value else table.name
@@ -128,8 +128,8 @@ def records(
                 record = _record(table, mapping, part, name, row or {}, stamps)
             begin = record.origin if mapping.time else record.origin + part[0] * record.period
             intervals, doubts = given.of(begin, record.end, record.period)
-            intervals += record.intervals
-            yield replace(record, part=place, listed=row is not None, intervals=intervals, doubts=doubts)
+            record.intervals[:0], record.doubts[:0] = intervals, doubts
+            yield replace(record, part=place, listed=row is not None)
         except InputError as error:
             yield name, str(error)
     if lost := given.lost:
@@ -172,6 +172,24 @@ def groups_of(table: Table, mapping: Mapping) -> tuple[dict[str, NDArray[Any]], 
     every = np.arange(len(table.columns[mapping.group]))
     arms = mapping.columns.get("arm", Value()).column == mapping.group  # whose blocks may take turns
     return rows_of_groups(table, mapping.group, None if arms else lambda: _readable_stamps(table, mapping, every))
+
+
+def rows_of_recordings(table: Table, mapping: Mapping) -> list[NDArray[Any]]:
+    """The rows of each recording of a table, by its group, or by where numbers of its time start anew.
+
+    >>> table = Table("a.csv", {"t": np.tile(np.arange(20) * 0.01, 2)})
+    >>> [rows[0].item() for rows in rows_of_recordings(table, Mapping(time="t"))]
+    [0, 20]
+
+    Raises:
+        InputError: as :func:`groups_of`.
+    """
+    if mapping.group:
+        return list(groups_of(table, mapping)[0].values())
+    every = np.arange(len(next(iter(table.columns.values()))))
+    numbers = mapping.time in table.columns and table.columns[mapping.time].dtype.kind != "U"
+    stamps = _readable_stamps(table, mapping, every) if numbers else None
+    return [every] if stamps is None else conform.from_each_start(stamps, MAX_GROUPS)
 
 
 def _on_clock(table: Table, mapping: Mapping, rows: NDArray[Any], first: float) -> float:
@@ -221,8 +239,8 @@ def _check(table: Table, mapping: Mapping) -> None:
     if not mapping.time and (mapping.source_rate or table.rate) is None:
         texts = (key for key, values in table.columns.items() if base_and_unit(key)[0] in TIMES and len(values))
         if name := next(texts, ""):
-            found = str(table.columns[name][0])
-            raise InputError(f"{table.name}: column {name!r} holds {found!r}, which is not a time.")
+            found = no_time([str(table.columns[name][0])])
+            raise InputError(f"{table.name}: column {name!r} holds {found}")
         raise InputError(f"{table.name} has no column of time; name it in a map, or give --source-rate.")
 
 
@@ -266,7 +284,9 @@ def _record(
     notes += [*padded, f"zeros:{zeros}"] if conform.HELD <= zeros < len(raw) else padded
     values = _moved(mapping, time, values)
     origin = _on_clock(table, mapping, counted, float(first))
-    return Record(name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], origin)
+    all_of_it = ["is no longer than the tare: the mean of all of it was subtracted."] * bool(time[-1] < mapping.tare)
+    flags = [*table.notes, *notes]
+    return Record(name, time, values, mapping.axes, mapping.units, columns, intervals, flags, origin, doubts=all_of_it)
 
 
 def _facts(table: Table) -> dict[str, str | float]:
@@ -289,9 +309,7 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
         try:
             return seconds_of(column.tolist())
         except ValueError:
-            raise InputError(
-                f"column {mapping.time!r} holds {no_time(column.tolist())!r}, which is not a time."
-            ) from None
+            raise InputError(f"column {mapping.time!r} holds {no_time(column.tolist())}") from None
     scaled: NDArray[np.float64] = column * SECONDS[unit_of_times(table, mapping)]
     return scaled + table.columns[mapping.nanoseconds][rows] * 1e-9 if mapping.nanoseconds else scaled
 

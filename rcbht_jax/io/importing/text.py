@@ -39,10 +39,11 @@ def read_csv(path: Path, name: str, words: bool = False) -> Iterator[Table]:
     """The table of a text file.
 
     Names are those of the first line, and a line of units may follow. Columns without one are called c0, c1, ... by
-    their place. Empty cells are missing values, as are words such as "ERR" in columns of numbers. Lines that are no
-    rows are left out: names that are repeated, comments, and words below the last row, such as "mean". A file that is
-    neither UTF-8 nor UTF-16 is read as Shift-JIS or GB 18030 if its bytes go in pairs as theirs do, as Windows-1251 if
-    its words are Cyrillic, else as Windows-1252.
+    their place. Empty cells and "nan" are missing values, as are words such as "ERR" in columns of numbers. Lines that
+    are no rows are left out: names that are repeated, comments, words below the last row, such as "mean", and a last
+    line that was cut off while the log was written: it has no end, and too few cells. A file that is neither UTF-8 nor
+    UTF-16 is read as Shift-JIS or GB 18030 if its bytes go in pairs as theirs do, as Windows-1251 if its words are
+    Cyrillic, else as Windows-1252.
 
     >>> Path("a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
@@ -138,7 +139,7 @@ def _slow(
     file.seek(titles.body)
     columns = [_Column(path, name, titles.delimiter, words) for name in titles.names]
     rows: list[Line] = []
-    for number, row in _rows(path, file, titles.delimiter, before, encoding):
+    for number, row, ended in _rows(path, file, titles.delimiter, before, encoding):
         if labview.ends_header(row[0].encode()):
             raise InputError(
                 f"{path}, line {number} ends a further header: it holds several segments (Multi_Headings in LabVIEW); "
@@ -146,7 +147,7 @@ def _slow(
             )
         # A delimiter at the end of every line makes an empty cell more.
         cut = row[:-1] if len(row) == len(columns) + 1 and not row[-1] else row
-        rows += between.samples(number, cut)
+        rows += between.samples(number, cut, ended)
         if len(rows) >= CHUNK:
             _flush(path, columns, rows)
     _flush(path, columns, rows + (between.end(of_words=True) if between.too_many() else []))
@@ -158,12 +159,19 @@ def _slow(
     return [column.array() for column in columns]
 
 
-def _rows(path: Path, file: BinaryIO, delimiter: str, before: int, encoding: str) -> Iterator[tuple[int, list[str]]]:
+def _rows(
+    path: Path, file: BinaryIO, delimiter: str, before: int, encoding: str
+) -> Iterator[tuple[int, list[str], bool]]:
+    """The number of each row, its cells, and whether its line has an end."""
+    ended = True
+
     def lines() -> Iterator[str]:
+        nonlocal ended
         while raw := file.readline(MAX_TABLE_LINE):
+            ended = raw.endswith(b"\n")
             if len(raw) == MAX_TABLE_LINE and not raw.endswith(b"\n"):
                 raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
-            yield raw.decode(encoding)
+            yield raw.decode(encoding, "strict" if ended else "ignore")  # half a sign may end a log that was cut off
 
     blanks = map(cells.between_blanks, lines())
     reader = blanks if delimiter == " " else csv.reader(lines(), delimiter=delimiter)
@@ -179,7 +187,7 @@ def _rows(path: Path, file: BinaryIO, delimiter: str, before: int, encoding: str
             raise InputError(f"{path}, line {number + 1} cannot be read: {reason}.") from None
         number += 1
         if any(cell.strip() for cell in row):
-            yield number, [cell.strip() for cell in row]
+            yield number, [cell.strip() for cell in row], ended
 
 
 def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
@@ -231,7 +239,8 @@ class _Column:
             of_text = 2 * len(texts) > len(filled) and not all(map(two_meanings, texts))
             self._kind = "" if not filled else "U" if of_text else "f"
         if self._kind == "U":
-            self._parts.append(cells.texts([cells.plain(cell, self._delimiter) for cell in written], self._where))
+            row = ["" if cell.lower() == "nan" else cells.plain(cell, self._delimiter) for cell in written]
+            self._parts.append(cells.texts(row, self._where))
         else:
             self._parts.append(self._numbers(row, lines))
 

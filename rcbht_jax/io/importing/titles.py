@@ -95,6 +95,7 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
             comment = line[mark.end() :]
             comments = [*comments, line][:PREAMBLE]
         elif line.strip():
+            line = _closed(file, line)
             # A comment is the line of names if it has as many of them as the first row has cells.
             row = cells.split(line, cells.delimiter_of(line))
             titles = cells.split(comment, cells.delimiter_of(comment)) if comment else []
@@ -103,6 +104,17 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
                 return comment, True, comments
             return line, False, comments
     raise InputError(f"{path} is empty; expected a table.")
+
+
+def _closed(file: BinaryIO, line: bytes) -> bytes:
+    """The line, with the next ones while a quote is open in it: names may have line feeds, which become blanks."""
+    start, whole = file.tell(), line
+    for _ in range(PREAMBLE):
+        if whole.count(b'"') % 2 == 0:
+            return whole[:-1].translate(bytes.maketrans(b"\r\n", b"  ")) + whole[-1:]
+        whole += file.readline(PREAMBLE_LINE)
+    file.seek(start)
+    return line
 
 
 def _delimiter(head: bytes, below: bytes) -> str:
@@ -121,7 +133,8 @@ def _following(file: BinaryIO, delimiter: str, encoding: str) -> list[tuple[list
     for _ in range(HEADINGS + 2):
         if not (line := file.readline(MAX_TABLE_LINE)):
             break
-        found.append((cells.split(line, delimiter, encoding), file.tell()))
+        row = cells.split(line, delimiter, encoding)
+        found += [(row, file.tell())] if any(row) else []  # a blank line may follow that of units
     return found
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.io.importing.conform import sparse
 from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.importing.stand_ins import without_stand_ins
 from rcbht_jax.io.importing.table import Table
 
 
@@ -45,6 +46,7 @@ def with_values(
         rows: of a recording.
     """
     raw = np.stack([table.columns[channel.column][rows] for channel in mapping.channels], 1)
+    raw = without_stand_ins(raw, mapping)
     known = ~np.isnan(raw).all(1)
     held = int(np.flatnonzero(known).max(initial=-1)) + 1 or len(rows)
     notes = [f"padded:{len(rows) - held}"] if held < len(rows) else []

@@ -16,6 +16,8 @@ from rcbht_jax.io.importing.importer import read_source
     ("texts", "seconds"),
     [
         (["2024-05-01T12:00:00.000001", "2024-05-01T12:00:00.250001"], [0, 0.25]),
+        (["2024-10-27T02:59:59.5+02:00[Europe/Berlin]", "2024-10-27T02:00:00+01:00[Europe/Berlin]"], [0, 0.5]),
+        (["2024-05-01 11:59:59.5 AM", "2024-05-01 12:00:00.5 PM"], [0, 1]),
         (["2024-05-01 23:59:59Z", "2024-05-02 00:00:00.5Z"], [0, 1.5]),
         (["2024-05-01T12:00:00+02:00", "2024-05-01T12:00:01+02:00"], [0, 1]),
         (["2024-05-01 12:00:00,125", "2024-05-01 12:00:01,25"], [0, 1.125]),
@@ -37,8 +39,20 @@ def test_times(texts: list[str], seconds: list[float]) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["noon", "25:00:00", "13:00:00 PM", "00:61:00", "12", "12:30", "00:00:00:5", "2024-13-01T00:00:00"]
+    "text",
+    [
+        "noon",
+        "25:00:00",
+        "13:00:00 PM",
+        "00:61:00",
+        "12",
+        "12:30",
+        "00:00:00:5",
+        "2024-13-01T00:00:00",
+        "2024-05-01 12:00:00.5 CEST",
+    ],
 )
+@pytest.mark.filterwarnings("error")  # NumPy warned of zones
 def test_no_times(text: str) -> None:
     with pytest.raises(ValueError):
         seconds_of([text])
@@ -59,5 +73,6 @@ def test_a_table_whose_time_is_a_time_of_day(tmp_path: Path) -> None:
 
 def test_a_time_that_is_none_is_named(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("time,Fz\nnoon,1\nlater,2\n")
-    with pytest.raises(InputError, match="column 'time' holds 'noon', which is not a time"):
+    how = "write 2026-05-01T12:00:00.5 or numbers, or give --source-rate, which replaces them"
+    with pytest.raises(InputError, match=f"column 'time' holds 'noon', which is not a time; {how}"):
         read_source(tmp_path / "run.csv")

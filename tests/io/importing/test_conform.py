@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import hypothesis.extra.numpy as hnp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
@@ -210,3 +213,15 @@ def test_samples_in_bursts_have_their_mean_rate(count: int, extra: int) -> None:
 def test_a_gap_of_a_short_recording_makes_no_bursts() -> None:
     time = np.delete(np.arange(30) * 0.1, np.r_[10:18])
     assert conform.clock(time) == conform.Clock(0.1, False)
+
+
+@pytest.mark.parametrize(("rate", "tick"), [(750, 1e-3), (800, 1e-3), (900, 1e-3), (90, 1e-2), (240, 4e-3)])
+@pytest.mark.parametrize("rounding", [np.floor, np.round])
+def test_stamps_that_are_rounded_to_nearly_a_step_keep_the_rate(
+    rate: float, tick: float, rounding: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> None:
+    """800 samples per second whose stamps are in whole milliseconds were 1000."""
+    time = rounding(np.arange(2000) / rate / tick) * tick
+    assert conform.clock(time).rate == pytest.approx(rate, rel=0.01)
+    lost = np.random.default_rng(0).random(2000) < 0.2  # samples that are lost do not make a rate lower
+    assert conform.clock(np.arange(2000)[~lost] * tick).rate == pytest.approx(1 / tick, rel=0.01)

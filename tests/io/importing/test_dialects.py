@@ -325,3 +325,14 @@ def test_text_of_two_bytes_without_a_mark_is_to_be_saved_again(tmp_path: Path) -
     (tmp_path / "run.csv").write_bytes("t,Fz\n0,1\n1,2\n".encode("utf-16-le"))
     with pytest.raises(InputError, match="or save it as UTF-8"):
         read_source(tmp_path)
+
+
+def test_nan_in_a_column_of_text_is_missing(tmp_path: Path) -> None:
+    """As pandas and NumPy write it: it was a label, and made a constant text annotations."""
+    cells = [("nan", "NaN") if k < 10 else ("push", "A") for k in range(40)]
+    rows = [f"{k * 0.01:.2f},{k % 7},{phase},{part}" for k, (phase, part) in enumerate(cells)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,Fz,phase,part", *rows]))
+    recordings = read_source(tmp_path / "a.csv").recordings
+    assert recordings.annotations.labels == {"phase": ("push",)}
+    assert recordings.annotations.start.tolist() == [pytest.approx(0.1)]
+    assert recordings.columns["part"].tolist() == ["A"]

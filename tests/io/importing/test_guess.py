@@ -299,7 +299,8 @@ def test_a_label_of_some_rows_marks_those_and_a_word_describes_the_recording() -
 @pytest.mark.parametrize("cell", ["1.258,95", "3.2 N"])
 def test_an_axis_of_text_is_not_left_out_of_its_wrench(cell: str) -> None:
     columns = {"t": np.arange(9) * 0.1, "Fx [mN]": np.full(9, cell), "Fy [mN]": np.ones(9), "Fz [mN]": np.ones(9)}
-    with pytest.raises(InputError, match=rf"column 'Fx \[mN\]' holds '{cell}', which is not a number\.$"):
+    how = r"Write plain numbers, and their unit in the name of the column: Fx \[N\]\.$"
+    with pytest.raises(InputError, match=rf"column 'Fx \[mN\]' holds '{cell}', which is not a number\. {how}"):
         guess(Table("a.csv", columns))
 
 

@@ -14,6 +14,7 @@ from rcbht_jax.io.importing.importer import Imported, read_source
 N = 40
 TIME = np.arange(N) * 0.01
 WRENCH = np.random.default_rng(0).normal(size=(N, 6)).round(3) * 100
+UNITS = ("s", *"NNN", *("Nm",) * 3)
 HEAD = "t,Fx,Fy,Fz,Mx,My,Mz\n"
 ROWS = "".join(
     ",".join(f"{value:.6g}" for value in (time, *row)) + "\n" for time, row in zip(TIME, WRENCH, strict=True)
@@ -269,3 +270,29 @@ def test_names_of_rows_as_r_writes_them_are_refused_with_the_remedy(mark: str, t
     rows = "".join(f'"{number}",{line}\n' for number, line in enumerate(ROWS.splitlines(), 1))
     with pytest.raises(InputError, match=r"line 2: 8 cells; expected 7. Are these .* row.names = FALSE"):
         read(tmp_path, (HEAD + rows).replace(",", mark))
+
+
+@pytest.mark.parametrize("blank", ["\n", ",,,,,,\n", "\n\n"])
+@pytest.mark.parametrize("before", ["", '"Specimen","1"\n"Test date","5/1/2026"\n\n'])
+def test_a_blank_line_may_follow_that_of_units(before: str, blank: str, tmp_path: Path) -> None:
+    """The units were read as the first row, and the file was refused."""
+    imported = read(tmp_path, before + HEAD + '"(s)","(N)","(N)","(N)",(Nm),(Nm),(Nm)\n' + blank + ROWS)
+    same(imported, "preamble:3" if before else "")
+    assert imported.recordings.units == UNITS[1:]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_names_in_quotes_may_have_line_feeds(end: str, tmp_path: Path) -> None:
+    """Spreadsheets write them so. The file was refused: "line 2: 6 cells; expected 2. Is the line cut off?"."""
+    head = ",".join(f'"{name}\n[{unit}]"' for name, unit in zip(HEAD.strip().split(","), UNITS, strict=True))
+    imported = read(tmp_path, (head + "\n" + ROWS).replace("\n", end))
+    same(imported)
+    assert imported.recordings.units == UNITS[1:]
+
+
+@pytest.mark.parametrize("head", [HEAD, "# t Fx Fy Fz Mx My Mz\n"])
+def test_numbers_may_have_the_exponents_of_fortran(head: str, tmp_path: Path) -> None:
+    """The file was refused: its columns were text."""
+    mark = "," if "," in head else " "
+    rows = (mark.join(f"{value:.8E}" for value in (t, *row)) for t, row in zip(TIME, WRENCH, strict=True))
+    same(read(tmp_path, head + "\n".join(rows).replace("E", "D") + "\n"))

@@ -120,6 +120,14 @@ def test_a_tare_ends_before_the_sample_at_its_seconds_as_that_of_a_store(
         np.testing.assert_allclose(record.values[:, 0], values - values[:averaged].mean(), atol=1e-12)
 
 
+def test_a_tare_of_the_whole_recording_is_reported(tmp_path: Path) -> None:
+    """Such as one of 500 ms that is stated as 500 s: every recording lost its mean without a word."""
+    (tmp_path / "a.csv").write_text("\n".join(["t,Fz", *(f"{k * 0.01:.2f},{k % 7}" for k in range(40))]))
+    imported = read_source(tmp_path / "a.csv", mapping=Mapping(tare=500.0))
+    assert imported.report.warnings == [("a.csv", "is no longer than the tare: the mean of all of it was subtracted.")]
+    assert not read_source(tmp_path / "a.csv", mapping=Mapping(tare=0.39)).report.warnings
+
+
 def test_a_bias_of_another_length_than_the_guessed_channels_is_refused() -> None:
     columns = {"t": np.arange(9.0), "Fx": np.ones(9), "Fy": np.ones(9), "Fz": np.ones(9)}
     for bias in ((1.0,), (1.0, 2.0)):

@@ -86,3 +86,21 @@ def test_blocks_of_sensors_that_take_turns_stay_one_recording_each(tmp_path: Pat
     recordings = read_source(tmp_path, mapping=Mapping(group="sensor")).recordings
     assert recordings.trial.tolist() == ["a-1", "a-2"]
     np.testing.assert_array_equal(recordings.wrench[:, :, 0], np.stack([noise(1), noise(2)])[:, :120].astype("f4"))
+
+
+def test_what_changes_where_the_time_starts_anew_describes_the_recordings(tmp_path: Path) -> None:
+    """The outcome and the mass were left out, and the operator became annotations."""
+    facts = [("1", "kim", 0.5), ("0", "kim", 0.5), ("1", "lee", 0.75)]
+    lines = ["t,Fz,success,operator,mass,phase"]
+    for seed, (success, operator, mass) in enumerate(facts):
+        rows = zip(noise(seed).tolist(), PHASE, strict=True)
+        lines += [
+            f"{0.01 * k:.2f},{value},{success},{operator},{mass},{phase}" for k, (value, phase) in enumerate(rows)
+        ]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.axes, recordings.note.tolist()) == (("Fz",), ["restarts:2"] * 3)
+    assert recordings.outcome.tolist() == ["success", "failure", "success"]
+    assert recordings.columns["operator"].tolist() == ["kim", "kim", "lee"]
+    assert recordings.columns["mass"].tolist() == ["0.5", "0.5", "0.75"]
+    assert recordings.annotations.tracks == ("phase",)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.io.importing.importer import Imported, read_source
-from rcbht_jax.io.importing.mapping import Mapping, read_mapping, write_mapping
+from rcbht_jax.io.importing.mapping import Mapping, Track, Value, read_mapping, write_mapping
 
 
 def again(source: Path, imported: Imported) -> Imported:
@@ -94,3 +94,44 @@ def test_a_named_time_has_the_unit_that_its_column_states(name: str, stated: str
     second = again(source, imported)
     assert second.mapping.time_unit == imported.mapping.time_unit != ""
     assert contents(second) == contents(imported)
+
+
+def test_a_file_of_other_axes_leaves_the_map_of_the_others_usable(tmp_path: Path) -> None:
+    """Its columns were in the map, which was refused: no recording has "state"."""
+    source = tmp_path / "runs"
+    log(source / "a.csv", 0)
+    log(source / "b.csv", 1, state=["free"] * 20 + ["push"] * 20)
+    text = (source / "b.csv").read_text().replace("t,Fx,Fy,Fz", "time,Force X,Force Y,Force Z")
+    (source / "b.csv").write_text(text)
+    second = again(source, read_source(source))
+    assert (second.report.imported, [name for name, _ in second.report.skipped]) == (["a.csv"], ["b.csv"])
+
+
+def test_a_first_file_of_one_trial_leaves_the_others_apart(tmp_path: Path) -> None:
+    """The map had no group: trials of later files were one recording."""
+    source = tmp_path / "runs"
+    log(source / "a.csv", 0, trial=[1] * 40)
+    log(source / "b.csv", 1, trial=[2] * 20 + [3] * 20)
+    first = read_source(source)
+    assert first.mapping.group == "trial"
+    assert first.recordings.length.tolist() == [40, 20, 20]
+    second = again(source, first)
+    assert contents(second) == contents(first)
+    assert second.recordings.trial.tolist() == ["1", "2", "3"]
+
+
+def test_what_a_map_names_and_no_file_has_is_reported(tmp_path: Path) -> None:
+    source = tmp_path / "runs"
+    for seed, result in enumerate(("gut", "schlecht")):
+        log(source / f"{seed}.csv", seed, phase=[0] * 20 + [1] * 20, result=[result] * 40)
+    track = Track("phase", "phase", words={"0": "free", "1.0": "push", "7": "hold"}, ignore=("idle",))
+    outcome = Value("result", words={"Gut": "success", "schlecht": "failure", "NOK": "failure", "ok": "success"})
+    imported = read_source(
+        source, mapping=Mapping(annotations=(track,), columns={"outcome": outcome}, arms=("left", "right"))
+    )
+    assert [remark for remark in imported.report.remarks if " map" in remark] == [
+        "These words of the map are no values of column 'phase': '7', 'idle'.",
+        "These words of the map are no values of column 'result': 'Gut', 'NOK'.",
+        "No column names these arms of the map: 'left', 'right'.",
+    ]
+    assert imported.recordings.outcome.tolist() == ["gut", "failure"]

@@ -1,0 +1,63 @@
+"""Names of columns as robots and programs write them: the axes of a wrench, whatever stands before or behind them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax._util.columns import split_unit
+from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.names import wrenches
+from rcbht_jax.labels import AXES
+
+N = 60
+WRENCH = np.random.default_rng(0).normal(size=(N, 12)).round(3)
+
+
+def write(path: Path, names: list[str]) -> None:
+    rows = [",".join(map(str, [round(k * 0.01, 2), *WRENCH[k, : len(names)]])) for k in range(N)]
+    path.write_text("\n".join([",".join(["t", *names]), *rows]))
+
+
+@pytest.mark.parametrize(
+    "head", ["force_torque", "observation.force_torque", "robot/force_torque", "tcp_force_torque", "obs/ft_sensor"]
+)
+def test_an_array_of_forces_and_torques_is_a_wrench_wherever_it_lies(head: str) -> None:
+    """Behind a path, "force_" was part of it, and "torque" the array: no wrench was found."""
+    names = [f"{head}_{number}" for number in range(6)]
+    assert wrenches(names) == [dict(zip(AXES, names, strict=True))]
+
+
+@pytest.mark.parametrize("form", ["{axis}{arm}", "{axis} [{arm}]", "{axis} ({arm})", "{axis} {arm}"])
+def test_arms_behind_axes_leave_no_mark_in_their_names(form: str, tmp_path: Path) -> None:
+    """The axes were called "Fx{arm}"."""
+    write(tmp_path / "a.csv", [form.format(axis=axis, arm=arm) for arm in ("L", "R") for axis in AXES])
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.axes, recordings.arm.tolist()) == (AXES, ["l", "r"])
+    np.testing.assert_allclose(recordings.wrench, [WRENCH[:, :6], WRENCH[:, 6:]], rtol=1e-6)
+
+
+def test_a_mark_between_a_name_and_its_unit_is_part_of_neither() -> None:
+    found = [split_unit(name) for name in ("Fx_[N]", "Time_[s]", "Fx/[N]", "Fx: (N)", "Fx - [N]", "_[N]")]
+    assert found == [("Fx", "N"), ("Time", "s"), ("Fx", "N"), ("Fx", "N"), ("Fx", "N"), ("_", "N")]
+
+
+@pytest.mark.parametrize("form", ["{}_TCP_{}", "{} base {} [N]", "ft.{}.tool.{}", "left_{}_world_{}"])
+def test_a_frame_may_stand_between_a_force_and_its_axis(form: str) -> None:
+    names = [form.format(kind, axis) for kind in ("Force", "Torque") for axis in "XYZ"]
+    names = [name.replace("[N]", "[Nm]") if "Torque" in name else name for name in names]
+    assert wrenches(names) == [dict(zip(AXES, names, strict=True))]
+
+
+def test_wrenches_in_two_frames_are_not_mixed(tmp_path: Path) -> None:
+    names = [f"{kind}_{frame}_{axis}" for frame in ("tcp", "base") for kind in "FM" for axis in "xyz"]
+    assert wrenches(names) == [dict(zip(AXES, names[:6], strict=True)), dict(zip(AXES, names[6:], strict=True))]
+    write(
+        tmp_path / "a.csv",
+        [f"{kind}_{arm}_{axis}" for arm in ("left", "right") for kind in ("force", "torque") for axis in "xyz"],
+    )
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.axes, recordings.arm.tolist()) == (AXES, ["left", "right"])
+    np.testing.assert_allclose(recordings.wrench, [WRENCH[:, :6], WRENCH[:, 6:]], rtol=1e-6)
