@@ -76,6 +76,14 @@ def test_limits_that_make_no_sense_are_refused_before_they_are_used(rule: str) -
         limits_for(config, GRADIENTS, 0.0, RAMP[None], LENGTH)
 
 
+@pytest.mark.parametrize("tolerance", [None, 0.5, [0.5] * 2])
+@pytest.mark.parametrize("wrong", [GRADIENTS[:1], GRADIENTS[None, None]])
+def test_thresholds_of_another_shape_are_named_and_no_tolerance_is_blamed(wrong: Any, tolerance: Any) -> None:
+    """Too few rows made tolerances wrong that nobody had given."""
+    with pytest.raises(InputError, match=r"Thresholds have shape .*; expected \[2, 4\] or \[1, 2, 4\]"):
+        rj.encode(RAMP, rule="fit", thresholds=wrong.tolist(), tolerance=tolerance)
+
+
 def test_gradients_out_of_order_are_refused_beside_any_tolerance() -> None:
     with pytest.raises(InputError, match="ordered"):
         FitLimits(GRADIENTS[:, ::-1].copy(), np.ones(2)).stacked()
