@@ -191,7 +191,7 @@ class LabelTracks(ByValue):
         return f"LabelTracks({size}{rate}: {words})"
 
     def _repr_html_(self) -> str:
-        """Picture for notebooks: the first recording's words over time, a row per axis and layer."""
+        """Picture for notebooks: the first recording's words over time, a row per axis and layer, few of tiny ones."""
         scale = 1.0 if self.info is None else 1 / self.info.rate
         rows = []
         if not len(self._recordings()):

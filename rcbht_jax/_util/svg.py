@@ -19,7 +19,9 @@ class Bar(NamedTuple):
 
 
 def bands(rows: Sequence[tuple[str, Sequence[Bar]]], unit: str) -> str:
-    """Rows of bars ``[(title, bars)]`` on a common time axis.
+    """Rows of bars ``[(title, bars)]``, which are in order of time, on a common time axis.
+
+    Of bars narrower than a pixel, one in each pixel is drawn, so that the size of the text is bounded.
 
     Example:
         >>> bands([("Fz llb", [Bar(0.0, 1.0, "#252525", "contact")])], "s")[:4]
@@ -34,8 +36,12 @@ def bands(rows: Sequence[tuple[str, Sequence[Bar]]], unit: str) -> str:
     for number, (title, bars) in enumerate(rows):
         y = number * (_ROW + _GAP)
         parts.append(f'<text x="{_LEFT - 6}" y="{y + _ROW - 2}" text-anchor="end" fill="gray">{escape(title)}</text>')
+        taken = -1  # pixel in which the last bar begins
         for bar in bars:
             x, width = _LEFT + _WIDTH * bar.start / last, max(_WIDTH * (bar.end - bar.start) / last, 0.5)
+            if width < 1 and int(x) == taken:
+                continue
+            taken = int(x)
             parts.append(
                 f'<rect x="{x:.1f}" y="{y}" width="{width:.1f}" height="{_ROW}" fill="{escape(bar.color)}">'
                 f"<title>{escape(bar.text)}, {bar.start:g} to {bar.end:g} {escape(unit)}</title></rect>"

@@ -19,6 +19,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
+from rcbht_jax.learning.tasks import PLAIN, USUAL
 from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED, STATES
 from rcbht_jax.types import LabelTrack, Recordings
 
@@ -121,10 +122,10 @@ def combine(
     return Context(medians[0], medians[1], GradientThresholds(spectrum(top, bottom)), trials)
 
 
-def _onsets(recordings: Recordings) -> Float[np.ndarray, "recording 4"]:
-    """Onsets of the four states in s, corrected where there are corrections."""
+def _onsets(recordings: Recordings, boundaries: str) -> Float[np.ndarray, "recording 4"]:
+    """Onsets of the four states in s, corrected where there are corrections and the recorded ones are not asked for."""
     labels = recordings.annotations.labels
-    track = HARMONISED if HARMONISED in labels else RECORDED
+    track = HARMONISED if HARMONISED in labels and boundaries != PLAIN else RECORDED
     if labels.get(track) != STATES:
         there = ", ".join(f"{name} ({', '.join(labels[name])})" for name in labels) or "no annotations"
         raise InputError(
@@ -147,17 +148,18 @@ def calibrate(
     base: Thresholds | None = None,
     copy: tuple[tuple[str, str], ...] = AUTHORS_COPY,
     least: Float[np.ndarray, " axis"] | float = 0.0,
+    boundaries: str = USUAL,
 ) -> Context:
     """Apply the rule to the primitives that some thresholds give.
 
     Args:
-        recordings: the data set, with the four states on the track states; if there is a track states-harmonised, its
-            onsets are used.
+        recordings: the data set, with the four states on the track states.
         rows: recordings to calibrate on.
         config: static configuration of the encoder.
         base: ``[6, 4]``; they label the primitives, and replace limits for which there is no data. None = HIRO's.
         copy: see :func:`combine`.
         least: see :func:`combine`.
+        boundaries: "recorded" = onsets of the track states; else of states-harmonised, if there is one.
 
     Raises:
         InputError: no recordings, none with a rotation or an insertion that contains a primitive, no such track, or
@@ -174,7 +176,7 @@ def calibrate(
     length = recordings.length[rows]
     tracks = encode_batch(config, base, recordings.wrench[rows], length)
     end = length * recordings.dt
-    impulse, constant = trial_limits(tracks.primitive, _onsets(recordings)[rows], end, recordings.dt)
+    impulse, constant = trial_limits(tracks.primitive, _onsets(recordings, boundaries)[rows], end, recordings.dt)
     context = combine(impulse, constant, base, copy, least)
     if np.isnan([context.impulse, context.constant]).all():
         raise InputError(

@@ -323,8 +323,8 @@ class Calibrate(RuleCommand):
         rest, config = given.rest, given.config
         least = np.quantile(rest.steep, QUIET, axis=1) if isinstance(rest, RestSlopes) else 0.0
         assert isinstance(config, EncoderConfig)  # run() refuses the fit rule
-        every = np.arange(len(given.training))
-        context = contextual.calibrate(given.training, every, config, given.base, copy, least)
+        every, variant = np.arange(len(given.training)), self.boundaries
+        context = contextual.calibrate(given.training, every, config, given.base, copy, least, boundaries=variant)
         trials = dict(zip(("impulse", "constant"), context.trials.tolist(), strict=True))
         facts = {"trials_per_limit": trials, "own_axes": self.own_axes}
         return _Found(context.thresholds, {**facts, "ungraded": list(context.ungraded)})

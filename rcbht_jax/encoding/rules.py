@@ -15,7 +15,7 @@ from rcbht_jax._util.values import expect
 from rcbht_jax.encoding import encoder, fit, provisional
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
 from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, host_limits, limits_of, validate
+from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, host_limits, limits_of, of_lanes, validate
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTracks
@@ -113,7 +113,7 @@ def limits_for(
             thresholds.stacked()
             return thresholds
         thresholds = GradientThresholds(thresholds.gradients)
-    gradients = host_limits(thresholds).astype(np.float64)
+    gradients = of_lanes(host_limits(thresholds).astype(np.float64), 4, wrench.shape[::2])
     found = auto_tolerance(wrench, length, config.needed) if learned else _numbers(tolerance)
     try:
         limits = FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]))

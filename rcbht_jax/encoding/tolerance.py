@@ -19,6 +19,8 @@ from rcbht_jax.types import Array
 SHARE = 0.015  # of an axis's usual range
 USUAL = (1.0, 99.0)  # percentiles that bound the usual range
 NOISE = 20.0  # noise variances that a break must save, lest noise break lines
+FEWEST = 20  # new values from which on it shows whether they come regularly, and ...
+REGULAR = 0.9  # ... share of the new values that come as regularly as those of a slower sensor do
 _NORMAL_MAD = 0.6745  # median of |x| of a standard normal variable
 _SECOND_DIFFERENCE = 6**0.5  # deviation of x[i] - 2 x[i+1] + x[i+2] of white noise of deviation 1
 
@@ -66,7 +68,9 @@ class FitLimits(ByValue):
 def noise_of(parts: Sequence[Float[np.ndarray, "_time axis"]]) -> Float[np.ndarray, " axis"]:
     """Standard deviation of the noise of every axis, which is taken to be white.
 
-    It comes from the median of second differences, which straight lines and rare jumps do not change.
+    It comes from the median of second differences, which straight lines and rare jumps do not change. Where the
+    recording repeats the values of a slower sensor, the differences are those of its own samples, and the deviation
+    is that of white noise by which lines through the repeats would break as often: larger by the root of the repeats.
 
     Args:
         parts: recordings, units of the axes; those of fewer than three samples tell nothing.
@@ -78,11 +82,23 @@ def noise_of(parts: Sequence[Float[np.ndarray, "_time axis"]]) -> Float[np.ndarr
         >>> noise = np.random.default_rng(0).normal(0, 0.5, (10_000, 1))
         >>> noise_of([np.linspace(0, 100, 10_000)[:, None] + noise]).round(1).tolist()
         [0.5]
+        >>> noise_of([noise.repeat(4, axis=0)]).round(1).tolist()
+        [1.0]
     """
-    bends = np.concatenate([np.abs(np.diff(np.asarray(part, np.float64), n=2, axis=0)) for part in parts])
-    if not len(bends):
-        return np.zeros(bends.shape[1])
-    return np.asarray(np.median(bends, axis=0)) / (_NORMAL_MAD * _SECOND_DIFFERENCE)
+    rows = [[_bends(axis) for axis in np.asarray(part, np.float64).T] for part in parts]
+    bends = [np.concatenate(of_axis) for of_axis in zip(*rows, strict=True)]
+    middle = np.array([np.median(one) if len(one) else 0.0 for one in bends])
+    return middle / (_NORMAL_MAD * _SECOND_DIFFERENCE)
+
+
+def _bends(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " bend"]:
+    """Sizes of second differences, of a value that is held those from one new value to the next; see noise_of."""
+    new = np.flatnonzero(np.diff(values)) + 1
+    gaps = np.diff(new)
+    repeats = int(np.median(gaps)) if len(gaps) >= FEWEST else 1
+    if repeats == 1 or (np.abs(gaps - repeats) <= 1).mean() < REGULAR:  # few digits, too, repeat values
+        return np.abs(np.diff(values, n=2))
+    return repeats**0.5 * np.abs(np.diff(values[new], n=2))
 
 
 @np.errstate(invalid="ignore", over="ignore")  # the encoder refuses what is not finite or too large, in a sentence

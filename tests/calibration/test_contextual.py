@@ -150,6 +150,16 @@ def test_context_of_recordings_and_of_none():
     assert found.trials.tolist() == [[8] * 6, [0] * 6]
 
 
+def test_recorded_boundaries_are_used_where_they_are_asked_for() -> None:
+    """They served the scores alone; the limits came from the corrected ones."""
+    both = recordings()
+    late = marked(both, onset=both.starts("states-harmonised") + 0.25)
+    alone = replace(late, annotations=late.annotations.of("states"))
+    recorded = contextual.calibrate(late, np.arange(8), CONFIG, boundaries="recorded")
+    np.testing.assert_array_equal(recorded.impulse, contextual.calibrate(alone, np.arange(8), CONFIG).impulse)
+    assert not np.array_equal(recorded.impulse, contextual.calibrate(late, np.arange(8), CONFIG).impulse)
+
+
 def test_a_user_s_track_without_corrections_serves_and_other_tracks_are_named() -> None:
     some = recordings()
     plain = replace(some, annotations=some.annotations.of("states-harmonised"))

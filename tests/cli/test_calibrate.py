@@ -16,6 +16,7 @@ from rcbht_jax._util import compile_cache
 from rcbht_jax.calibration import contextual, sample, search
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.cli.main import main
+from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.limit_files import has_tolerances, read_limits, write_limits
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds, write_thresholds
 from rcbht_jax.encoding.tolerance import FitLimits
@@ -26,6 +27,7 @@ from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.learning.tasks import TaskSpec
 from tests.calibration.test_contextual import recordings
+from tests.support.snaps import marked
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +68,24 @@ def test_calibrated_thresholds_label_a_store(store, tmp_path, capsys, method, op
 def test_axes_without_grades_are_named_also_where_rest_is_the_cause(store, tmp_path, monkeypatch, capsys):
     """The sentence blamed the rotation alone."""
     steep = contextual.calibrate
-    monkeypatch.setattr(contextual, "calibrate", lambda *what: steep(*what[:-1], 1e3))  # N/s at rest
+    monkeypatch.setattr(contextual, "calibrate", lambda *what, **more: steep(*what[:-1], 1e3, **more))  # N/s at rest
     words = ["--method", "context", "--robot", "hiro"]
     assert main(["calibrate", str(store), "-o", str(tmp_path / "one.json"), *words]) == 0
     named = "Insertion is hardly steeper than rotation or rest, so all limits are one: Fx, Fy, Fz, Mx, My, Mz."
     assert named in capsys.readouterr().out.splitlines()
     provenance = read_thresholds(tmp_path / "one.json")[1]
     assert provenance["trials_per_limit"] == {"impulse": [4] * 6, "constant": [4] * 6}
+
+
+@pytest.mark.parametrize("boundaries", ["harmonised", "recorded"])
+def test_the_context_reads_the_boundaries_that_are_asked_for(tmp_path, boundaries):
+    some, out = recordings(trials=4), tmp_path / "context.json"
+    late = marked(some, onset=some.starts("states-harmonised") + 0.25)
+    write_recordings(tmp_path / "late.zarr", late, {})
+    words = ["--method", "context", "--robot", "hiro", "--rest-weight", "0", "--boundaries", boundaries]
+    assert main(["calibrate", str(tmp_path / "late.zarr"), "-o", str(out), *words]) == 0
+    expected = contextual.calibrate(late, np.arange(4), EncoderConfig(dt=late.dt), boundaries=boundaries)
+    np.testing.assert_allclose(read_thresholds(out)[0].limits, expected.thresholds.limits)
 
 
 def test_a_search_is_not_scored_again(store, tmp_path, monkeypatch, capsys):

@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 
 import rcbht_jax as rj
+from rcbht_jax._util.svg import Bar, bands
 from rcbht_jax.encoding import encoder
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.tolerance import FitLimits
@@ -291,6 +292,16 @@ def test_repr_is_short_and_the_picture_shows_every_word() -> None:
     words = sum(len(tracks.words(axis, layer)) for axis in range(6) for layer in ("primitive", "mc", "llb"))
     assert tracks._repr_html_().count("<rect") == words > 30
     repr(jax.eval_shape(lambda: EXPECTED))
+
+
+def test_the_picture_of_a_long_recording_stays_small() -> None:
+    """Ten minutes of noise made thirty megabytes of a notebook; a long word among short ones is drawn as before."""
+    short = [Bar(k, k + 1, "#000000", "short") for k in range(100_000)]
+    bars = [*short[:50_000], Bar(50_000, 60_000, "#000000", "long"), *short[60_000:]]
+    picture = bands([("axis", bars)], "s")
+    assert len(picture) < 2e5
+    assert picture.count("short, ") == pytest.approx(0.9 * 720, abs=2)
+    assert picture.count("long, 50000 to 60000 s") == 1
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,27 @@ def test_steps_from_one_recording_to_the_next_are_no_noise() -> None:
     np.testing.assert_allclose(auto_tolerance(levels, np.full(101, 3), needed=5), [0.015 * 98])
 
 
+@pytest.mark.parametrize("repeats", [2, 3, 4, 8, (3, 4)])
+def test_noise_of_a_slower_sensor_breaks_no_lines(repeats: int | tuple[int, int]) -> None:
+    """Most second differences of values that are held are zero, so there seemed to be no noise."""
+    own = np.random.default_rng(0).normal(size=(1000, 1)) * [1.0, 0.1]
+    held = np.repeat(own, repeats if isinstance(repeats, int) else np.tile(repeats, 500), axis=0)
+    other = np.random.default_rng(1).normal(size=(len(held), 1))  # an axis of another sensor
+    wrench = np.concatenate([held, other], axis=1)
+    times = int(np.median(repeats)) ** 0.5
+    np.testing.assert_allclose(noise_of([wrench]), [times, 0.1 * times, 1.0], rtol=0.1)
+    words = rj.encode(wrench, rate=200, rule="fit").primitive.label
+    assert (words > 0).sum(1).max() < 0.01 * len(held)
+
+
+def test_few_digits_are_no_slower_sensor() -> None:
+    rng = np.random.default_rng(0)
+    ramp = np.floor(np.linspace(0, 100, 1000))  # a new value every ten samples
+    rare = np.cumsum(rng.random(4000) < 0.01) % 2.0
+    for values in (ramp, rare, np.round(rng.normal(0, 0.2, 4000))):
+        assert noise_of([values[:, None]]).tolist() == [0.0]
+
+
 def test_a_configuration_that_asks_for_more_evidence_needs_less_tolerance() -> None:
     """White noise of deviation 1: a break saves as many squared tolerances as 20 variances."""
     noise = np.random.default_rng(0).normal(size=(1, 4000, 2))
@@ -74,6 +95,14 @@ def test_limits_that_make_no_sense_are_refused_before_they_are_used(rule: str) -
         limits_for(config, FitLimits(GRADIENTS, np.array([0.0, 1.0])), None, RAMP[None], LENGTH)
     with pytest.raises(InputError, match="belongs to the fit rule" if rule == "paper" else "Tolerances are 0 to 0"):
         limits_for(config, GRADIENTS, 0.0, RAMP[None], LENGTH)
+
+
+@pytest.mark.parametrize("tolerance", [None, 0.5, [0.5] * 2])
+@pytest.mark.parametrize("wrong", [GRADIENTS[:1], GRADIENTS[None, None]])
+def test_thresholds_of_another_shape_are_named_and_no_tolerance_is_blamed(wrong: Any, tolerance: Any) -> None:
+    """Too few rows made tolerances wrong that nobody had given."""
+    with pytest.raises(InputError, match=r"Thresholds have shape .*; expected \[2, 4\] or \[1, 2, 4\]"):
+        rj.encode(RAMP, rule="fit", thresholds=wrong.tolist(), tolerance=tolerance)
 
 
 def test_gradients_out_of_order_are_refused_beside_any_tolerance() -> None:
