@@ -63,7 +63,8 @@ class Encode(RuleCommand):
         Path | None,
         option(
             'File of "rcbht calibrate" to use instead of the preset: gradient thresholds and, if it was made for '
-            '--rule fit, tolerances; or a model of "rcbht train", for labels as it reads them.',
+            '--rule fit, tolerances; or a model of "rcbht train", for the limits of the labels that it reads; of '
+            "several, those of the name with which --name begins.",
             "",
             metavar="FILE",
         ),
@@ -192,7 +193,7 @@ class Encode(RuleCommand):
         from rcbht_jax.learning.predict import limits_in
 
         if is_zipfile(file):
-            return limits_in(load(file), self.window, recordings, str(store))
+            return limits_in(load(file), self.window, recordings, str(store), self.name or "")
         return super().limits_in_file(file, recordings, store)
 
     def config(self, dt: float) -> AnyConfig:

@@ -155,7 +155,9 @@ class FaultMonitor:
     levels: dict[int, float]  # probability of a fault above which the words raise the alarm
     hold: float  # s for which it must stay there
     limits: dict[int, float]  # s that a sub-task may last
-    detected: float  # share of the training failures that the words detect, held out; mean over the kinds
+    # share of the training failures that the words detect, held out; mean over the kinds; those of causes with fewer
+    # trials than FaultMonitorConfig.fewest count as not detected, although the monitor may detect them
+    detected: float
     rate: float = FaultMonitorConfig.rate  # snapshots per second, at least, for which the levels hold
 
     @staticmethod
@@ -164,11 +166,11 @@ class FaultMonitor:
         cause: Shaped[np.ndarray, " trial"],
         *,
         subtasks: Sequence[int] | None = None,
-        durations: Mapping[int, Float[np.ndarray, " trial"]] | None = None,
-        kind: Shaped[np.ndarray, " trial"] | None = None,
-        visible: Float[np.ndarray, " trial"] | None = None,
-        deadline: Float[np.ndarray, " trial"] | None = None,
-        own: Bool[np.ndarray, " trial"] | None = None,
+        durations: Mapping[int, Float[np.ndarray, " _trial"]] | None = None,
+        kind: Shaped[np.ndarray, " _trial"] | None = None,
+        visible: Float[np.ndarray, " _trial"] | None = None,
+        deadline: Float[np.ndarray, " _trial"] | None = None,
+        own: Bool[np.ndarray, " _trial"] | None = None,
         config: FaultMonitorConfig | None = None,
         seed: int = 0,
     ) -> FaultMonitor:
@@ -190,13 +192,15 @@ class FaultMonitor:
         Raises:
             InputError: no sub-task has both nominal and faulty trials, there are too few nominal trials for the
                 chosen probability of false alarms (each half of the calibration "split" needs enough), too many in
-                which a timed sub-task did not end, snapshots of trials that have no cause, or fewer per second than
-                the config has.
+                which a timed sub-task did not end, snapshots of trials that have no cause or fewer per second than
+                the config has, or an argument with values for another number of trials.
         """
         config = FaultMonitorConfig() if config is None else config
         expect("The config", config, FaultMonitorConfig)
         cause = np.asarray(cause)
         _check_snapshots(snapshots, len(cause), config.rate)
+        lasting = {f"durations of sub-task {number}": lasted for number, lasted in (durations or {}).items()}
+        _check_trials(len(cause), {"kind": kind, "visible": visible, "deadline": deadline, "own": own, **lasting})
         nominal, streamed = cause == NOMINAL, np.isin(np.arange(len(cause)), snapshots.trial)
         visible = np.zeros(len(cause)) if visible is None else visible
         deadline = np.full(len(cause), np.inf) if deadline is None else deadline
@@ -273,6 +277,12 @@ def _check_snapshots(snapshots: SubtaskSnapshots, trials: int, rate: float) -> N
             f"Snapshots of a sub-task are up to {apart:g} s apart, and the monitor's config has {rate:g} per second; "
             f"take as many, or train with a config of rate={1 / apart:g}."
         )
+
+
+def _check_trials(trials: int, columns: Mapping[str, Shaped[np.ndarray, " _trial"] | None]) -> None:
+    for name, values in columns.items():
+        if values is not None and len(values) != trials:
+            raise InputError(f"There are {trials} trials, and {len(values)} values of {name}; expected as many.")
 
 
 def _limit(subtask: int, lasted: Float[np.ndarray, " trial"], share: float) -> float:

@@ -139,7 +139,7 @@ def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -
         for key in MADE_BY:
             if key in wanted and made[name].get(key) != wanted[key]:
                 what = _difference(wanted[key], made[name].get(key)) or key
-                options = _options(wanted)
+                options = _options(wanted) + (f" --name {name}-model" if "+" in model.svm.spec.features else "")
                 where = ", where MODEL is the model's file" if "MODEL" in options else ""
                 raise InputError(
                     f"the model was trained on labels {name or 'of its own'} made otherwise ({what}); "
@@ -147,7 +147,9 @@ def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -
                 )
 
 
-def limits_in(model: TrainedModel, window: int, recordings: Recordings, where: str) -> tuple[AnyLimits, dict[str, Any]]:
+def limits_in(
+    model: TrainedModel, window: int, recordings: Recordings, where: str, name: str = ""
+) -> tuple[AnyLimits, dict[str, Any]]:
     """The limits of the labels that a model reads, and where they came from.
 
     Args:
@@ -155,23 +157,36 @@ def limits_in(model: TrainedModel, window: int, recordings: Recordings, where: s
         window: of these labels, where the model reads several.
         recordings: that shall be encoded.
         where: name of the recordings, which begins the error.
+        name: of the labels to be made; where the model reads several, it begins with the name of those that are meant.
 
     Raises:
-        InputError: it reads no labels of this window, or of another rate, other axes or units.
+        InputError: it reads no labels of this window, several that differ in their limits and ``name`` begins with the
+            name of none, or the recordings have another rate, other axes or units.
     """
     check_recordings(model, recordings, where)
-    axes = recordings.axes
-    for made in encoders_of(model).values():
+    found: dict[str, tuple[AnyLimits, dict[str, Any]]] = {}
+    different = set()
+    for track, made in encoders_of(model).items():
         try:
             config, limits = encoder_of(made)
         except (InputError, KeyError, TypeError, ValueError):  # of the offline program
             continue
         if config.window != window:
             continue
-        if (count := len(checked_limits(config, limits))) != len(axes):
-            raise InputError(f"the model has limits for {count} axes; the recordings have {len(axes)}.")
-        return limits, dict(made.get("thresholds_from", {}))
-    raise InputError(f"the model reads no online labels of window {window}.")
+        rows = np.asarray(checked_limits(config, limits))
+        if len(rows) != (axes := len(recordings.axes)):
+            raise InputError(f"the model has limits for {len(rows)} axes; the recordings have {axes}.")
+        found[track] = limits, dict(made.get("thresholds_from", {}))
+        different.add((rows.shape, rows.tobytes()))
+    if not found:
+        raise InputError(f"the model reads no online labels of window {window}.")
+    meant = [track for track in found if name.startswith(track)]
+    if not meant and len(different) > 1:
+        raise InputError(
+            f"the model reads labels {', '.join(found)} of window {window}, whose limits differ; let --name begin with "
+            "the name of those to be made."
+        )
+    return found[max(meant or found, key=len)]
 
 
 def _options(made: Mapping[str, Any]) -> str:

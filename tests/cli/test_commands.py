@@ -137,6 +137,29 @@ def test_other_recordings_get_the_thresholds_of_a_model(tmp_path: Path, capsys: 
     assert "no online labels of window 8" in capsys.readouterr().err
 
 
+def test_every_label_track_of_a_model_can_be_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of two tracks of one window, a model gave the limits of the first, whatever was asked for."""
+    wrench = 0.05 * np.random.default_rng(0).normal(size=(8, 300, 2))
+    wrench[:, 100:, 0] += np.repeat([5.0, 9.0], 4)[:, None]
+    one, two, model = (tmp_path / name for name in ("one.zarr", "two.zarr", "m"))
+    for store in (one, two):
+        data = Recordings.from_arrays(wrench, 100, axes=["a", "b"], outcome=["success"] * 4 + ["failure"] * 4)
+        write_recordings(store, data, {})
+        run(capsys, "encode", store, "--name", "usual")
+    run(capsys, "encode", one, "--scale", 0.3, "--name", "fine")
+    run(capsys, "encode", two, "--name", "fine")
+    quick = ("--kernels", "linear", "--costs", 1, "--task", "outcome")
+    run(capsys, "train", one, "--tracks", "usual+fine", *quick, "-o", model)
+    classify = ["classify", str(two), "-m", str(model), "-o", str(tmp_path / "c.csv")]
+    assert main(classify) == 2
+    advice = re.search(r'"rcbht encode(.* --name fine-model)"', capsys.readouterr().err)
+    assert advice
+    assert main(["encode", str(two), "--thresholds", str(model), "--name", "mine"]) == 2
+    assert "labels usual, fine of window 5, whose limits differ" in capsys.readouterr().err
+    run(capsys, "encode", two, *advice[1].replace("MODEL", str(model)).split())
+    assert main([*classify, "--tracks", "usual+fine-model"]) == 0
+
+
 @pytest.mark.parametrize(
     "options",
     [

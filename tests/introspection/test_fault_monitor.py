@@ -187,3 +187,19 @@ def test_input_that_cannot_be_learned_from() -> None:
         FaultMonitor.fit(streams(60, 20, 6.0), causes(60, 20))
     with pytest.raises(InputError, match="sorted by trial and time"):
         replace(snapshots, now=snapshots.now[::-1], begin=np.zeros_like(snapshots.begin))
+
+
+def test_causes_too_rare_to_train_count_as_not_detected() -> None:
+    cause = np.array([NOMINAL] * 60 + ["jamming"] * 20 + ["drop"] * 2)
+    lessons = streams(60, 22, 6.0)
+    monitor = FaultMonitor.fit(lessons, cause, config=CONFIG)
+    assert monitor.detected == 0.5
+    assert np.isfinite(monitor.alarms(lessons, 82)["words"][80:]).all()
+
+
+@pytest.mark.parametrize("name", ["kind", "visible", "deadline", "own", "durations"])
+def test_values_of_another_number_of_trials_are_one_sentence(name: str) -> None:
+    short = {"kind": causes(1, 1), "own": np.ones(2, bool)}.get(name, np.ones(2))
+    given = {name: {0: short} if name == "durations" else short}
+    with pytest.raises(InputError, match=rf"There are 40 trials, and 2 values of {name}.*; expected as many\."):
+        FaultMonitor.fit(streams(30, 10, 6.0), causes(30, 10), config=CONFIG, **given)
