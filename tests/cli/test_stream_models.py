@@ -293,3 +293,19 @@ def test_beliefs_of_the_report_are_about_the_sub_tasks_of_the_model():
     introspector.push(recordings.wrench[0, 150:])
     states = next(b for b in infer_beliefs(Introspector(model()), recordings, 0) if b.head == "states")
     np.testing.assert_allclose(states.probability[-1], introspector.latest["states"].probabilities, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "arm"), [((), "right"), (("--arm", "L"), "left"), (("--trial", "a"), "right"), (("--trial", "b"), "")]
+)
+@pytest.mark.parametrize("command", ["stream", "serve"])
+def test_the_arm_that_is_played_is_named(tmp_path, capsys, command, words, arm):
+    """Trials of another arm were skipped without a remark."""
+    store = tmp_path / "s.zarr"
+    wrench = [trial(1, seed) for seed in range(4)]
+    two = rj.Recordings.from_arrays(wrench, rate=200, arm=["R", "L", "R", "L"], trial=["a", "a", "b", "c"])
+    rj.write_recordings(store, two, {})
+    port = ["--port", "0", "--no-stay", "--speed", "0"] if command == "serve" else []
+    assert main([command, str(store), "--robot", "hiro", *words, *port]) == 0
+    remarks = [line for line in capsys.readouterr().err.splitlines() if line.startswith("Counted")]
+    assert remarks == [f"Counted is the {arm} arm alone."] * bool(arm)
