@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import learned_arm, rows_of_arm
 from rcbht_jax._util.cells import number_of
-from rcbht_jax._util.printable import padded, plural, room
+from rcbht_jax._util.printable import padded, plural, printable, room
 from rcbht_jax.cli.command import Arm, Command, MadeBy, Store, option, progress_bar
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
@@ -156,7 +156,7 @@ class MonitorWatch(Command):
     def text(self, result: dict[str, Any]) -> str:
         # Standard output belongs to the alarms.
         count = f"{plural(result['recordings'], 'recording')}, {result['alarms']} with an alarm"
-        print(count, *result["remarks"], sep="\n", file=sys.stderr)
+        print(count, *map(printable, result["remarks"]), sep="\n", file=sys.stderr)
         return ""
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 import tyro
 
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.printable import plural, printable
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.cli.command import (
     BeliefRate,
@@ -352,7 +352,7 @@ class Source(RuleCommand):
             remarks = rows_of_arm(recordings.arm, arm)[1]
             played = np.isin(recordings.trial, self.trial) if self.trial else np.full(len(recordings), True)
             if len(np.unique(recordings.arm[played])) > 1:
-                print(*remarks, sep="\n", file=sys.stderr, flush=True)
+                print(*map(printable, remarks), sep="\n", file=sys.stderr, flush=True)
             return play(recordings, self.trial, arm, starts, str(path), learnt)
         if path.is_dir():
             return read_folder(path, self.arm or common_arm(ARMS, arms), starts, learnt)
