@@ -74,6 +74,15 @@ def common_arm(names: Iterable[str], learned: Iterable[str]) -> str:
     return arms[0]
 
 
+def learned_arm(learned: str, names: Iterable[str]) -> str:
+    """The arm that a file says was learned; "" where all recordings have that of those that name none.
+
+    >>> learned_arm("L", ["L"]), learned_arm("R", ["R", "L"]), learned_arm("R", ["R", "R"])
+    ('L', 'R', '')
+    """
+    return "" if set(map(str, names)) == {UNNAMED} else learned
+
+
 def rows_of_arm(names: NDArray[np.str_], wanted: str) -> tuple[NDArray[np.int64], list[str]]:
     """The recordings of the arm of :func:`chosen_arm`, and a remark that names it where there are others.
 
@@ -101,4 +110,4 @@ def title_among(arm: str, names: Iterable[str]) -> str:
     >>> title_among("R", ["R", "R"]), title_among("R", ["R", "L"]), title_among("left", ["left"])
     ('', 'right arm', 'left arm')
     """
-    return "" if set(map(str, names)) == {UNNAMED} else title_of(arm)
+    return title_of(learned_arm(arm, names))

@@ -12,9 +12,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from rcbht_jax._util.arms import rows_of_arm
+from rcbht_jax._util.arms import learned_arm, rows_of_arm
 from rcbht_jax._util.cells import number_of
-from rcbht_jax._util.printable import padded, plural, room
+from rcbht_jax._util.printable import padded, plural, printable, room
 from rcbht_jax.cli.command import Arm, Command, MadeBy, Store, option, progress_bar
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
@@ -70,14 +70,14 @@ class MonitorFit(Command):
         from rcbht_jax.introspection.nominal_file import MonitorFile, save
         from rcbht_jax.learning.class_groups import column_groups
 
-        chosen, remarks = _read(self.store, self.where, self.arm)
+        chosen, remarks, learned = _read(self.store, self.where, self.arm)
         recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal)))
         series = _series(recordings)
         monitor = _monitor(recordings, self.score_rate, self.levels)
         monitor.set_params(calibration="split" if self.exact else "cross", random_state=self.seed)
         groups = column_groups(self.group, recordings)
         monitor.fit(series, groups=groups)
-        save(self.out, MonitorFile(monitor, recordings.axes, self.where, recordings.units, self.arm))
+        save(self.out, MonitorFile(monitor, recordings.axes, self.where, recordings.units, self.arm or learned))
         held = len(monitor.peaks_)
         return {
             "monitor": str(self.out),
@@ -128,7 +128,7 @@ class MonitorWatch(Command):
         from rcbht_jax.introspection.nominal_file import load
 
         file = load(self.monitor)
-        recordings, remarks = _read(self.store, self.where, self.arm or file.arm)
+        recordings, remarks, _ = _read(self.store, self.where, self.arm or file.arm)
         series = _series(recordings)
         monitor, level = file.monitor, file.monitor.threshold(self.false_alarms)
         check_axes(recordings.axes, recordings.units, file.axes, file.units, str(self.store))
@@ -156,7 +156,7 @@ class MonitorWatch(Command):
     def text(self, result: dict[str, Any]) -> str:
         # Standard output belongs to the alarms.
         count = f"{plural(result['recordings'], 'recording')}, {result['alarms']} with an alarm"
-        print(count, *result["remarks"], sep="\n", file=sys.stderr)
+        print(count, *map(printable, result["remarks"]), sep="\n", file=sys.stderr)
         return ""
 
 
@@ -187,7 +187,7 @@ class MonitorEvaluate(Command):
         from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, parts, thresholds
         from rcbht_jax.learning.class_groups import column_groups
 
-        chosen, remarks = _read(self.store, self.where, self.arm)
+        chosen, remarks, _ = _read(self.store, self.where, self.arm)
         recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | _judged(chosen)))
         series = _series(recordings)
         groups, nominal = column_groups(self.group, recordings), _nominal(recordings, self.nominal)
@@ -252,8 +252,8 @@ def _row(row: dict[str, Any]) -> str:
     return "  ".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in cells)
 
 
-def _read(store: Path, where: tuple[str, ...], arm: str) -> tuple[Recordings, list[str]]:
-    """The chosen recordings of one arm, and a remark that names it where there are others."""
+def _read(store: Path, where: tuple[str, ...], arm: str) -> tuple[Recordings, list[str], str]:
+    """The chosen recordings of one arm, a remark that names it where there are others, and what a file calls it."""
     from rcbht_jax.io.store import read_recordings
 
     recordings = read_recordings(store)
@@ -268,7 +268,8 @@ def _read(store: Path, where: tuple[str, ...], arm: str) -> tuple[Recordings, li
         raise InputError(f"{store} has no recording with {' and '.join(where)}.")
     rows = np.flatnonzero(chosen)
     own, remarks = rows_of_arm(recordings.arm[rows], arm)
-    return recordings.take(rows[own]), remarks
+    one = recordings.take(rows[own])
+    return one, remarks, learned_arm(str(one.arm[0]), recordings.arm)
 
 
 def _series(recordings: Recordings) -> list[NDArray[np.float64]]:

@@ -156,6 +156,7 @@ class PlotBeliefs(Command):
     rate: BeliefRate = None
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax._util.digest import among, wrench_digests
         from rcbht_jax.events import Belief
         from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
@@ -171,18 +172,28 @@ class PlotBeliefs(Command):
         arm = chosen_arm(recordings.arm.tolist(), self.arm)
         title = title_among(arm, recordings.arm)
         recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
+        seen = None  # an older file does not say it
+        if len(model.digests):
+            seen = bool(among(wrench_digests(recordings.wrench, recordings.length), model.digests)[0])
         session = Session(Introspector(model, belief_rate(self.rate), detect=detect))
         starts = NONE if detect else self.starts
         events = list(session.run(play(recordings, (), arm, starts, str(self.store), model.subtasks)))
         beliefs = sum(isinstance(event, Belief) for event in events)
         track = "" if starts == NONE else track_of_starts(recordings.annotations, starts, model.subtasks)
         how = f"beginnings of the track {track}" if track else "beginnings detected" if detect else "no beginnings"
-        save(belief_map(events, ", ".join(filter(None, (self.trial, title, how)))), self.out)
-        return {"figure": str(self.out), "trial": self.trial, "arm": arm, "arm_title": title, "beliefs": beliefs}
+        shown = self.trial, title, how, "training data" if seen else ""
+        save(belief_map(events, ", ".join(filter(None, shown))), self.out)
+        about = {"trial": self.trial, "arm": arm, "arm_title": title, "beliefs": beliefs, "trained_on": seen}
+        return {"figure": str(self.out), **about}
 
     def text(self, result: dict[str, Any]) -> str:
         about = ", ".join(filter(None, (result["trial"], result["arm_title"])))
-        return f"{result['figure']}: {result['beliefs']} beliefs about {about}"
+        trained = {
+            True: "The model was trained on this recording: its beliefs about it are optimistic.",
+            None: "Whether the model was trained on this recording is not known.",
+        }
+        drawn = f"{result['figure']}: {result['beliefs']} beliefs about {about}"
+        return "\n".join(filter(None, (drawn, trained.get(result["trained_on"]))))
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:

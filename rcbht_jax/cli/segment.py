@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from rcbht_jax._util.arms import rows_of_arm
+from rcbht_jax._util.arms import learned_arm, rows_of_arm
 from rcbht_jax._util.cells import table_text
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
@@ -95,7 +95,8 @@ class Segment(Command):
             intervals = ((int(chosen[row]), *rest) for row, *rest in result.rows())  # numbers in the store
             draft.write_text(table_text(head, *intervals), encoding="utf-8")
         if self.write_model is not None:
-            save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes, self.arm))
+            arm = self.arm or learned_arm(str(recordings.arm[chosen[0]]), recordings.arm)
+            save(self.write_model, SegmenterFile.of(result.model, result.protocol.track, result.classes, arm))
         model = {} if self.write_model is None else {"model": str(self.write_model)}
         missing = sum(not len(labels) for labels in result.predicted)
         how = {"causal": not self.offline, "rule": self.rule, "unlabelled": missing, "remarks": remarks}

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
+import numpy as np
 import tyro
 
-from rcbht_jax._util.printable import plural
+from rcbht_jax._util.printable import plural, printable
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.cli.command import (
     BeliefRate,
@@ -325,7 +326,7 @@ class Source(RuleCommand):
         return named
 
     def _messages(self, model: IntrospectionModel | None, arms: list[str]) -> Messages:
-        from rcbht_jax._util.arms import common_arm
+        from rcbht_jax._util.arms import common_arm, rows_of_arm
         from rcbht_jax.io.hiro.trial import ARMS
         from rcbht_jax.io.importing.find import kind_of
         from rcbht_jax.io.messages import is_bag, read_live
@@ -348,6 +349,10 @@ class Source(RuleCommand):
             if model is not None:
                 model.check_axes(recordings.axes, recordings.units, str(path))
             arm = self.arm or common_arm(recordings.arm.tolist(), arms)
+            remarks = rows_of_arm(recordings.arm, arm)[1]
+            played = np.isin(recordings.trial, self.trial) if self.trial else np.full(len(recordings), True)
+            if len(np.unique(recordings.arm[played])) > 1:
+                print(*map(printable, remarks), sep="\n", file=sys.stderr, flush=True)
             return play(recordings, self.trial, arm, starts, str(path), learnt)
         if path.is_dir():
             return read_folder(path, self.arm or common_arm(ARMS, arms), starts, learnt)

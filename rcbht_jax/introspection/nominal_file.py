@@ -31,7 +31,7 @@ class MonitorFile:
     axes: tuple[str, ...]  # names
     where: tuple[str, ...]  # selection of the training recordings, COLUMN=VALUE each
     units: tuple[str, ...] = ()  # of the axes, "" = not stated; none in files written before units were kept
-    arm: str = ""  # whose wrench it learned, as it was named; "" = the last by name, as the right one
+    arm: str = ""  # whose wrench it learned; "" = the last by name, as the right one
 
 
 def save(path: Path | str, file: MonitorFile) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
@@ -126,11 +127,13 @@ def segment(
         keep: also train on all annotated recordings where none is left to label.
 
     Raises:
-        InputError: no such track or column, fewer than two annotated groups, or one fold.
+        InputError: no such track or column, fewer than two annotated groups, one fold, or a fold without which the
+            others have a single class.
     """
     track, truth = _annotated(recordings, protocol)
     known = np.array([(part != UNKNOWN).any() for part in truth], bool)
-    groups = group_numbers(column_groups(protocol.group, recordings))  # missing values, which are not equal, become one
+    named = column_groups(protocol.group, recordings)
+    groups = group_numbers(named)  # missing values, which are not equal, become one
     if len(np.unique(groups[known])) < 2:
         raise InputError(f"Only one {protocol.group} is annotated with {track}; another one is needed to test on.")
 
@@ -141,7 +144,11 @@ def segment(
     if protocol.one_shot and not teaching.any():
         raise InputError(f"No recording has two classes of {track}, so none can be trained on alone.")
     turns: list[tuple[int, int, NDArray[np.int64]]] = []  # a training recording, the labelled recording, its labels
-    for train, test in _splits(np.flatnonzero(known), groups, protocol):
+    splits = list(_splits(np.flatnonzero(known), groups, protocol))
+    if not protocol.one_shot:
+        for train, test in splits:  # before the first model: training takes long
+            _check_classes([truth[row] for row in train], protocol.group, named[test])
+    for train, test in splits:
         if protocol.one_shot and not teaching[train].any():
             continue
         labels = trained(train).predict(recordings.take(test))
@@ -187,6 +194,19 @@ def _annotated(recordings: Recordings, protocol: Protocol) -> tuple[str, list[ND
 def _teaching(truth: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
     """Recordings with two classes or more."""
     return np.array([len(np.setdiff1d(part, [UNKNOWN])) > 1 for part in truth], bool)
+
+
+def _check_classes(truth: Sequence[NDArray[np.int64]], group: str, held: NDArray[Any]) -> None:
+    """Raise an error if the recordings that train in one turn, while others are held out, have a single class."""
+    if (count := len(np.setdiff1d(np.concatenate(truth), [UNKNOWN]))) > 1:
+        return
+    names = list(dict.fromkeys(map(str, held.tolist())))
+    listed = ", ".join(names[:5]) + ", ..." * (len(names) > 5)
+    raise InputError(
+        f"While {group} {listed} is held out, the labels of the others, {plural(len(truth), 'recording')}, have "
+        f"{plural(count, 'class', 'classes')}; two are needed: choose another number of folds or another column of "
+        "groups, or annotate more recordings."
+    )
 
 
 def _splits(rows: NDArray[np.int64], groups: NDArray[Any], protocol: Protocol) -> Iterator[tuple[Any, Any]]:

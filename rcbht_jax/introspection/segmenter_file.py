@@ -40,7 +40,7 @@ class SegmenterFile:
     limits: AnyLimits  # of the words
     first: Forest
     second: Forest
-    arm: str = ""  # whose wrench it learned, as it was named; "" = the last by name, as the right one
+    arm: str = ""  # whose wrench it learned; "" = the last by name, as the right one
 
     @classmethod
     def of(cls, segmenter: Any, track: str, labels: tuple[str, ...], arm: str = "") -> SegmenterFile:
@@ -50,7 +50,7 @@ class SegmenterFile:
             segmenter: a fitted, causal :class:`rcbht_jax.introspection.segmenter.WrenchSegmenter`.
             track: of the annotations that it learned.
             labels: of the track, by code.
-            arm: whose wrench it learned, as it was named.
+            arm: whose wrench it learned; "" = the last by name, as the right one.
 
         Raises:
             NotFittedError: of scikit-learn: it is not fitted.

@@ -40,8 +40,12 @@ def examined(
     left = [f"{what} left out: {reason}." for what, reason in reasons_of(items.dropped)]
     trials = groups_of_classes(items.y, items.trial, range(len(items.classes)))
     if trials.min() < 2:
-        several = (trials > 1).sum()
-        too_few = f"{several} of its {len(trials)} classes are in two trials or more; two such classes are needed."
+        several = (
+            f"one of its {len(trials)} classes does"
+            if (trials > 1).any()
+            else f"none of its {len(trials)} classes does"
+        )
+        too_few = f"to train and to test, two classes must occur in two trials or more; {several}."
         return {}, [too_few, *left]
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
     remarks = [] if spec.arms == BOTH else rows_of_arm(recordings.arm, spec.arms)[1]

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from rcbht_jax._util.cells import number_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
 
 USUAL_TASK = "states"
+NEARLY = 0.8  # share of the trials with a number of their own, above which numbers are measured values, not names
 
 
 def task_names(recordings: Recordings) -> tuple[str, ...]:
     """Tasks that a data set may answer: tracks, without corrected variants of another one, and columns of text.
+
+    A column of measured values that are stored as text, such as the time of an anomaly, is none.
 
     >>> import numpy as np
     >>> rows = [(0, "phase", "push", 0.0, 1.0), (0, "phase-harmonised", "push", 0.1, 1.0)]
     >>> task_names(Recordings.from_arrays(np.zeros((1, 400, 6)), annotations=rows))
     ('phase', 'outcome')
     """
-    return (*_tracks(recordings), *column_names(recordings))
+    columns = (name for name in column_names(recordings) if name == "outcome" or not _is_measured(recordings, name))
+    return (*_tracks(recordings), *columns)
 
 
 def column_names(recordings: Recordings) -> tuple[str, ...]:
@@ -27,6 +34,13 @@ def column_names(recordings: Recordings) -> tuple[str, ...]:
     """
     texts = (name for name, values in recordings.columns.items() if values.dtype.kind == "U")
     return ("outcome", *texts)
+
+
+def _is_measured(recordings: Recordings, name: str) -> bool:
+    """Whether a column of text has nothing but numbers, nearly as many different ones as trials."""
+    rows = zip(recordings.source.tolist(), recordings.trial.tolist(), recordings.column(name).tolist(), strict=True)
+    values = [value for _, _, value in set(rows) if value]
+    return len(set(values)) > NEARLY * len(values) and not np.isnan(list(map(number_of, values))).any()
 
 
 def chosen_task(task: str, recordings: Recordings) -> str:

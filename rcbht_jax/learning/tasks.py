@@ -185,9 +185,10 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         order = tuple(sorted(set(found.label.tolist())))
     classes = tuple(name for name in spec.classes or order if (found.label == name).any())
     if len(classes) < 2:
+        trials = plural(len(rows), "chosen trial" if spec.sources or spec.sessions or spec.outcomes else "trial")
+        found_here = f"the class {classes[0]} alone" if classes else "no known class"
         raise InputError(
-            f"the task {spec.task} finds {_listed('class', classes)} in {plural(len(rows), 'trial')} that passed the "
-            f"filters; it needs two.{left_out(dropped)}"
+            f"the task {spec.task} needs two classes; there is {found_here} in {trials}.{left_out(dropped)}"
         )
     y, first = np.array([classes.index(name) for name in found.label.tolist()], np.int64), found.rows[:, 0]
     leave_out_sources(recordings, chosen_recordings(recordings, spec, True), first, dropped)
@@ -301,10 +302,6 @@ def extract_batched_features(
     return concatenate_features(
         {name: concatenate_arms(dict(zip(names, arms, strict=True))) for name, arms in by_name.items()}
     )
-
-
-def _listed(noun: str, names: Sequence[str]) -> str:
-    return f"only the {noun} {names[0]}" if names else f"no {noun}"
 
 
 def _outcomes(recordings: Recordings, spec: TaskSpec) -> tuple[str, ...]:

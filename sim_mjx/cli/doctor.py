@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from rcbht_jax._util.optional import MissingPackage
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import STORE, Command, Flag, option, progress_bar, unset
 from rcbht_jax.errors import InputError
@@ -44,7 +45,15 @@ class Doctor(Command):
 
     def check_inputs(self) -> None:
         """Refuse a store that its simulation has not finished as such, not as one that is missing."""
-        from sim_mjx.synthesis.status import check_finished
+        try:
+            from sim_mjx.synthesis.status import check_finished
+        except MissingPackage as error:
+            if self.store is None:
+                raise
+            raise InputError(
+                f'{error} Without it, "rcbht info {self.store} --check" compares all checksums but those of label '
+                "tracks; whether a simulation is complete and what can be repaired stay unknown."
+            ) from error
 
         if self.store is not None:
             check_finished(self.store)

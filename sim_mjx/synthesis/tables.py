@@ -87,7 +87,8 @@ def outcomes(scenario: Scenario, rows: Arrays, params: Any, longest: float | Non
     Args:
         scenario: what was simulated.
         rows: as of :func:`recordings_of`.
-        params: of the trials, cut to ``longest``. A fault may have given them a limit of their own.
+        params: of the trials, cut to ``longest``. A fault may have given them a limit of their own; one equal to
+            ``longest`` cannot be distinguished from it, so such trials are unfinished.
         longest: s; None = nothing is cut.
     """
     found = np.where(rows["seated"].all(1), "success", "failure")

@@ -198,7 +198,7 @@ def test_a_stream_plays_the_arm_that_was_learned(store: Path, capsys: pytest.Cap
     left = replace(right, arm=np.full(24, "L"), wrench=-2 * right.wrench)
     two, monitor, segmenter = store.parent / "arms.zarr", store.parent / "l.monitor", store.parent / "l.segmenter"
     write_recordings(two, Recordings.join([left, right]), {})
-    assert main(["monitor", "fit", str(two), "--arm", "L", "--group", "day", "-o", str(monitor)]) == 0
+    assert main(["monitor", "fit", str(two), "--where", "arm=L", "--group", "day", "-o", str(monitor)]) == 0
     fitted = WrenchSegmenter(trees=3, words=False).fit(left.take(np.arange(3)), [np.arange(50) // 25] * 3)
     save_segmenter(segmenter, SegmenterFile.of(fitted, "phase", ("before", "after"), "L"))
 

@@ -76,8 +76,12 @@ def test_one_arm_is_labelled(store, tmp_path, capsys, monkeypatch):
     saved = []
     monkeypatch.setattr(segmenter_file, "save", lambda path, file: saved.append(file))
     monkeypatch.setattr(segmenter_file.SegmenterFile, "of", lambda segmenter, track, labels, arm: arm)
-    assert main(["segment", str(two), "-o", str(out), "--arm", "L", "--write-model", str(tmp_path / "s")]) == 0
-    assert saved == ["L"]
+    one, words = tmp_path / "one.zarr", ["-o", str(out), "--write-model", str(tmp_path / "s")]
+    write_recordings(one, replace(right, arm=np.full(5, "L")), {})
+    for wanted in (["--arm", "L"], []):
+        assert main(["segment", str(two), *wanted, *words]) == 0
+    assert main(["segment", str(one), *words]) == 0
+    assert saved == ["L", "R", "L"]
 
 
 def test_a_recording_that_nothing_labels_is_reported(store, tmp_path, capsys):

@@ -293,3 +293,25 @@ def test_beliefs_of_the_report_are_about_the_sub_tasks_of_the_model():
     introspector.push(recordings.wrench[0, 150:])
     states = next(b for b in infer_beliefs(Introspector(model()), recordings, 0) if b.head == "states")
     np.testing.assert_allclose(states.probability[-1], introspector.latest["states"].probabilities, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ((), "right arm"),
+        (("--arm", "L\x1b"), r"arm L\x1b"),
+        (("--trial", "a"), "right arm"),
+        (("--trial", "b"), ""),
+    ],
+)
+@pytest.mark.parametrize("command", ["stream", "serve"])
+def test_the_arm_that_is_played_is_named(tmp_path, capsys, command, words, named):
+    """Trials of another arm were skipped without a remark."""
+    store = tmp_path / "s.zarr"
+    wrench = [trial(1, seed) for seed in range(4)]
+    two = rj.Recordings.from_arrays(wrench, rate=200, arm=["R", "L\x1b"] * 2, trial=["a", "a", "b", "c"])
+    rj.write_recordings(store, two, {})
+    port = ["--port", "0", "--no-stay", "--speed", "0"] if command == "serve" else []
+    assert main([command, str(store), "--robot", "hiro", *words, *port]) == 0
+    remarks = [line for line in capsys.readouterr().err.splitlines() if line.startswith("Counted")]
+    assert remarks == [f"Counted is the {named} alone."] * bool(named)

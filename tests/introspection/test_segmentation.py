@@ -161,8 +161,19 @@ def test_a_recording_of_a_single_class_teaches_nothing_alone():
     rest = replace(data, annotations=replace(rows, **{f: getattr(rows, f)[rows.code == 0] for f in FIELDS}))
     with pytest.raises(InputError, match="No recording has two classes of phase, so none can be trained on alone"):
         segment(rest, WrenchSegmenter(**TREES), Protocol(one_shot=True))
-    with pytest.raises(InputError, match="The labels of 3 recordings have 1 class; two are needed"):
+    with pytest.raises(InputError, match="is held out, the labels of the others, 3 recordings, have 1 class; two are"):
         segment(rest, WrenchSegmenter(**TREES), Protocol(folds=0))
+
+
+def test_the_turn_that_trains_on_a_single_class_is_named(monkeypatch: pytest.MonkeyPatch):
+    """The error of the fit named neither the turn nor a remedy, and came after the models of other turns."""
+    data = with_columns(made(4), operator=np.array(["ann", "ann", "ann", "bob"]))
+    rows = data.annotations
+    kept = (rows.recording != 3) | (rows.code == 0)
+    one = replace(data, annotations=replace(rows, **{f: getattr(rows, f)[kept] for f in FIELDS}))
+    monkeypatch.setattr(WrenchSegmenter, "fit", lambda *_: pytest.fail("a model was trained"))
+    with pytest.raises(InputError, match=r"^While operator ann is held out, the labels of the others, 1 recording,"):
+        segment(one, WrenchSegmenter(**TREES), Protocol(group="operator", folds=0))
 
 
 def test_recordings_without_annotation_are_labelled():

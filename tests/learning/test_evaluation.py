@@ -123,7 +123,7 @@ def test_merging_needs_no_rotation_mark(recordings):
     onset[:, 2] = np.nan
     without = marked(recordings, onset)
     assert len(labelled_intervals(without, TaskSpec(boundaries="merged")).y) > 0
-    with pytest.raises(InputError, match="finds no class"):
+    with pytest.raises(InputError, match="there is no known class in"):
         labelled_intervals(without, TaskSpec(boundaries="recorded", complete=True))
 
 

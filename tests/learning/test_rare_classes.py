@@ -116,12 +116,14 @@ def test_info_calls_no_column_a_task_whose_values_hardly_repeat(
     recordings: Recordings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     onset = [f"{row / 7:.3f}" for row in range(len(PARTS) - 1)] + ["0.000"]
-    write_recordings(tmp_path / "a.zarr", with_columns(recordings, onset=np.array(onset)), {})
+    texts = {"began": np.array(onset), "onset": np.char.add("after ", onset)}
+    write_recordings(tmp_path / "a.zarr", with_columns(recordings, **texts), {})
     assert main(["info", str(tmp_path / "a.zarr"), "--json"]) == 0
     tasks = json.loads(capsys.readouterr().out)["tasks"]
     assert tasks["part"]["classes"] == {"clip": 6, "peg": 6, "plug": 2}
     assert "1 trial left out: class in one trial only: ring." in tasks["part"]["sentences"]
-    sentence = "1 of its 14 classes are in two trials or more; two such classes are needed."
+    sentence = "to train and to test, two classes must occur in two trials or more; one of its 14 classes does."
+    assert "began" not in tasks  # measured values, no names
     assert tasks["onset"] == {"classes": {}, "sentences": [sentence]}
 
 

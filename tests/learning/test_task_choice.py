@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.learning.task_choice import chosen_task
+from rcbht_jax.learning.task_choice import chosen_task, task_names
 from rcbht_jax.types import Recordings
 
 
@@ -47,3 +49,21 @@ def test_several_tasks_are_named_with_the_option_to_choose_one(
     recordings = Recordings.from_arrays(np.zeros((1, 400, 6)), annotations=rows, **columns)
     with pytest.raises(InputError, match=rf"^No task is named, .*; choose one of {names} with --task\.$"):
         chosen_task("", recordings)
+
+
+@pytest.mark.parametrize(
+    ("values", "is_task"),
+    [
+        (["0.1", "0.2", "0.3", "0.4", "", "0.1"], True),  # 4 of 5 trials
+        (["0.1", "0.2", "0.3", "0.4", "0.5", ""], False),
+        (["3", "3", "4", "4", "5", "5"], True),
+        (["a", "b", "c", "d", "e", "f"], True),
+        ([""] * 6, True),
+    ],
+)
+def test_measured_values_stored_as_text_are_no_task(values: list[str], is_task: bool) -> None:
+    """The seconds after which an anomaly began were offered as a task."""
+    recordings = Recordings.from_arrays(np.zeros((6, 40, 6)), value=values)
+    assert ("value" in task_names(recordings)) == is_task
+    both = Recordings.join([replace(recordings, arm=np.full(6, arm)) for arm in "LR"])
+    assert ("value" in task_names(both)) == is_task

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
+from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, SubtaskStarted
@@ -80,6 +82,24 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main([*words, str(tmp_path / "b.gif")]) == 2
     assert main([*words, str(tmp_path / "b.png"), "--starts", "detected"]) == 2
     assert "train-online --detect" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("rows", "said"), [([0], "was trained on this recording: its"), ([1], ""), ([], "not known")])
+def test_a_recording_of_the_training_is_said_to_be_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, rows: list[int], said: str
+) -> None:
+    """The report said it, the figure and its command did not."""
+    two = Recordings.from_arrays([trial(0, 52, 150), trial(1, 53, 150)], 200.0, trial=["t", "u"])
+    write_recordings(tmp_path / "s.zarr", two, {})
+    digests = wrench_digests(two.wrench, two.length)[rows]
+    model_files.save(tmp_path / "m", replace(model(), digests=digests))
+    figures: list[Figure] = []
+    monkeypatch.setattr("rcbht_jax.plots.save", lambda figure, _: figures.append(figure))
+    assert main(["plot", "beliefs", str(tmp_path / "s.zarr"), "t", "-m", str(tmp_path / "m"), "-o", "b.png"]) == 0
+    printed = capsys.readouterr().out
+    assert said in printed
+    assert ("trained" in printed) == bool(said)
+    assert figures[0].get_suptitle().endswith("training data") == (rows == [0])
 
 
 def test_names_of_sub_tasks_do_not_overlap() -> None:

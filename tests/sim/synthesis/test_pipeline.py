@@ -254,7 +254,7 @@ def test_waves_are_equally_large_and_fit_into_the_memory(
     ("longest", "limit", "ended"),
     [
         (None, 40.0, "failure"), (0.3, 40.0, "unfinished"), (39.9, 40.0, "unfinished"), (40.0, 40.0, "failure"),
-        (0.3, 0.2999, "failure"), (41.0, 50.0, "unfinished"), (41.0, 40.0, "failure"),
+        (0.3, 0.2999, "failure"), (0.3, 0.3, "unfinished"), (41.0, 50.0, "unfinished"), (41.0, 40.0, "failure"),
     ],
 )  # fmt: skip
 def test_a_trial_that_is_ended_before_the_controllers_limit_is_unfinished(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -265,3 +266,19 @@ def test_a_job_comes_back_from_its_provenance(name: str) -> None:
     job = SynthesisConfig(name, 7, seed=2, spec=spec)
     known = shards.as_json(plan.provenance(plan.manifest_of(job)))
     assert plan.job_of(known["job"]) == job
+
+
+def test_what_checks_a_store_without_the_physics_engine_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of an imported store, the error named only an engine that such a store does not need."""
+    store = tmp_path / "imported.zarr"
+    write_recordings(store, simple(), {})
+    for name in [name for name in sys.modules if name.startswith("sim_mjx.synthesis")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert main(["doctor", str(store)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith('rcbht: mujoco is not installed: pip install "rcbht-jax[sim]". Without it, "rcbht info ')
+    assert f'"rcbht info {store} --check" compares all checksums but those of label tracks' in said
+    assert main(["info", str(store), "--check"]) == 0
