@@ -16,6 +16,7 @@ from rcbht_jax._util.columns import split_unit
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.importing.names import preference, wrenches
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.words import in_order
 
 MOST_ARMS = 16
 PLACE = "{arm}"  # of the arm's name in that of a column
@@ -44,7 +45,7 @@ def arms_of(names: Iterable[str]) -> tuple[str, ...]:
         for arm in _NUMBERED.findall(first):
             shared[_mark(arm).sub(PLACE, first)].add(arm)
     arms = {arm for several in shared.values() if len(several) > 1 for arm in several}
-    return tuple(sorted(arms)) if len(arms) <= MOST_ARMS else ()
+    return tuple(sorted(arms, key=in_order)) if len(arms) <= MOST_ARMS else ()
 
 
 def names_side(name: str) -> bool:
