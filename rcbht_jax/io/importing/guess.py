@@ -264,8 +264,10 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:
-        others = f" Arrays of another shape or kind are left out: {some(table.others)}." if table.others else ""
-        raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.{others}")
+        more = f" Arrays of another shape or kind are left out: {some(table.others)}." if table.others else ""
+        if any(names.group_base(name) in names.GROUPS for name in table.columns):
+            more += " If it describes other files, add a column 'file' with their names."
+        raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.{more}")
     if len(rest) > MAX_CHANNELS:
         raise InputError(
             f"{table.name} has {plural(len(rest), 'column')} of numbers and none is a wrench; choose some with --map."
