@@ -42,6 +42,7 @@ from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.matlab import read_matlab
 from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
+from rcbht_jax.io.importing.one_hot import one_hot
 from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
@@ -287,7 +288,9 @@ def _understood(
     lines = f"Lines that are no samples were left out: {some(table.lines)}." if table.lines else ""
     words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
     bare = "" if base.channels else nameless(table, mapping)
-    report.remarks += [text for text in (more, bare, left, lines, words) if text and text not in report.remarks]
+    hot = [] if base.channels or base.annotations else one_hot(table)
+    texts = (more, bare, left, lines, words, *hot)
+    report.remarks += [text for text in texts if text and text not in report.remarks]
     doubts = interleaved(table, mapping), stand_ins(table, mapping)
     report.warnings += [(table.name, doubt) for doubt in doubts if doubt]
     for record in records(table, mapping, rows):
