@@ -31,6 +31,7 @@ with needs_extra("stream"):
 
 WRENCH = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
 
+_FOREIGN = ("Profile is not ros2", "'jsonschema'", "'protobuf'", "'flatbuffer'", "'ros1msg'")  # what AnyReader says
 LATEST = 2.0**31 - 1  # s, the last stamp that ROS can hold
 _MESSAGES = {  # of the package rcbht_msgs
     "Labels": """std_msgs/Header header
@@ -148,6 +149,11 @@ def open_bag(path: Path) -> Iterator[Bag]:
             reader.packed = take_packed(reader)
         except Exception as error:  # a damaged file fails in any way inside the reader
             text = str(error).replace(str(sources), str(path)).rstrip(".") or type(error).__name__
+            if text in _FOREIGN:
+                raise InputError(
+                    f"{path} holds messages that are not of ROS 2, which alone are read of an MCAP file; save its "
+                    "topics of ROS 2 by themselves, or the wrench as CSV or JSON lines."
+                ) from error
             raise InputError(f"{path} is not a readable bag: {text}.") from error
         reader.problems = tuple(problems)
         yield reader

@@ -16,10 +16,12 @@ from rcbht_jax._util.columns import split_unit
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.importing.names import preference, wrenches
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.words import in_order
 
 MOST_ARMS = 16
 PLACE = "{arm}"  # of the arm's name in that of a column
 _SIDES = (("left", "right"), ("l", "r"))
+_LETTER = re.compile(r"(?<![A-Za-z])([LR])(?=[FMT][xyz])")  # LFx, RFx
 _NUMBERED = re.compile(r"(?<![A-Za-z])(?i:(?:robot|arm|hand|panda|ur|yumi|iiwa)_?\d+)(?!\d)")
 
 
@@ -33,18 +35,45 @@ def arms_of(names: Iterable[str]) -> tuple[str, ...]:
     >>> arms_of(["Fx", "Fy", "Fz", "raw_fx", "raw_fy", "raw_fz"])
     ()
     """
+    names = list(names)
+    bases = [split_unit(name)[0] for name in names]
+    left, right = ({_LETTER.sub("", one) for one in bases if side in _LETTER.findall(one)} for side in "LR")
+    if left == right and wrenches(left):
+        return _SIDES[1]
     found = wrenches(names)
     best = max((preference(wrench["Fx"]) for wrench in found), default=0)
     firsts = [split_unit(wrench["Fx"])[0] for wrench in found if preference(wrench["Fx"]) == best]
-    for left, right in _SIDES:
-        if _without(left, firsts) & _without(right, firsts):
-            return left, right
+    for sides in _SIDES:
+        if set.intersection(*(_without(side, firsts) for side in sides)):
+            return sides
     shared: defaultdict[str, set[str]] = defaultdict(set)
     for first in firsts:
         for arm in _NUMBERED.findall(first):
             shared[_mark(arm).sub(PLACE, first)].add(arm)
     arms = {arm for several in shared.values() if len(several) > 1 for arm in several}
-    return tuple(sorted(arms)) if len(arms) <= MOST_ARMS else ()
+    return tuple(sorted(arms, key=in_order)) if len(arms) <= MOST_ARMS else ()
+
+
+def words_between(found: Iterable[AnyMapping[str, str]]) -> tuple[str, ...]:
+    """The words by which wrenches with the same axes differ, as a mapping may name them as arms; () = there are none.
+
+    >>> words_between([{axis: f"{axis}_{number}" for axis in ("Fx", "Fy", "Fz")} for number in (1, 2)])
+    ('1', '2')
+    """
+    found = list(found)
+    parts = [re.split(r"[\W_]+", split_unit(wrench["Fx"])[0]) for wrench in found]
+    if len({len(one) for one in parts}) != 1 or len(found) > MOST_ARMS:
+        return ()
+    words = next((several for several in zip(*parts, strict=True) if len(set(several)) > 1), ())
+    marks = [_mark(word) for word in words if word]
+    if not len(set(words)) == len(marks) == len(found):
+        return ()
+    for mark, wrench in zip(marks, found, strict=True):
+        own = [[other for other in marks if other.search(name)] for name in wrench.values()]
+        read = wrenches(mark.sub(PLACE, name) for name in wrench.values())
+        if any(several != [mark] for several in own) or [list(one) for one in read] != [list(found[0])]:
+            return ()
+    return words
 
 
 def names_side(name: str) -> bool:

@@ -21,6 +21,7 @@ from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.names import GROUPS, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
+from rcbht_jax.io.importing.words import in_order
 
 
 @contextmanager
@@ -178,8 +179,8 @@ def _titles(item: Any) -> dict[str, NDArray[Any]]:
 
 
 def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
-    """Sub-groups that are in the file itself, not linked from elsewhere."""
-    hard = [key for key in group if group.get(key, getlink=True, getclass=True) is h5py.HardLink]
+    """Sub-groups that are in the file itself, not linked from elsewhere, by the numbers in their names."""
+    hard = [key for key in sorted(group, key=in_order) if group.get(key, getlink=True, getclass=True) is h5py.HardLink]
     return [(key, group[key]) for key in hard if group.get(key, getclass=True) is h5py.Group]
 
 

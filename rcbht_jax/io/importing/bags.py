@@ -30,7 +30,8 @@ _UNITS = {  # of wrenches, as REP 103 prescribes
 def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
     """A table per topic: ``stamp`` (s, of the header, of receipt where that is zero) and every number by its path.
 
-    Topics of texts become tracks of annotations: a text holds until the next one.
+    The header is that of the message, or of its first field that has one. Topics of texts become tracks of annotations:
+    a text holds until the next one.
 
     >>> list(read_bag_tables(Path("run.bag"), "run.bag"))  # doctest: +SKIP
 
@@ -95,7 +96,7 @@ class _Topic:
         if tuple(numbers) != self._names:
             self.other += 1
             return 0
-        self._values.extend((stamp_of(message, received), *numbers.values()))
+        self._values.extend((stamp_of(_stamped(message), received), *numbers.values()))
         self.received.append(received)
         return len(numbers) + 1
 
@@ -107,6 +108,12 @@ class _Topic:
         flags = (*notes, f"other-shape:{self.other}") if self.other else notes
         first, last = self.received[0], self.received[-1]
         return Table(name, columns, units=units, intervals=tuple(_spoken(spoken, first, last)), notes=flags)
+
+
+def _stamped(message: Any) -> Any:
+    """The message, or if it has no header the first of its fields that has one, as a wrench within others does."""
+    fields = (getattr(message, field) for field in getattr(message, "__dataclass_fields__", ()))
+    return next((one for one in (message, *fields) if hasattr(one, "header")), message)
 
 
 def _spoken(spoken: dict[str, list[tuple[int, str]]], first: int, last: int) -> Iterator[Interval]:

@@ -10,6 +10,7 @@ from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import MAX_FILES, read_object
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.unpacked import plain_name
+from rcbht_jax.io.importing.words import in_order
 
 SUFFIXES = {
     ".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".pq": "parquet", ".feather": "parquet", ".arrow": "parquet",
@@ -105,7 +106,7 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
             raise InputError(f"{source} holds workbooks, which are not read; save their sheets as CSV, each as a file.")
         texts = any(Path(name).suffix.lower() in TEXTS for name in others) and kind == "auto"
         raise InputError(f"{source} holds no file {what}; it holds {held}.{text if texts else known}")
-    return sorted(items, key=lambda item: _natural(item.name)), others
+    return sorted(items, key=lambda item: in_order(item.name)), others
 
 
 def _listed(source: Path, kind: str) -> tuple[list[Item], list[str]]:
@@ -204,17 +205,3 @@ def _whole(folder: Path, foreign: bool = False) -> str:
     }  # fmt: skip
     known = (kind for mark, kind in marks.items() if not (foreign and kind == "export") and (folder / mark).is_file())
     return next(known, "")
-
-
-def _natural(name: str) -> list[tuple[int, int, str]]:
-    """Sorts run2 before run10."""
-    parts, number = list[tuple[int, int, str]](), ""
-    for letter in [*name, ""]:
-        if letter.isdecimal() and letter.isascii():
-            number += letter
-            continue
-        if number:
-            parts.append((0, int(number[:18]), number))
-            number = ""
-        parts.append((1, 0, letter))
-    return parts

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform, topics
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.words import text
+from rcbht_jax.io.importing.words import in_order, text
 
 MAX_GROUPS = 100_000
 Stamps = Callable[[], NDArray[np.float64] | None]  # of all rows, s; None = there are none that can be read
@@ -46,6 +46,8 @@ def rows_of_groups(table: Table, name: str, stamps: Stamps | None) -> tuple[dict
     bounds = np.cumsum(np.bincount(which, minlength=len(values)))[:-1]
     place = np.cumsum(topics.filled(table.columns[name]))  # rows without a value come between no stretches
     groups = {text(value): rows for value, rows in zip(values, np.split(order, bounds), strict=True) if text(value)}
+    if values.dtype.kind == "U":
+        groups = {value: groups[value] for value in sorted(groups, key=in_order)}
     begins = {value: found for value, rows in groups.items() if len(found := _begins(place[rows]))}
     if not begins or stamps is None:
         return groups, 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, snake
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
+from rcbht_jax.io.importing.arms import words_between
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.numerals import two_meanings
 from rcbht_jax.io.importing.record import check_columns, rows_of_recordings
@@ -264,8 +266,10 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:
-        others = f" Arrays of another shape or kind are left out: {some(table.others)}." if table.others else ""
-        raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.{others}")
+        more = f" Arrays of another shape or kind are left out: {some(table.others)}." if table.others else ""
+        if any(names.group_base(name) in names.GROUPS for name in table.columns):
+            more += " If it describes other files, add a column 'file' with their names."
+        raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.{more}")
     if len(rest) > MAX_CHANNELS:
         raise InputError(
             f"{table.name} has {plural(len(rest), 'column')} of numbers and none is a wrench; choose some with --map."
@@ -280,12 +284,15 @@ def more_wrenches(table: Table, mapping: Mapping) -> str:
     taken = {channel.column for channel in mapping.channels}
     found = names.wrenches(name for name, values in table.columns.items() if values.dtype.kind != "U")
     others = [wrench["Fx"] for wrench in found if not taken & set(wrench.values())]
-    own = next((wrench["Fx"] for wrench in found if taken & set(wrench.values())), "")
+    own = next((wrench for wrench in found if taken & set(wrench.values())), {})
     if not own or not others:
         return ""
+    worth = names.preference(own["Fx"])
+    arms = words_between(one for one in found if names.preference(one["Fx"]) == worth and list(one) == list(own))
+    more = f" If they are of several arms, write arms = {json.dumps(arms)} there instead." if arms else ""
     return (
-        f"{len(found)} wrenches were found, and that of {own} was taken; to import that of {some(others)}, name its "
-        "channels with --map."
+        f"{len(found)} wrenches were found, and that of {own['Fx']} was taken; to import that of {some(others)}, name "
+        f"its channels with --map.{more}"
     )
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from rcbht_jax._util.digest import files_hash
 from rcbht_jax._util.printable import plural, spelled
@@ -42,6 +42,7 @@ from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.matlab import read_matlab
 from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
+from rcbht_jax.io.importing.one_hot import one_hot
 from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
@@ -56,7 +57,6 @@ from rcbht_jax.types import Recordings
 
 Constants = dict[str, dict[str, float]]  # recording -> column -> value
 Progress = Callable[[list[Item]], Iterable[Item]]
-_ENDINGS = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,8 @@ def read_source(
     """
     base = check(mapping or Mapping())
     items, others = chosen(source, *find(source, kind), base.files)
+    if base.topic and not any(item.kind in ("bag", "mcap") for item in items):
+        raise InputError(f"{source} holds no bag, and only a bag has topics; leave out the topic {base.topic}.")
     if items[0].kind == "export" and len(items) == 1:
         if base != Mapping():
             raise InputError(
@@ -226,7 +228,7 @@ def _read(
                 check_inside(item.path, source)
             wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                named = unfolded(marks.headed(table) if named_after(table.name) else table)
+                named = unfolded(marks.headed(table) if marks.named_after(table.name) else table)
                 if item.kind == "csv" and marks.is_intervals(named.columns):
                     marked.append(marks.with_words(named, item.path) if named.columns is table.columns else named)
                     report.remarks += marks.unused(named)
@@ -286,7 +288,9 @@ def _understood(
     lines = f"Lines that are no samples were left out: {some(table.lines)}." if table.lines else ""
     words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
     bare = "" if base.channels else nameless(table, mapping)
-    report.remarks += [text for text in (more, bare, left, lines, words) if text and text not in report.remarks]
+    hot = [] if base.channels or base.annotations else one_hot(table)
+    texts = (more, bare, left, lines, words, *hot)
+    report.remarks += [text for text in texts if text and text not in report.remarks]
     doubts = interleaved(table, mapping), stand_ins(table, mapping)
     report.warnings += [(table.name, doubt) for doubt in doubts if doubt]
     for record in records(table, mapping, rows):
@@ -349,7 +353,7 @@ def _beside(
 def _attach(found: list[Record], tables: list[Table], names: marks.Names, report: ImportReport) -> None:
     """Give recordings the intervals of tables that name them, or that are named after them."""
     for table in tables:
-        own = named_after(table.name)
+        own = marks.named_after(table.name)
         try:
             rows = marks.intervals_of(table, Track("label", file=table.name))
         except InputError as error:
@@ -374,16 +378,6 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
         elif unknown := [word for word, places in meant.items() if word and not places]:
             count = plural(sum(word in unknown for word, _ in rows), "annotation is", "annotations are")
             report.warnings.append((table.name, f"{count} of no recording here, and left out: {some(unknown)}."))
-
-
-def named_after(name: str) -> str:
-    """The recording that a file of annotations is called after, without suffix; "" = none.
-
-    >>> named_after("day1/run1_labels.csv"), named_after("run1.csv")
-    ('day1/run1', '')
-    """
-    stem = PurePosixPath(name).with_suffix("").as_posix()
-    return next((stem.removesuffix(ending) for ending in _ENDINGS if stem.endswith(ending)), "")
 
 
 def _bounded(record: Record, report: ImportReport) -> Record:

@@ -18,7 +18,9 @@ class Lacks:
         tracks = {track.column: f"annotations {track.track}" for track in mapping.annotations if track.column}
         facts = {value.column: f"column {name}" for name, value in mapping.columns.items() if value.column}
         self._roles, self._held = tracks | facts, set[str]()
-        self._lacking: list[tuple[str, str, str]] = []  # table, column, sentence
+        self._folders = {name: value for name, value in mapping.columns.items() if value.folder}
+        self._strange = {name: set(value.words) - set(OUTCOMES) for name, value in self._folders.items()}
+        self._lacking: list[tuple[str, str, str, str]] = []  # table, what it lacks, sentence, warning
         words = {track.column: {*track.words, *track.ignore} for track in mapping.annotations if track.column}
         words |= {value.column: set(value.words) - set(OUTCOMES) for value in mapping.columns.values() if value.column}
         self._unmatched = {column: those for column, those in words.items() if those}
@@ -27,11 +29,20 @@ class Lacks:
     def add(self, table: Table, read: bool = True) -> None:
         """Take a table, and whether recordings were read from it."""
         self._arms.pop(str(table.facts.get("arm", "")).lower(), None)
-        for column in self._roles:
+        for column, role in self._roles.items():
             if column in table.columns or column in table.facts:
                 self._held.add(column)
             elif read:
-                self._lacking.append((table.name, column, no_column(table, column)))
+                warning = f"has no column {column!r}, so no {role}."
+                self._lacking.append((table.name, column, no_column(table, column), warning))
+        for name, value in self._folders.items():
+            what = f"folder {value.folder}"
+            if folder := value.folder_of(table.file):
+                self._held.add(what)
+                self._strange[name].difference_update((folder, folder.lower()))
+            elif read:
+                lies = f"lies in no {what} of the source, so no column {name}."
+                self._lacking.append((table.name, what, f"{table.name} {lies}", lies))
         for column, words in self._unmatched.items():
             values = table.columns.get(column)
             there = [table.facts.get(column, "")] if values is None else set(values[filled(values)].tolist())
@@ -39,14 +50,14 @@ class Lacks:
             words -= {word for word in words if not seen.isdisjoint(words_of_numbers({word: word}))}
 
     def warnings(self) -> list[tuple[str, str]]:
-        """A warning about each table that lacks a column.
+        """A warning about each table that lacks a column, or lies in no folder that names one.
 
         Raises:
-            InputError: no table has the column.
+            InputError: no table has the column, or lies in such a folder.
         """
-        if wrong := next((sentence for _, column, sentence in self._lacking if column not in self._held), ""):
+        if wrong := next((sentence for _, what, sentence, _ in self._lacking if what not in self._held), ""):
             raise InputError(wrong)
-        return [(name, f"has no column {column!r}, so no {self._roles[column]}.") for name, column, _ in self._lacking]
+        return [(name, warning) for name, _, _, warning in self._lacking]
 
     def remarks(self) -> list[str]:
         """Remarks on words and arms of the mapping that no table has."""
@@ -54,5 +65,8 @@ class Lacks:
         found = [
             f"These words of the map are no values of column {column!r}: {words}." for column, words in listed.items()
         ]
+        for name, words in ((name, words) for name, words in self._strange.items() if words):
+            several = ", ".join(map(repr, sorted(words)))
+            found.append(f"These words of the map for column {name} are no folders: {several}.")
         arms = ", ".join(map(repr, self._arms.values()))
         return [*found, *([f"No column names these arms of the map: {arms}."] if arms else [])]

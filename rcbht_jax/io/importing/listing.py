@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from collections.abc import Mapping as AnyMapping
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from rcbht_jax._util.untrusted import check_inside, read_json
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Value
 from rcbht_jax.io.importing.marks import Names, ambiguous, beside, is_intervals, plain_number
-from rcbht_jax.io.importing.names import column_name
+from rcbht_jax.io.importing.names import GROUPS, column_name, group_base
 from rcbht_jax.io.importing.record import Record, Row
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
@@ -60,13 +62,14 @@ def rows_of(
         if rows and column not in there:
             raise InputError(f"{path} has no column {column!r}; it has {', '.join(there)}.")
     names, found = Names((file, "") for file in files), dict[str, Row]()
+    numbers = _by_number(mapping.key, [row.get(mapping.key, "") for row in rows], files)
     for row in rows:
         word = row.get(mapping.key, "")
-        meant = names.meant(word)
+        meant = names.meant(word) or numbers.get(plain_number(word), set())
         if len(meant) > 1:
             warnings.append((mapping.table, ambiguous(word)))
             continue
-        file = files[meant.pop()] if meant else plain_number(word)
+        file = files[min(meant)] if meant else plain_number(word)
         again = mapping.table, f"has several rows for {file}; the last one counts."
         if file and file in found and again not in warnings:
             warnings.append(again)
@@ -85,8 +88,9 @@ def with_table(
         items: all files.
         remarks: gets what was found.
     """
-    names = Names((item.name, "") for item in items if item.name)
-    tables = ((item.name, _listing(source, item.path, names)) for item in items if item.kind == "csv")
+    files = [item.name for item in items if item.name]
+    names = Names((file, "") for file in files)
+    tables = ((item.name, _listing(source, item.path, files, names)) for item in items if item.kind == "csv")
     found = [(file, *listing) for file, listing in tables if listing]
     if len(found) != 1:
         return mapping, None
@@ -105,14 +109,16 @@ def with_table(
     return replace(mapping, table=file, key=key, columns=columns), table
 
 
-def _listing(source: Path, path: Path, names: Names) -> tuple[str, Table] | None:
+def _listing(source: Path, path: Path, files: Sequence[str], names: Names) -> tuple[str, Table] | None:
     """The column of a table that names a recording in each row, nearly, and the table; None = there is none."""
     try:
         check_inside(path, source)
         with opened(path) as file:
             head = file.read(HEAD)
-        words = re.split(r"[,;\t\r\n]", head.decode("utf-8-sig", "replace"))
-        if not any(names.meant(word.strip(' "')) for word in words):
+            rest = sum(block.count(b"\n") for block in iter(lambda: file.read(2**20), b""))
+        words = [word.strip(' "') for word in re.split(r"[,;\t\r\n]", head.decode("utf-8-sig", "replace"))]
+        numbered_rows = any(group_base(word) in GROUPS for word in words) and rest <= 2 * len(files)
+        if not (numbered_rows or any(map(names.meant, words))):  # a recording is soon known as one
             return None
         [table] = read_csv(path, path.name, words=True)
     except (OSError, InputError):  # reported where it is read as a recording
@@ -126,10 +132,29 @@ def _listing(source: Path, path: Path, names: Names) -> tuple[str, Table] | None
         # recordings have several rows in a table of events, and a few have in one that lists them
         if 2 * len(distinct) < len(words) + (len(distinct) < len(words)):
             continue
-        named = len({min(places) for places in map(names.meant, distinct) if len(places) == 1})
+        numbers = _by_number(key, distinct, files)
+        meant = [names.meant(word) or numbers.get(plain_number(word), set()) for word in distinct]
+        named = len({min(places) for places in meant if len(places) == 1})
         if 2 * named >= len(words) + (len(distinct) < len(words)) and named > most:
             best, most = key, named
     return (best, table) if most else None
+
+
+def _by_number(title: str, words: Iterable[str], files: Sequence[str]) -> dict[str, set[int]]:
+    """The files that numbers in a column such as "run" mean: 1 means run1.csv and run01/ft.csv, and also test1.csv if
+    the numbers of these files are those of the column.
+
+    >>> _by_number("run", ["1", "2"], ["run01.csv", "run02.csv"]), _by_number("Fz", ["1"], ["run1.csv"])
+    ({'1': {0}, '2': {1}}, {})
+    """
+    heads: defaultdict[str, defaultdict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
+    for place, file in enumerate(files if group_base(title) in GROUPS else ()):
+        for part in PurePosixPath(file).with_suffix("").parts:
+            if match := re.fullmatch(r"(.*?)(\d+)", part, re.ASCII):
+                heads[match[1]][plain_number(match[2])].add(place)
+    own = set(map(plain_number, words))
+    found = [numbers for head, numbers in heads.items() if numbered(head) == group_base(title) or {*numbers} == own]
+    return dict(found[0]) if len(found) == 1 else {}
 
 
 def absent(rows: AnyMapping[str, Row], records: Iterable[Record], skipped: Iterable[str]) -> str:

@@ -6,7 +6,7 @@ import json
 import tomllib
 from collections.abc import Mapping as AnyMapping
 from dataclasses import dataclass, field, fields
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -62,6 +62,16 @@ class Value:
     folder: int = 0  # name of a folder of the file below the source: 1 = the outermost, -1 = the innermost
     words: AnyMapping[str, str] = field(default_factory=dict)  # text in the file -> text
     last: bool = False  # whether a column that changes counts with its last value
+
+    def folder_of(self, file: str) -> str:
+        """The name of the folder of a file, by its path relative to the source; "" = there is none at that depth.
+
+        >>> Value(folder=1).folder_of("day1/trial7/ft.csv"), Value(folder=3).folder_of("day1/trial7/ft.csv")
+        ('day1', '')
+        """
+        folders = PurePosixPath(file).parent.parts
+        place = self.folder - (self.folder > 0)
+        return folders[place] if -len(folders) <= place < len(folders) else ""
 
 
 @dataclass(frozen=True)
@@ -275,6 +285,10 @@ def check(mapping: Mapping) -> Mapping:
             checked_rate(rate)
     if not 0 <= mapping.tare < np.inf:
         raise InputError(f"the tare lasts {mapping.tare:g} s; expected zero or more seconds.")
+    if mapping.key != Mapping.key and not mapping.table:
+        raise InputError('key is a column of the table of recordings, and none is named; add table = "FILE.csv".')
+    if mapping.nanoseconds and not mapping.time:
+        raise InputError("nanoseconds are added to a time, and no column of it is named; add time.")
     if mapping.bias and mapping.channels and len(mapping.bias) != len(mapping.channels):
         raise InputError(
             f"bias has {plural(len(mapping.bias), 'value')} for {plural(len(mapping.channels), 'channel')}."

@@ -38,6 +38,7 @@ _ENDS = (
 )  # fmt: skip
 _ELAN = re.compile(r"\s+-\s+(ss\.msec|hh:mm:ss\.ms|msec)$")  # units of times, as that program names them
 _DURATIONS = ("duration", "dur", "length")
+_FILES = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
 
 
 def is_intervals(columns: Iterable[str]) -> bool:
@@ -85,6 +86,16 @@ def unused(table: Table) -> list[str]:
     used = {name for name, _ in _fields(table.columns).values()}
     names = [name for name, column in table.columns.items() if name not in used and len(np.unique(column)) > 1]
     return [f"{table.name} is a table of annotations; left out of it: {some(names)}."] if names else []
+
+
+def named_after(name: str) -> str:
+    """The recording that a file of annotations is called after, without suffix; "" = none.
+
+    >>> named_after("day1/run1_labels.csv"), named_after("run1.csv")
+    ('day1/run1', '')
+    """
+    stem = PurePosixPath(name).with_suffix("").as_posix()
+    return next((stem.removesuffix(ending) for ending in _FILES if stem.endswith(ending)), "")
 
 
 def _in_brackets(match: re.Match[str]) -> str:

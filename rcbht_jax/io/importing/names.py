@@ -44,6 +44,7 @@ _QUALIFIERS = (
 )
 _WORD_IN_BRACKETS = re.compile(r"^(.*\S)\s*(?!\{arm\})[\[({]\s*([^\W\d][^\])}]*)[\])}]$")
 _FRAMES = r"tcp|tool|flange|ee|eef|base|world|sensor|left|right|\{arm\}"  # between a force and its axis: F_TCP_x
+_FIRST_ARM = re.compile(r"\{arm\}(?=[^\W_])")  # {arm}Fx
 _LAST_ARM = re.compile(r"(?:[\s\[(]+|(?<=[^\W_]))\{arm\}[\s\])]*$")  # Fx{arm}, Fx [{arm}]
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
 _LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
@@ -79,7 +80,7 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     found: dict[tuple[str, str], dict[str, str]] = {}  # by what stands before and after an axis
     rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
     for name, (base, unit) in _parsed(names).items():
-        base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(_LAST_ARM.sub("_{arm}", base))))
+        base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(_FIRST_ARM.sub("{arm}_", _LAST_ARM.sub("_{arm}", base)))))
         if part := _axis_of(base, unit):
             place, kind, letter, certain = part
             axes = found.setdefault(place, {})

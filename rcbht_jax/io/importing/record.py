@@ -329,9 +329,7 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
         return source.value
     words = source.words
     if source.folder:
-        folders = PurePosixPath(table.file).parent.parts
-        place = source.folder - (source.folder > 0)
-        found = folders[place] if -len(folders) <= place < len(folders) else ""
+        found = source.folder_of(table.file)
     elif source.table:
         found = row.get(source.table, "")
     elif source.column in table.columns:

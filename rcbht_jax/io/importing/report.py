@@ -51,7 +51,7 @@ def without_copies(records: Sequence[Record], report: ImportReport, keep: bool =
     (['a'], [('b', 'exact copy of a; imported once.')])
     """
     # Sorted by their bytes, a recording comes directly before those that begin with it.
-    content = [(record.axes, np.ascontiguousarray(record.values).tobytes()) for record in records]
+    content = [((record.axes, record.units), np.ascontiguousarray(record.values).tobytes()) for record in records]
     order = sorted(range(len(records)), key=lambda number: (content[number], number))
     dropped: set[int] = set()
     same: list[int] = []  # recordings of equal values
@@ -83,12 +83,12 @@ def without_copies(records: Sequence[Record], report: ImportReport, keep: bool =
     return [record for number, record in enumerate(records) if number not in dropped]
 
 
-def _longer(content: Sequence[tuple[tuple[str, ...], bytes]], order: list[int], place: int) -> int | None:
+def _longer(content: Sequence[tuple[tuple[tuple[str, ...], ...], bytes]], order: list[int], place: int) -> int | None:
     """A recording that begins with that at a place of the order and goes on."""
-    axes, own = content[order[place]]
+    kind, own = content[order[place]]
     for number in order[place + 1 :]:
-        others, values = content[number]
-        if others != axes or not values.startswith(own):
+        other, values = content[number]
+        if other != kind or not values.startswith(own):
             return None
         if len(values) > len(own):
             return number

@@ -102,4 +102,5 @@ def _values(part: bytes, dimension: int) -> NDArray[np.float64]:
     try:
         return np.loadtxt(io.StringIO(cells), delimiter=",", comments=None, ndmin=1) if cells.strip() else np.empty(0)
     except ValueError:
-        raise ValueError(f"a value of dimension {dimension} is not a number") from None
+        stamps = " but one with its time stamp; write it without" if part.lstrip().startswith(b"(") else ""
+        raise ValueError(f"a value of dimension {dimension} is not a number{stamps}") from None

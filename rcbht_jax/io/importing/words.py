@@ -60,3 +60,21 @@ def is_outcome(name: str, values: Iterable[Any]) -> bool:
     (True, False)
     """
     return name in ("success", "outcome") and {text(value).lower() for value in values} <= set(OUTCOMES)
+
+
+def in_order(name: str) -> list[tuple[int, int, str]]:
+    """A key that sorts names by the numbers in them.
+
+    >>> sorted(["run10", "run2"], key=in_order)
+    ['run2', 'run10']
+    """
+    parts, number = list[tuple[int, int, str]](), ""
+    for letter in [*name, ""]:
+        if letter.isdecimal() and letter.isascii():
+            number += letter
+            continue
+        if number:
+            parts.append((0, int(number[:18]), number))
+            number = ""
+        parts.append((1, 0, letter))
+    return parts

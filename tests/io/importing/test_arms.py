@@ -27,6 +27,8 @@ WRENCHES = {
 NAMES = {
     "left, right": [f"{side}_{axis}" for side in ("left", "right") for axis in ("fx", "fy", "fz", "tx", "ty", "tz")],
     "L, R last": [f"{axis}_{side}" for side in "LR" for axis in AXES],
+    "L, R first": [f"{side}{axis} [{'N' if axis[0] == 'F' else 'Nm'}]" for side in "LR" for axis in AXES],
+    "joined": [f"{side}{axis}" for side in ("left", "right") for axis in AXES],
     "camel": [f"wrench{side}.{what}.{axis}" for side in ("Left", "Right") for what in ("force", "torque")
               for axis in "xyz"],
     "elements": [f"robot{k}/ft_{n}" for k in (0, 1) for n in range(6)],
@@ -61,6 +63,28 @@ def test_a_raw_and_a_compensated_wrench_are_no_arms(tmp_path: Path) -> None:
     csv(tmp_path / "run1.csv", names, np.hstack([LEFT, RIGHT]))
     recordings = read_source(tmp_path).recordings
     np.testing.assert_allclose(recordings.wrench, RIGHT[None], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "words"),
+    [
+        ("{}_1", "{}_2", ("1", "2")),
+        ("ft1/{}", "ft2/{}", ("ft1", "ft2")),
+        ("master_{}", "slave_{}", ("master", "slave")),
+        ("left_{}_l", "right_{}_r", ("left", "right")),
+        ("raw_{}", "{}_tool", ()),
+    ],
+)
+def test_a_remark_on_a_further_wrench_names_the_arms_that_read_both(
+    one: str, other: str, words: tuple[str, ...], tmp_path: Path
+) -> None:
+    csv(tmp_path / "run1.csv", [name.format(axis) for name in (one, other) for axis in AXES], np.hstack([LEFT, RIGHT]))
+    remark = next(text for text in read_source(tmp_path).report.remarks if "wrenches were found" in text)
+    assert (f"write arms = {json.dumps(words)} there" in remark) == bool(words)
+    if words:
+        recordings = read_source(tmp_path, mapping=Mapping(arms=words)).recordings
+        assert recordings.arm.tolist() == list(words)
+        np.testing.assert_allclose(recordings.wrench, np.stack([LEFT, RIGHT]), atol=1e-5)
 
 
 def test_arms_of_wrenches_that_differ_otherwise_are_left_alone() -> None:

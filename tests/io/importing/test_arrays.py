@@ -193,3 +193,19 @@ def test_hdf5_groups_of_segments_are_no_recordings(segments: int, tmp_path: Path
     recordings = read_source(tmp_path).recordings
     assert len(recordings) == 1
     assert recordings.annotations.names().tolist() == list("abc")[:segments]
+
+
+def test_recordings_of_one_file_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    numbers = range(1, 12)
+    with h5py.File(tmp_path / "demos.hdf5", "w") as file:
+        for number in numbers:
+            demo = file.create_group(f"data/demo_{number}")
+            demo["obs/ft"], demo.attrs["dt"] = WRENCH + number, DT
+    rows = [f"run_{k},{t},{t + k},{t},{t}" for k in numbers for t in TIME.tolist()]
+    (tmp_path / "runs.csv").write_text("\n".join(["run,t,Fx,Fy,Fz", *rows]))
+    arms = [f"robot{k}_f{axis}" for k in numbers for axis in "xyz"]
+    rows = [",".join([str(t), *(str(k + t) for k, _ in enumerate(arms))]) for t in TIME.tolist()]
+    (tmp_path / "arms.csv").write_text("\n".join([",".join(["t", *arms]), *rows]))
+    for file, word in {"demos.hdf5": "demo_", "runs.csv": "run_", "arms.csv": "robot"}.items():
+        assert read_source(tmp_path / file).report.imported == [f"{file}#{word}{number}" for number in numbers]

@@ -80,6 +80,7 @@ def test_the_rate_is_asked_for(tmp_path: Path, name: str, kind: str, text: str) 
     ("text", "reason"),
     [
         ("@timeStamps true\n@data\n(0,1.5),(1,2.5):soft\n", "has values with time stamps, which are not read; write"),
+        ("@data\n(0,1.5),(1,2.5)\n", "dimension 0 is not a number but one with its time stamp; write it without."),
         ("1,2,3\n", "line 1: expected a line that begins with @, and @data before the cases."),
         ("@problemName none\n", "has no line @data"),
         (HEAD, "has no case below @data."),

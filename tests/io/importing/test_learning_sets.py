@@ -106,3 +106,29 @@ def test_the_times_of_a_numbered_sensor_have_its_number(unit: float, tmp_path: P
 def test_a_grid_of_forces_is_no_wrench(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", rate=100, force_0=WRENCH[:, :3], force_1=WRENCH[:, 3:])
     assert read_source(tmp_path).recordings.axes == tuple(f"force_{row}_{k}" for row in range(2) for k in range(3))
+
+
+def test_labels_in_a_column_each_are_named_with_the_map_that_reads_them(tmp_path: Path) -> None:
+    names, which = ("reach", "push", "leave"), np.arange(N) * 3 // N
+    rows = np.column_stack([np.arange(N) / 100, WRENCH, np.eye(3)[which]])
+    np.savetxt(tmp_path / "a.csv", rows, header=",".join(["t", *AXES, *names]), delimiter=",", comments="")
+    [remark] = [text for text in read_source(tmp_path).report.remarks if "look like labels" in text]
+    assert remark.startswith("'reach', 'push', 'leave' look like labels")
+    for part in ('track = "label", column = "reach"', 'words = {"1" = "reach"}, ignore = ["0"]'):
+        assert part in remark
+    entries = (
+        f'[[annotations]]\ntrack = "label"\ncolumn = "{name}"\nwords = {{"1" = "{name}"}}\nignore = ["0"]\n'
+        for name in names
+    )
+    (tmp_path / "map.toml").write_text("\n".join(entries))
+    imported = read_source(tmp_path / "a.csv", mapping=read_mapping(tmp_path / "map.toml"))
+    assert imported.recordings.annotations.names().tolist() == list(names)
+    np.testing.assert_allclose(imported.recordings.starts("label"), [[0.0, 0.2, 0.4]])
+    assert not any("look like labels" in text for text in imported.report.remarks)
+
+
+def test_flags_that_are_no_labels_are_not_named(tmp_path: Path) -> None:
+    rows = np.column_stack([np.arange(N) / 100, WRENCH, np.eye(2)[np.arange(N) % 2], np.arange(N) > 9, np.ones(N)])
+    names = ["t", *AXES, "a", "b", "closed", "on"]
+    np.savetxt(tmp_path / "a.csv", rows, header=",".join(names), delimiter=",", comments="")
+    assert not any("look like labels" in text for text in read_source(tmp_path).report.remarks)

@@ -41,6 +41,7 @@ def test_a_mapping_comes_back_equal(
     rate: float | None,
 ) -> None:
     time, nanoseconds, topic, group, table = texts
+    nanoseconds = nanoseconds if time else ""
     mapping = Mapping(
         tuple(Channel(*row) for row in channels), time, "ms", nanoseconds, rate, topic, group,
         tuple(Track(name, column, words=words, ignore=tuple(ignore)) for name, column, words, ignore in tracks),
@@ -182,3 +183,31 @@ def test_words_of_numbers_may_be_as_the_file_has_them(one: str, two: str, source
 def test_a_word_that_is_no_finite_number_stays() -> None:
     track = of_numbers(Track("phase", "p", words={"nan": "free", "1e2": "reach"}))
     assert track.words == {"nan": "free", "1e2": "reach", "100": "reach"}
+
+
+@pytest.mark.parametrize(
+    ("mapping", "sentence"),
+    [
+        (Mapping(topic="/ft"), "holds no bag, and only a bag has topics; leave out the topic /ft"),
+        (Mapping(key="run"), 'key is a column of the table of recordings, and none is named; add table = "FILE.csv"'),
+        (Mapping(nanoseconds="ns"), "nanoseconds are added to a time, and no column of it is named; add time"),
+        (Mapping(columns={"part": Value(folder=3)}), "day1/a.csv lies in no folder 3 of the source, so no column part"),
+    ],
+)
+def test_an_entry_without_effect_is_refused(mapping: Mapping, sentence: str, tmp_path: Path) -> None:
+    (tmp_path / "day1").mkdir()
+    (tmp_path / "day1/a.csv").write_text("t,Fz\n" + "".join(f"{k / 100},{k % 7}\n" for k in range(60)))
+    with pytest.raises(InputError, match=sentence):
+        read_source(tmp_path, mapping=mapping)
+
+
+def test_files_and_words_without_a_folder_are_reported(tmp_path: Path) -> None:
+    (tmp_path / "day1").mkdir()
+    for seed, name in enumerate(("a.csv", "day1/b.csv")):
+        rows = (f"{k / 100},{(k + seed) % 7}\n" for k in range(60))
+        (tmp_path / name).write_text("t,Fz\n" + "".join(rows))
+    columns = {"part": Value(folder=1, words={"day1": "first", "day2": "second"})}
+    imported = read_source(tmp_path, mapping=Mapping(columns=columns))
+    assert imported.recordings.columns["part"].tolist() == ["", "first"]
+    assert imported.report.warnings == [("a.csv", "lies in no folder 1 of the source, so no column part.")]
+    assert "These words of the map for column part are no folders: 'day2'." in imported.report.remarks

@@ -302,3 +302,28 @@ def test_the_words_of_an_outcome_that_no_column_states_are_understood_too(
     named = Mapping(columns={"outcome": Value("outcome", words={"ok": "success", "weak": "failure"})})
     if "ok" in facts:
         assert read_source(tmp_path, mapping=named).recordings.outcome.tolist()[0] == "success"
+
+
+@pytest.mark.parametrize(
+    ("files", "title"),
+    [("run{}.csv", "run"), ("run_{:03}.csv", "Run"), ("trial{}/ft.csv", "trial_id"), ("exp_{}.csv", "trial")],
+)
+def test_a_table_lists_recordings_by_the_numbers_in_their_names(files: str, title: str, tmp_path: Path) -> None:
+    for number in (1, 2, 10):
+        write(tmp_path / "runs" / files.format(number), noise(number))
+    (tmp_path / "runs" / "list.csv").write_text(f"{title},result\n10,ok\n2,nok\n1,ok\n")
+    imported = read_source(tmp_path / "runs")
+    assert imported.report.imported == [files.format(number) for number in (1, 2, 10)]
+    assert imported.recordings.columns["result"].tolist() == ["ok", "nok", "ok"]
+    assert (imported.report.skipped, imported.report.warnings) == ([], [])
+    again = read_source(tmp_path / "runs", mapping=imported.mapping)
+    assert again.recordings.columns["result"].tolist() == ["ok", "nok", "ok"]
+
+
+def test_numbers_that_may_mean_other_files_list_none(tmp_path: Path) -> None:
+    for number in (1, 2, 10):
+        write(tmp_path / "runs" / f"exp_{number}.csv", noise(number))
+    (tmp_path / "runs" / "list.csv").write_text("trial,result\n1,ok\n2,nok\n3,ok\n")
+    [(name, reason)] = read_source(tmp_path / "runs").report.skipped
+    assert name == "list.csv"
+    assert reason.endswith("add a column 'file' with their names.")

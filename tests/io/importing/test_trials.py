@@ -104,3 +104,13 @@ def test_what_changes_where_the_time_starts_anew_describes_the_recordings(tmp_pa
     assert recordings.columns["operator"].tolist() == ["kim", "kim", "lee"]
     assert recordings.columns["mass"].tolist() == ["0.5", "0.5", "0.75"]
     assert recordings.annotations.tracks == ("phase",)
+
+
+def test_equal_numbers_in_other_units_are_no_copies(tmp_path: Path) -> None:
+    for name, unit in {"a": "N", "b": "N", "c": "kgf"}.items():
+        rows = (f"{k / 100},{k * 7 % 13}\n" for k in range(60))
+        (tmp_path / f"{name}.csv").write_text(f"t,Fz [{unit}]\n" + "".join(rows))
+    report = read_source(tmp_path, keep_copies=True).report
+    assert report.imported == ["a.csv", "b.csv"]
+    assert report.duplicates == [("b.csv", "exact copy of a.csv; imported all the same.")]
+    assert [name for name, _ in report.skipped] == ["c.csv"]
