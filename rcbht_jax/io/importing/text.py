@@ -239,7 +239,7 @@ class _Column:
             of_text = 2 * len(texts) > len(filled) and not all(map(two_meanings, texts))
             self._kind = "" if not filled else "U" if of_text else "f"
         if self._kind == "U":
-            row = ["" if cell.lower() == "nan" else cells.plain(cell, self._delimiter) for cell in written]
+            row = ["" if cell in ("nan", "NaN") else cells.plain(cell, self._delimiter) for cell in written]
             self._parts.append(cells.texts(row, self._where))
         else:
             self._parts.append(self._numbers(row, lines))
