@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from rcbht_jax.io.importing.cells import is_word
 
 HELD, SUMS = 64, 16  # lines below the last row at most, and those of them with as many cells as a row
 LISTED, LETTERS = 16, 40  # of what was left out
+_HALF = re.compile(r"[+-]?\d*\.\d*[eE][+-]?")  # a number that ends within its exponent
 Line = tuple[int, list[str]]  # its number and its cells
 
 
@@ -35,7 +37,8 @@ class Between:
     def samples(self, number: int, row: list[str], ended: bool = True) -> list[Line]:
         """The rows that are known to be samples now that one more was read.
 
-        One without the end of a line and with too few cells was cut off while the log was written: it is no sample.
+        One without the end of a line was cut off while the log was written if it has too few cells, or half an
+        exponent in the last: it is no sample.
         """
         if row in self._heads or (row[0].startswith(("#", "%", "//")) and len(row) != self._width):
             self._leave(row)
@@ -45,7 +48,8 @@ class Between:
         if self._words is False and len(self._held) < HELD and is_word(row[0]):
             self._held.append((number, row))
             return []
-        if not ended and self._samples and len(row) < self._width and not any("\n" in cell for cell in row):
+        cut = len(row) < self._width or bool(_HALF.fullmatch(row[-1]))
+        if not ended and self._samples and cut and not any("\n" in cell for cell in row):
             self._leave([f"{row[0][:LETTERS]}, ... (the last line, which is cut off)"], LETTERS + LETTERS)
             return []
         found = [*self._held, (number, row)]

@@ -28,7 +28,7 @@ _BLANKS = re.compile(r"\s+(?![\[(][^\W\d][^\s\])]*[\])])")  # but before a unit:
 _QUOTED = re.compile(r'"([^"]*)"|([^\s"]+)')  # between blanks
 _OF_DAY = re.compile(r"\d:\d\d,\d+$")  # the end of a time with a decimal comma
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
-_FORTRAN = re.compile(r"[+-]?\d*\.\d*[dD][+-]?\d+")  # a number of double precision
+_FORTRAN = re.compile(r"[+-]?\d*\.\d*[dD][+-]\d{2,3}")  # a number of double precision; 1.2D3 may be a serial number
 _BETWEEN_BLANKS = re.compile(r"[+-]?\d+(?:,\d+(?:[eE][+-]?\d+)?)?")  # numbers, some with decimal commas
 
 

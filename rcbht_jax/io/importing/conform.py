@@ -25,6 +25,7 @@ MOST = 0.9  # share of the samples that must agree
 SHORTEST, LONGEST = 1e-6, 1e3  # s: periods of samples that sensors have
 EQUAL = 1e-3  # relative difference below which two rates are one
 NEAR = 0.05  # the same difference for recordings whose samples are not evenly spaced
+TICKS = (1e-6, 1e-5, 1e-4, 1e-3, 4e-3, 1e-2, 1 / 64)  # s, of clocks that stamp samples
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
 
 
 def _are_rounded(steps: NDArray[np.float64], spread: float) -> bool:
-    """Whether even samples have rounded stamps, as those of 800 Hz in ms: steps of two sizes, a tick apart.
+    """Whether even samples have rounded stamps, as those of 800 Hz in ms: steps of two sizes, a clock's tick apart.
 
     Where many samples are lost, stamps lie further than two ticks (``spread``) from those of even ones.
     """
@@ -201,7 +202,8 @@ def _are_rounded(steps: NDArray[np.float64], spread: float) -> bool:
         return False
     sizes = np.where(long, np.median(steps[long]), np.median(steps[~long]))
     tick = float(np.ptp(sizes))
-    return spread < 2 * tick and bool(np.abs(steps - sizes).max() < 0.05 * tick)
+    known = np.isclose(tick, TICKS, rtol=0.05, atol=0.0).any()
+    return bool(known and spread < 2 * tick and np.abs(steps - sizes).max() < 0.05 * tick)
 
 
 def _within_bursts(steps: NDArray[np.float64]) -> float:

@@ -17,7 +17,7 @@ class Lacks:
         """Take the mapping of all tables."""
         tracks = {track.column: f"annotations {track.track}" for track in mapping.annotations if track.column}
         facts = {value.column: f"column {name}" for name, value in mapping.columns.items() if value.column}
-        self._roles, self._held = tracks | facts, set[str]()
+        self._roles, self._held, self._folded = tracks | facts, set[str](), set(facts)
         self._folders = {name: value for name, value in mapping.columns.items() if value.folder}
         self._strange = {name: set(value.words) - set(OUTCOMES) for name, value in self._folders.items()}
         self._lacking: list[tuple[str, str, str, str]] = []  # table, what it lacks, sentence, warning
@@ -46,7 +46,8 @@ class Lacks:
         for column, words in self._unmatched.items():
             values = table.columns.get(column)
             there = [table.facts.get(column, "")] if values is None else set(values[filled(values)].tolist())
-            seen = {form for value in there for form in (text(value), text(value).lower())}
+            seen = {text(value) for value in there}
+            seen |= {value.lower() for value in seen if column in self._folded}  # labels are taken as they are written
             words -= {word for word in words if not seen.isdisjoint(words_of_numbers({word: word}))}
 
     def warnings(self) -> list[tuple[str, str]]:

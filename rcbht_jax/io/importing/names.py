@@ -138,7 +138,7 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
     if after[1:] in (*TIMES, *NANOSECONDS):  # of its samples
         return None
     kind = "M" if is_moment(f"{word}{letter}", unit) else "F"
-    return (f"{before}{number}{frame}", after), kind, letter, word in ("torque", "moment", "tau", "m")
+    return (f"{before}{number}", f"{frame}{after}"), kind, letter, word in ("torque", "moment", "tau", "m")
 
 
 def is_axis(name: str) -> bool:

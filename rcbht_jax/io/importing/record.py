@@ -208,17 +208,19 @@ def without_arm(part: str, arm: str) -> str:
 
 
 def check_columns(table: Table, mapping: Mapping) -> None:
-    """Check that a table has the columns of a mapping without which it is no recording: channels, time and group.
+    """Check that a table has the columns of a mapping without which it is no recording: numbers, time and group.
 
     >>> check_columns(Table("a.csv", {"t": np.arange(4.0)}), Mapping(time="t"))
 
     Raises:
-        InputError: a column is missing.
+        InputError: a column is missing, or is text where numbers are expected.
     """
-    named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds, mapping.time, mapping.group]
-    for name in filter(None, named):
+    numbers = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
+    for name in filter(None, [*numbers, mapping.time, mapping.group]):
         if name not in table.columns:
             raise InputError(no_column(table, name))
+        if name in numbers and table.columns[name].dtype.kind == "U":
+            raise InputError(f"{table.name}: column {name!r} is text; expected numbers.")
 
 
 def no_column(table: Table, name: str) -> str:
@@ -232,10 +234,6 @@ def no_column(table: Table, name: str) -> str:
 
 def _check(table: Table, mapping: Mapping) -> None:
     check_columns(table, mapping)
-    named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
-    for name in filter(None, named):
-        if table.columns[name].dtype.kind == "U":
-            raise InputError(f"{table.name}: column {name!r} is text; expected numbers.")
     if not mapping.time and (mapping.source_rate or table.rate) is None:
         texts = (key for key, values in table.columns.items() if base_and_unit(key)[0] in TIMES and len(values))
         if name := next(texts, ""):

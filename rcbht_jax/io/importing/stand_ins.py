@@ -48,7 +48,7 @@ def stand_ins(table: Table, mapping: Mapping) -> str:
 
 def _stand_in(values: NDArray[Any]) -> float:
     """The number among finite values that may stand for missing ones; 0 = there is none."""
-    if not len(values) or values.dtype.kind == "U":
+    if not len(values):
         return 0.0
     number = float(values[np.abs(values).argmax()])
     others = np.abs(values[values != number]).max(initial=0.0)

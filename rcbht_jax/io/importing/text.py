@@ -41,9 +41,9 @@ def read_csv(path: Path, name: str, words: bool = False) -> Iterator[Table]:
     Names are those of the first line, and a line of units may follow. Columns without one are called c0, c1, ... by
     their place. Empty cells and "nan" are missing values, as are words such as "ERR" in columns of numbers. Lines that
     are no rows are left out: names that are repeated, comments, words below the last row, such as "mean", and a last
-    line that was cut off while the log was written: it has no end, and too few cells. A file that is neither UTF-8 nor
-    UTF-16 is read as Shift-JIS or GB 18030 if its bytes go in pairs as theirs do, as Windows-1251 if its words are
-    Cyrillic, else as Windows-1252.
+    line that was cut off while the log was written: it has no end, and too few cells or half an exponent. A file that
+    is neither UTF-8 nor UTF-16 is read as Shift-JIS or GB 18030 if its bytes go in pairs as theirs do, as Windows-1251
+    if its words are Cyrillic, else as Windows-1252.
 
     >>> Path("a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
@@ -239,7 +239,7 @@ class _Column:
             of_text = 2 * len(texts) > len(filled) and not all(map(two_meanings, texts))
             self._kind = "" if not filled else "U" if of_text else "f"
         if self._kind == "U":
-            row = ["" if cell.lower() == "nan" else cells.plain(cell, self._delimiter) for cell in written]
+            row = ["" if cell in ("nan", "NaN") else cells.plain(cell, self._delimiter) for cell in written]
             self._parts.append(cells.texts(row, self._where))
         else:
             self._parts.append(self._numbers(row, lines))

@@ -225,3 +225,10 @@ def test_stamps_that_are_rounded_to_nearly_a_step_keep_the_rate(
     assert conform.clock(time).rate == pytest.approx(rate, rel=0.01)
     lost = np.random.default_rng(0).random(2000) < 0.2  # samples that are lost do not make a rate lower
     assert conform.clock(np.arange(2000)[~lost] * tick).rate == pytest.approx(1 / tick, rel=0.01)
+
+
+@pytest.mark.parametrize("rate", [10, 40, 50, 125, 200, 500])
+def test_a_sample_that_is_lost_regularly_does_not_make_the_rate_lower(rate: float) -> None:
+    """50 samples per second, of which every tenth was lost, were 45: no clock has ticks of 20 ms."""
+    time = np.delete(np.arange(2000) / rate, np.s_[5::10])
+    assert conform.clock(time).rate == pytest.approx(rate, rel=0.01)

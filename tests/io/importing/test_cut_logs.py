@@ -40,8 +40,9 @@ def test_a_last_line_without_an_end_is_no_mistake(cut: str, end: str, tmp_path: 
 
 def test_a_log_of_numbers_may_be_cut_off(tmp_path: Path) -> None:
     rows = "".join(f"{k * 0.01:.2f} {' '.join(map(str, FORCES[k]))}\n" for k in range(N))
-    imported = read(tmp_path, f"t Fx Fy Fz\n{rows}0.30 1.")
-    np.testing.assert_allclose(imported.recordings.wrench[0], FORCES, rtol=1e-6)
+    for cut in ("0.30 1.", "0.30 1.5 2.5 1.250e", "0.30 1.5 2.5 1.250E-"):
+        imported = read(tmp_path, f"t Fx Fy Fz\n{rows}{cut}")
+        np.testing.assert_allclose(imported.recordings.wrench[0], FORCES, rtol=1e-6)
 
 
 def test_a_sign_cut_in_two_does_not_change_the_encoding(tmp_path: Path) -> None:

@@ -336,3 +336,18 @@ def test_nan_in_a_column_of_text_is_missing(tmp_path: Path) -> None:
     assert recordings.annotations.labels == {"phase": ("push",)}
     assert recordings.annotations.start.tolist() == [pytest.approx(0.1)]
     assert recordings.columns["part"].tolist() == ["A"]
+
+
+def test_a_person_may_be_called_nan(tmp_path: Path) -> None:
+    """It was missing."""
+    rows = [f"{k * 0.01:.2f},{k % 7},{'Nan' if k < 40 else 'Eva'},{1 + k // 40}" for k in range(80)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,Fz,operator,trial", *rows]))
+    assert read_source(tmp_path).recordings.columns["operator"].tolist() == ["Nan", "Eva"]
+
+
+def test_a_serial_number_has_no_exponent_of_fortran(tmp_path: Path) -> None:
+    """It was read as 1200; Fortran writes a sign and two digits or three."""
+    for seed, part in enumerate(("1.2D3", "A12")):
+        rows = [f"{k * 0.01:.2f},{(k + seed) % 7},{part}" for k in range(40)]
+        (tmp_path / f"{part}.csv").write_text("\n".join(["t,Fz,part", *rows]))
+    assert read_source(tmp_path).recordings.columns["part"].tolist() == ["1.2D3", "A12"]

@@ -129,6 +129,14 @@ def test_a_tare_of_the_whole_recording_is_reported(tmp_path: Path) -> None:
     assert not read_source(tmp_path / "a.csv", mapping=Mapping(tare=0.39)).report.warnings
 
 
+def test_a_channel_of_text_is_refused(tmp_path: Path) -> None:
+    """It was a traceback."""
+    (tmp_path / "a.csv").write_text("\n".join(["t,Fz", *(f"{k * 0.01:.2f},high" for k in range(40))]))
+    for mapping in (Mapping((Channel("Fz"),)), Mapping((Channel("Fz"),), missing=(-9999.0,))):
+        with pytest.raises(InputError, match=r"a\.csv: column 'Fz' is text; expected numbers"):
+            read_source(tmp_path / "a.csv", mapping=mapping)
+
+
 def test_a_bias_of_another_length_than_the_guessed_channels_is_refused() -> None:
     columns = {"t": np.arange(9.0), "Fx": np.ones(9), "Fy": np.ones(9), "Fz": np.ones(9)}
     for bias in ((1.0,), (1.0, 2.0)):

@@ -51,6 +51,12 @@ def test_a_frame_may_stand_between_a_force_and_its_axis(form: str) -> None:
     assert wrenches(names) == [dict(zip(AXES, names, strict=True))]
 
 
+def test_a_wrench_without_a_frame_goes_before_those_in_one() -> None:
+    """Where its columns came later, the wrench in the frame was imported instead."""
+    names = [f"{kind}_{frame}{axis}" for frame in ("base_", "") for kind in "FT" for axis in "xyz"]
+    assert wrenches(names) == [dict(zip(AXES, rows, strict=True)) for rows in (names[6:], names[:6])]
+
+
 def test_wrenches_in_two_frames_are_not_mixed(tmp_path: Path) -> None:
     names = [f"{kind}_{frame}_{axis}" for frame in ("tcp", "base") for kind in "FM" for axis in "xyz"]
     assert wrenches(names) == [dict(zip(AXES, names[:6], strict=True)), dict(zip(AXES, names[6:], strict=True))]

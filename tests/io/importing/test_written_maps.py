@@ -123,14 +123,17 @@ def test_a_first_file_of_one_trial_leaves_the_others_apart(tmp_path: Path) -> No
 def test_what_a_map_names_and_no_file_has_is_reported(tmp_path: Path) -> None:
     source = tmp_path / "runs"
     for seed, result in enumerate(("gut", "schlecht")):
-        log(source / f"{seed}.csv", seed, phase=[0] * 20 + [1] * 20, result=[result] * 40)
+        phase, state = [0] * 20 + [1] * 20, ["Go"] * 20 + ["no"] * 20
+        log(source / f"{seed}.csv", seed, phase=phase, result=[result] * 40, state=state)
     track = Track("phase", "phase", words={"0": "free", "1.0": "push", "7": "hold"}, ignore=("idle",))
+    exact = Track("state", "state", words={"go": "on", "no": "off"})  # as it is written, unlike an outcome
     outcome = Value("result", words={"Gut": "success", "schlecht": "failure", "NOK": "failure", "ok": "success"})
     imported = read_source(
-        source, mapping=Mapping(annotations=(track,), columns={"outcome": outcome}, arms=("left", "right"))
+        source, mapping=Mapping(annotations=(track, exact), columns={"outcome": outcome}, arms=("left", "right"))
     )
     assert [remark for remark in imported.report.remarks if " map" in remark] == [
         "These words of the map are no values of column 'phase': '7', 'idle'.",
+        "These words of the map are no values of column 'state': 'go'.",
         "These words of the map are no values of column 'result': 'Gut', 'NOK'.",
         "No column names these arms of the map: 'left', 'right'.",
     ]
