@@ -42,7 +42,7 @@ def test_recordings_that_nobody_judged_are_no_failures() -> None:
 
 def test_a_source_that_nobody_judged_teaches_nothing_and_the_error_says_why() -> None:
     data = _two_sources(["unknown", "unknown", "success", "failure"], ["phase"] * 4)
-    with pytest.raises(InputError, match=r"no class in 0 trials that passed.* Left out: 2 trials \(outcome unknown"):
+    with pytest.raises(InputError, match=r"no known class in 0 chosen trials.* Left out: 2 trials \(outcome unknown"):
         labelled_intervals(data, TaskSpec("phase", sources=("own",)))
 
 

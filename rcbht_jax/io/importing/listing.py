@@ -115,9 +115,11 @@ def _listing(source: Path, path: Path, files: Sequence[str], names: Names) -> tu
         check_inside(path, source)
         with opened(path) as file:
             head = file.read(HEAD)
-            rest = sum(block.count(b"\n") for block in iter(lambda: file.read(2**20), b""))
+            lines = 0
+            while lines <= 2 * len(files) and (block := file.read(2**20)):  # a log has more, and is not read whole here
+                lines += block.count(b"\n")
         words = [word.strip(' "') for word in re.split(r"[,;\t\r\n]", head.decode("utf-8-sig", "replace"))]
-        numbered_rows = any(group_base(word) in GROUPS for word in words) and rest <= 2 * len(files)
+        numbered_rows = any(group_base(word) in GROUPS for word in words) and lines <= 2 * len(files)
         if not (numbered_rows or any(map(names.meant, words))):  # a recording is soon known as one
             return None
         [table] = read_csv(path, path.name, words=True)
