@@ -15,11 +15,11 @@ import json
 import os
 import subprocess
 import sys
-import tarfile
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
+from zipfile import ZipFile
 
 from rcbht_jax._util.ratios import FALL
 
@@ -77,13 +77,13 @@ def measure(tree: Path) -> Speeds:
 
 def unpack(commit: str, folder: Path) -> bool:
     """The packages as they were at a commit; False without git, or if this is no clone that has it."""
-    command = ["git", "archive", commit, "rcbht_jax", "sim_mjx"]
+    command = ["git", "archive", "--format=zip", commit, "rcbht_jax", "sim_mjx"]
     try:
         run = subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
     except (OSError, subprocess.CalledProcessError):  # git itself may be missing
         return False
-    with tarfile.open(fileobj=BytesIO(run.stdout)) as archive:
-        archive.extractall(folder, filter="data")
+    with ZipFile(BytesIO(run.stdout)) as archive:
+        archive.extractall(folder)
     return True
 
 
