@@ -41,7 +41,7 @@ class Between:
         exponent in the last: it is no sample.
         """
         if row in self._heads or (row[0].startswith(("#", "%", "//")) and len(row) != self._width):
-            self._leave(row)
+            self._leave(row[0][:LETTERS])
             return []
         if self._words is None and row[0]:
             self._words = is_word(row[0])
@@ -50,7 +50,7 @@ class Between:
             return []
         cut = len(row) < self._width or bool(_HALF.fullmatch(row[-1]))
         if not ended and self._samples and cut and not any("\n" in cell for cell in row):
-            self._leave([f"{row[0][:LETTERS]}, ... (the last line, which is cut off)"], LETTERS + LETTERS)
+            self._leave(cut_off(f"{row[0][:LETTERS]},"))
             return []
         found = [*self._held, (number, row)]
         self._held = []
@@ -68,10 +68,19 @@ class Between:
         if of_words:
             return held
         for _, row in held:
-            self._leave(row)
+            self._leave(row[0][:LETTERS])
         return []
 
-    def _leave(self, row: list[str], letters: int = LETTERS) -> None:
+    def _leave(self, text: str) -> None:
         self.count += 1
         if len(self.left) < LISTED:
-            self.left.append(row[0][:letters])
+            self.left.append(text)
+
+
+def cut_off(text: str) -> str:
+    """How the report quotes a last line that was cut off while the log was written, from how it begins.
+
+    >>> cut_off("12.5,")
+    '12.5, ... (the last line, which is cut off)'
+    """
+    return f"{text} ... (the last line, which is cut off)"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, parse_json
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.between import LETTERS
+from rcbht_jax.io.importing.between import LETTERS, cut_off
 from rcbht_jax.io.importing.cells import texts
 from rcbht_jax.io.importing.groups import MAX_GROUPS
 from rcbht_jax.io.importing.table import Table
@@ -45,7 +45,7 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
         InputError: not a regular file, too large, a line that is no object of JSON, events that ``rcbht stream`` wrote,
             text in a column of numbers, or too many columns; the sentence names the line.
     """
-    parts, left = [Rows()], list[str]()
+    parts, lines = [Rows()], tuple[str, ...]()
     with opened(path) as file:
         for number, line in enumerate(iter(lambda: file.readline(MAX_TABLE_LINE), b""), 1):
             try:
@@ -54,7 +54,7 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
             except (ValueError, OverflowError) as error:  # a whole number may be too large for a float
                 if not (parts[-1].count and _is_cut(line, error)):
                     raise InputError(f"{path}, line {number}: {error}.") from None
-                left.append(f"{line[:LETTERS].decode('utf-8', 'ignore')} ... (the last line, which is cut off)")
+                lines = (cut_off(line[:LETTERS].decode("utf-8", "ignore")),)
     parts = [rows for rows in parts if rows.count]
     if not parts:
         raise InputError(f"{path} has no line with a number or a text.")
@@ -62,10 +62,9 @@ def read_json_lines(path: Path, name: str) -> Iterator[Table]:
         part = str(place) if len(parts) > 1 else ""
         units = UNITS if "wrench_6" not in rows.values else {}
         of = f"{name}#{part}" if part else name
-        lines = tuple(left) if rows is parts[-1] else ()
-        notes = tuple(f"lines:{len(one)}" for one in [lines] if one)
-        columns = rows.columns(path)
-        yield Table(of, columns, units=units, others=tuple(sorted(rows.others)), part=part, lines=lines, notes=notes)
+        left, others = lines if rows is parts[-1] else (), tuple(sorted(rows.others))
+        notes = ("lines:1",) if left else ()
+        yield Table(of, rows.columns(path), units=units, others=others, part=part, lines=left, notes=notes)
 
 
 @dataclass

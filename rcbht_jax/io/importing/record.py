@@ -282,9 +282,10 @@ def _record(
     notes += [*padded, f"zeros:{zeros}"] if conform.HELD <= zeros < len(raw) else padded
     values = _moved(mapping, time, values)
     origin = _on_clock(table, mapping, counted, float(first))
-    all_of_it = ["is no longer than the tare: the mean of all of it was subtracted."] * bool(time[-1] < mapping.tare)
+    short = time[-1] < mapping.tare
+    doubts = ["is no longer than the tare: the mean of all of it was subtracted."] if short else []
     flags = [*table.notes, *notes]
-    return Record(name, time, values, mapping.axes, mapping.units, columns, intervals, flags, origin, doubts=all_of_it)
+    return Record(name, time, values, mapping.axes, mapping.units, columns, intervals, flags, origin, doubts=doubts)
 
 
 def _facts(table: Table) -> dict[str, str | float]:
