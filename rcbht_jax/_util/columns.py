@@ -51,7 +51,7 @@ TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
 )  # fmt: skip
 
 _KINDS = {"U": "text", "M": "dates", "m": "durations"}  # of columns, but for numbers
-_EMPTY = {"text": "", "dates": np.datetime64("NaT"), "durations": np.timedelta64("NaT")}
+_EMPTY = {"text": "", "dates": np.datetime64("NaT"), "durations": np.timedelta64("NaT", "s")}
 
 _QUANTITIES = r"(?:[FMT]|(?:force|torque|moment|tau)[ _]?)"
 _WRENCH = re.compile(rf"(?:^[FMT][ _]|(?:^|[\W_]){_QUANTITIES})[xyz](?![a-z])", re.I)  # of a wrench, without a unit

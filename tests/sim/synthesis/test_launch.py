@@ -147,7 +147,8 @@ def test_each_device_has_a_worker_that_sees_it_alone(monkeypatch: pytest.MonkeyP
 
 
 def test_devices_are_those_that_this_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert launch.visible_devices() == []  # the tests run on the CPU
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    assert launch.visible_devices() == []
     monkeypatch.setattr(launch, "_COUNT", "print(2)")
     monkeypatch.delenv(launch.DEVICES, raising=False)
     assert launch.visible_devices() == ["0", "1"]
