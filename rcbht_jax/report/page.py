@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from html import escape
-from importlib.resources import files
 from itertools import groupby
 from typing import Any, Literal
 
@@ -25,6 +24,7 @@ from rcbht_jax.io.export.card import confounds
 from rcbht_jax.io.export.dataset import Block, DataSet
 from rcbht_jax.io.simulation import with_faults
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
+from rcbht_jax.report.live_page import asset, filled
 from rcbht_jax.report.pack import infer_beliefs, pack
 from rcbht_jax.report.results import Results, cells
 from rcbht_jax.types import Recordings
@@ -77,15 +77,14 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     parts = {
         "TITLE": escape(options.title or f"{what.capitalize()} introspection"),
         "SECTIONS": _sections(options),
-        "STYLE": _asset("report.css"),
+        "STYLE": asset("report.css"),
         "SUMMARY": _summary(data, len(rows)) + _about_model(data, rows, options.model),
         "RESULTS": "" if options.results is None else results_html(options.results),
         "FACTS": _script_json(facts),
         "BLOBS": "\n".join(f'<script type="text/plain" id="blob-{n}">{blob}</script>' for n, blob in enumerate(blobs)),
-        "SCRIPT": _asset("report.js") + _asset("report_draw.js"),
+        "SCRIPT": asset("report.js", "report_draw.js"),
     }
-    pieces = _asset("report.html").split("@@")  # text, NAME, text, NAME, ..., text
-    return "".join(parts[piece] if number % 2 else piece for number, piece in enumerate(pieces))
+    return filled("report.html", parts)
 
 
 def chosen(recordings: Recordings, options: Options) -> NDArray[np.int64]:
@@ -129,10 +128,6 @@ def _sections(options: Options) -> str:
     """Links to the sections that the page has."""
     titles = {"data": "Data", "browser": "Trials"} | ({} if options.results is None else {"results": "Results"})
     return " ".join(f'<a href="#{place}">{title}</a>' for place, title in titles.items())
-
-
-def _asset(file: str) -> str:
-    return files("rcbht_jax.report").joinpath(file).read_text(encoding="utf-8")
 
 
 def _script_json(value: Any) -> str:
