@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from rcbht_jax.cli.command import Command, SourcePrefix, Store, Trial, option, unset
-from rcbht_jax.cli.snaps import SnapSize, detector_of
+from rcbht_jax.cli.readers import SnapSize, detector_of
 
 
 @dataclass(frozen=True)

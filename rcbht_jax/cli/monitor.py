@@ -16,7 +16,7 @@ from rcbht_jax._util.arms import learned_arm, rows_of_arm
 from rcbht_jax._util.cells import number_of
 from rcbht_jax._util.printable import padded, plural, printable, room
 from rcbht_jax.cli.command import Arm, Command, MadeBy, Store, option, progress_bar
-from rcbht_jax.cli.snaps import SnapSize, detector_of
+from rcbht_jax.cli.readers import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:

@@ -27,8 +27,7 @@ from rcbht_jax.cli.command import (
     unset,
 )
 from rcbht_jax.cli.monitor import MONITOR, FalseAlarms
-from rcbht_jax.cli.readers import Reads, readers_of
-from rcbht_jax.cli.snaps import SnapSize, detector_of
+from rcbht_jax.cli.readers import Reads, SnapSize, detector_of, readers_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -201,15 +200,11 @@ class Source(RuleCommand):
         """Refuse options that contradict each other, or are out of range."""
         if not 0 <= self.pace < float("inf"):
             raise InputError(f"The playback speed is {self.pace}; expected zero or more.")
-        own = {
-            "--robot": self.robot is not None, "--thresholds": self.thresholds is not None,
-            "--window": self.window != RuleCommand.window, "--axes": bool(self.axes),
-            "--sampling-rate": self.sampling_rate is not None,
-        }  # fmt: skip
-        if not self.OWN_WORDS:
-            own |= {"--rule": self.rule != RuleCommand.rule, "--tolerance": bool(self.tolerance)}
-        if self.model is not None and (given := [name for name, used in own.items() if used]):
-            raise InputError(f"A model has axes, window, rate, rule and thresholds of its own; leave out {given[0]}.")
+        if self.model is not None:
+            own = ("robot", "thresholds", "window", "axes", "sampling_rate")
+            words = () if self.OWN_WORDS else ("rule", "tolerance")
+            why = "has no effect with --model, which has axes, window, rate, rule and thresholds; leave it out."
+            self.refuse((*own, *words), why)
         checked_tolerance(self.rule, self.tolerance)
         if self.model is None and self.starts == "detected":
             raise InputError("Only a model detects sub-tasks; name one with --model, or leave out --starts detected.")
