@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from rcbht_jax.cli.command import Command, SourcePrefix, Store, Trial, option, unset
+from rcbht_jax.cli.command import Command, OneArm, SourcePrefix, Store, Trial, option
 from rcbht_jax.cli.readers import SnapSize, detector_of
 
 
@@ -28,8 +28,7 @@ class Describe(Command):
     store: Store
     """Store of recordings; label tracks are not needed."""
     trial: Trial
-    arm: Annotated[str | None, unset(metavar="STR")] = None
-    """Arm to describe, if the trial has both."""
+    arm: OneArm = None
     source: SourcePrefix = ""
     task: Annotated[str, option("Track of annotations to name.", "the first, or its corrected variant")] = ""
     snap: SnapSize = ()

@@ -18,14 +18,15 @@ from rcbht_jax.cli.command import (
     Command,
     LabelledStore,
     Model,
+    OneArm,
     OutFigure,
     SourcePrefix,
+    Starts,
     Store,
     Tracks,
     Trial,
     belief_rate,
     option,
-    unset,
 )
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, made_now_note, rule_of
 from rcbht_jax.errors import InputError
@@ -47,8 +48,7 @@ class PlotTrial(Command):
     """Store of recordings, with labels or without."""
     trial: Trial
     out: OutFigure
-    arm: Annotated[str | None, unset(metavar="STR")] = None
-    """Arm to plot, if the trial has both."""
+    arm: OneArm = None
     source: SourcePrefix = ""
     tracks: Tracks = ""
     seconds: Annotated[
@@ -100,7 +100,7 @@ class PlotMap(Command):
     layer: Literal["primitive", "mc", "llb"] = "llb"
     """Layer of the labels."""
     by: Literal["word", "state"] = "word"
-    """Columns: words of the sentence, or time normalised within each state."""
+    """Columns: words of the sentence, or time normalised within the first interval of each state."""
     max_words: Annotated[int | None, option("Number of words to show; default all.", "")] = None
     source: Annotated[
         tuple[str, ...],
@@ -145,14 +145,7 @@ class PlotBeliefs(Command):
     model: Model = Path("online.model")
     arm: Arm = ""
     source: SourcePrefix = ""
-    starts: Annotated[
-        str,
-        option(
-            "Track of annotations whose intervals begin the sub-tasks; recorded = that of the model's task, or the "
-            "first track, harmonised = its corrected variant if there is one, none = no sub-tasks, detected = found "
-            "by the model (train-online --detect)."
-        ),
-    ] = "harmonised"
+    starts: Starts = "harmonised"
     rate: BeliefRate = None
 
     def run(self) -> dict[str, Any]:
