@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import learned_arm, rows_of_arm
 from rcbht_jax._util.cells import number_of
 from rcbht_jax._util.printable import padded, plural, printable, room
-from rcbht_jax.cli.command import Arm, Command, MadeBy, Store, option, progress_bar
+from rcbht_jax.cli.command import Arm, Command, Flag, MadeBy, Store, option, progress_bar
 from rcbht_jax.cli.readers import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
@@ -57,7 +56,7 @@ class MonitorFit(Command):
     group: Group = "session"
     score_rate: ScoreRate = None
     levels: Levels = AUTO
-    exact: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    exact: Flag = False
     """Set the threshold on recordings held out from training, so that its guarantee on false alarms is exact."""
     seed: int = 0
     """Seed for the choice of held-out recordings."""
@@ -85,6 +84,7 @@ class MonitorFit(Command):
             "held_out": held,
             "groups": len(np.unique(groups)),
             "levels": [recordings.axes[level] for level in monitor.levels_],
+            "score_rate": monitor.rate / monitor.score_step,
             "fewest_false_alarms": 1 / (held + 1),
             "remarks": remarks,
         }
@@ -95,7 +95,8 @@ class MonitorFit(Command):
         count = f"{plural(result['recordings'], 'nominal recording')} of {plural(result['groups'], 'group')}"
         fitted = (
             f"{result['monitor']}: {count}; "
-            f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
+            f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}, "
+            f"{result['score_rate']:.3g} times a second; "
             f"the smallest share of false alarms that it can promise is {rounded_up(result['fewest_false_alarms']):g}"
         )
         return "\n".join([fitted, *result["remarks"]])

@@ -310,6 +310,7 @@ def test_wrong_calls_end_with_one_sentence(store, tmp_path, capsys):
         *((["-o", str(tmp_path / "x.json"), f"--rest-weight={wrong}"], "0 or more") for wrong in ("-1", "nan", "inf")),
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--method", "context"], "paper's rule"),
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--plot", "x.png"], "leave it out"),
+        (["-o", str(tmp_path / "x.json"), "--plot", "x.txt"], "x.txt does not end in .png"),  # not after the search
         (["-o", str(tmp_path / "x.json"), "--tolerance", "0.1"], "--rule fit"),
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--method", "rest", "--tolerance", "1"], "leave out"),
         (["-o", str(tmp_path / "x.json"), "--method", "rest", "--plot", "x.png"], "--plot is for --method context or"),
