@@ -229,9 +229,11 @@ def test_thresholds_of_an_unknown_robot_come_from_the_chosen_trials_alone(tmp_pa
     assert both["preset_value"] == alone["preset_value"]
 
 
-def test_a_model_for_streams_of_an_unknown_robot_takes_thresholds_from_the_chosen_trials(tmp_path, monkeypatch):
+@pytest.mark.parametrize("others", [{"source": np.full(2, "strong")}, {"arm": np.full(2, "L")}])
+def test_a_model_for_streams_of_an_unknown_robot_takes_thresholds_from_what_it_learns(tmp_path, monkeypatch, others):
+    """Those of the other arm, which it does not learn, counted as well."""
     calm = replace(recordings(trials=2), source=np.full(2, "calm"))
-    strong = replace(calm, source=np.full(2, "strong"), wrench=calm.wrench * np.float32(64))
+    strong = replace(calm, wrench=calm.wrench * np.float32(64), **others)
     write_recordings(tmp_path / "both.zarr", rj.Recordings.join([calm, strong]), {})
     seen = []
 
