@@ -187,9 +187,11 @@ class MonitorEvaluate(Command):
         from rcbht_jax.introspection.alarms import trials_needed
         from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, parts, thresholds
         from rcbht_jax.learning.class_groups import column_groups
+        from rcbht_jax.learning.tasks import UNFINISHED, UNKNOWN
 
         chosen, remarks, _ = _read(self.store, self.where, self.arm)
-        recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | _judged(chosen)))
+        judged = ~np.isin(chosen.outcome, (UNKNOWN, UNFINISHED))
+        recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | judged))
         series = _series(recordings)
         groups, nominal = column_groups(self.group, recordings), _nominal(recordings, self.nominal)
         monitor, onset = _monitor(recordings, self.score_rate, self.levels), self._onset(recordings)
@@ -286,13 +288,6 @@ def _nominal(recordings: Recordings, outcome: str) -> NDArray[np.bool_]:
         there = ", ".join(sorted(set(recordings.outcome.tolist())))
         raise InputError(f"No recording has the outcome {outcome}, only {there}; choose one with --nominal.")
     return np.asarray(nominal)
-
-
-def _judged(recordings: Recordings) -> NDArray[np.bool_]:
-    """Recordings ``[recording]`` that were judged: whose outcome is known, and not "unfinished"."""
-    from rcbht_jax.learning.tasks import UNFINISHED, UNKNOWN
-
-    return ~np.isin(recordings.outcome, (UNKNOWN, UNFINISHED))
 
 
 def _monitor(recordings: Recordings, score_rate: float | None, levels: tuple[str, ...]) -> NominalMonitor:

@@ -146,12 +146,13 @@ def _summary(data: DataSet, shown: int) -> str:
     seconds = samples * recordings.dt
     lasting = f"{seconds / 60:.1f} minutes" if seconds >= 60 else f"{seconds:.1f} s"
     warnings = "".join(f"<li>{escape(sentence)}</li>" for sentence in confounds(data))
+    digest = escape(str(data.attrs.get("content_sha256", "not hashed"))[:12])
     return (
         f"<p>{plural(len(recordings), 'recording')} of {sources}: {', '.join(map(escape, outcomes))}; "
         f"{lasting} at {1 / recordings.dt:g} Hz; {labels}. "
         f"{shown} of them {'is' if shown == 1 else 'are'} in the browser below.</p>"
         f"<h3>Known confounds of this data</h3><ul>{warnings}</ul>"
-        f'<p class="made">Made by rcbht-jax {escape(rcbht_jax.__version__)}; content {_short(data)}.</p>'
+        f'<p class="made">Made by rcbht-jax {escape(rcbht_jax.__version__)}; content {digest}.</p>'
     )
 
 
@@ -170,10 +171,6 @@ def _about_model(data: DataSet, rows: NDArray[np.int64], model: IntrospectionMod
     else:
         trained = "The model was trained on none of the recordings in the browser."
     return f"<p><strong>Beliefs:</strong> {trained} The start of each sub-task is given to it, from the store.</p>"
-
-
-def _short(data: DataSet) -> str:
-    return escape(str(data.attrs.get("content_sha256", "not hashed"))[:12])
 
 
 _HEADS = ("benchmark", "paper", "ours", "95 % interval", "best peer", "duration alone", "read with care")
