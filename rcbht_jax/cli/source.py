@@ -299,11 +299,13 @@ class Source(RuleCommand):
         from rcbht_jax.labels import UNIT_OF
 
         known, named = {} if self.thresholds is None else units_in(self.thresholds), self.axes or axes
+        units = UNIT_OF | {axis: unit for axis, unit in known.items() if unit}
         if len(named) != len(axes):
             raise InputError(f"--axes names {plural(len(named), 'axis', 'axes')}; the stream has {len(axes)}.")
         its = reads is not None and not self.axes and len(reads.axes) == len(axes)
         if reads and its and not (any(stated) and set(reads.axes) == set(axes)):
-            named, known = reads.axes, dict(zip(reads.axes, reads.units, strict=False))  # old monitors have no units
+            named = reads.axes
+            units = UNIT_OF | dict(zip(reads.axes, reads.units, strict=False))  # old monitors have none
         elif known and not self.axes and not set(axes) <= set(known):
             if len(known) != len(axes):
                 count = plural(len(axes), "axis", "axes")
@@ -312,8 +314,7 @@ class Source(RuleCommand):
                     f"{'it' if len(axes) == 1 else 'them'} with --axes."
                 )
             named = tuple(known)
-        units = [unit or known.get(axis) or UNIT_OF.get(axis, "") for unit, axis in zip(stated, named, strict=True)]
-        return distinct(named), tuple(units)
+        return distinct(named), tuple(unit or units.get(axis, "") for unit, axis in zip(stated, named, strict=True))
 
     def _messages(self, model: IntrospectionModel | None, arms: list[str]) -> Messages:
         from rcbht_jax._util.arms import common_arm, rows_of_arm
