@@ -204,8 +204,8 @@ def _groups(recordings: Recordings, rows: Rows) -> list[tuple[int, int, str]]:
     groups = []
     for start, stop in zip(starts, [*starts[1:], len(rows)], strict=True):
         session, (outcome, count) = keys[start][0], (keys[start][1], f" ({stop - start})")
-        pair = cut(session, LONG), cut(outcome, LONG - len(count)) + count
-        groups.append((start, stop, (",\n" if room(", ".join(pair)) > LONG + 2 else ", ").join(map(plain, pair))))
+        names = [*filter(None, [cut(session, LONG)]), cut(outcome, LONG - len(count)) + count]
+        groups.append((start, stop, (",\n" if room(", ".join(names)) > LONG + 2 else ", ").join(map(plain, names))))
     return groups
 
 
