@@ -203,6 +203,10 @@ class Calibrate(RuleCommand):
             if self.method not in methods:
                 self.refuse(options, f"is for --method {' or '.join(methods)}; with {self.method} leave it out.")
         self._chosen_devices()
+        if self.plot is not None:
+            from rcbht_jax.plots.canvas import check_suffix
+
+            check_suffix(self.plot)
         if not 0 <= self.rest_weight < np.inf:
             raise InputError(f"--rest-weight is {self.rest_weight}; expected a finite number, 0 or more.")
 

@@ -13,7 +13,7 @@ import sys
 import typing
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -108,6 +108,15 @@ OutFigure = Annotated[
 CompileCache = Annotated[
     Path | None, option("Folder for compiled programs, which shortens the next start.", "user's cache", metavar="DIR")
 ]
+Starts = Annotated[
+    str,
+    option(
+        "Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = that of the model's "
+        "task, or the first track, harmonised = its corrected variant if there is one, none = no sub-tasks, detected = "
+        "found by the model (train-online --detect)."
+    ),
+]
+OneArm = Annotated[str | None, option("Arm to show, if the trial has both.", "", metavar="STR")]
 BeliefRate = Annotated[float | None, option("Beliefs per second; 0 = one per window.", "about 10")]
 WordRule = Annotated[
     Literal["paper", "fit"],
@@ -164,10 +173,7 @@ class Command(ABC):
         return kept if self.RESUMES else "no incomplete file was left, and what a stream had recorded is kept"
 
     def check_inputs(self) -> None:
-        """Refuse missing inputs, outputs that cannot be made or are an input, lists without a value, wrong seeds."""
-        for each in fields(self):
-            if getattr(self, each.name) == () and isinstance(each.default, tuple) and each.default:
-                raise InputError(f"--{each.name.replace('_', '-')} has no value; expected one or more.")
+        """Refuse missing inputs, outputs that cannot be made or are an input, and wrong seeds."""
         seed = vars(self).get("seed")
         if isinstance(seed, int) and not 0 <= seed <= self.LARGEST_SEED:
             raise InputError(f"--seed is {seed}; expected 0 to {self.LARGEST_SEED}.")
@@ -187,8 +193,9 @@ class Command(ABC):
     def refuse(self, names: Iterable[str], why: str) -> None:
         """Refuse options that would be ignored, if they are given: if they differ from their defaults."""
         for name in names:
-            if getattr(self, name) != getattr(type(self), name):
-                raise InputError(f"--{name.replace('_', '-')} {why}")
+            default = getattr(type(self), name)
+            if getattr(self, name) != default:
+                raise InputError(f"--{'no-' * (default is True)}{name.replace('_', '-')} {why}")
 
     def outputs(self) -> list[Path]:
         """The files and folders that this command writes."""

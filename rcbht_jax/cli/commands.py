@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export-model": ("rcbht_jax.cli.stream:ExportModel", "write the whole chain of a model as StableHLO"),
     "export": ("rcbht_jax.cli.export:Export", "write a store as Parquet, LeRobot, MCAP or CSV"),
     "report": ("rcbht_jax.cli.export:Report", "write one HTML page: results, trials, labels and beliefs"),
-    "describe": ("rcbht_jax.cli.describe:Describe", "describe one trial in sentences"),
+    "describe": ("rcbht_jax.cli.plot:Describe", "describe one trial in sentences"),
     "plot trial": ("rcbht_jax.cli.plot:PlotTrial", "plot one trial with its labels"),
     "plot beliefs": ("rcbht_jax.cli.plot:PlotBeliefs", "plot the beliefs of a model over one trial"),
     "plot map": ("rcbht_jax.cli.plot:PlotMap", "plot the labels of all recordings of a store"),

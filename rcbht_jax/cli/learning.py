@@ -133,22 +133,22 @@ class Evaluate(_Learning):
     folds: Annotated[
         int | None, option("Folds of the cross-validation.", "5, or the trials of the rarest class if they are fewer")
     ] = None
-    repeats: int = 10
-    """Repetitions of the cross-validation, each with other folds."""
+    repeats: Annotated[int | None, option("Repetitions of the cross-validation, each with other folds.", "10")] = None
     group: Annotated[str, option("Column whose groups no fold splits, for example operator or session.")] = "trial"
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
         from rcbht_jax.learning.evaluation import FOLDS, EvaluationProtocol, evaluate
 
-        if self.train_on and (self.folds is not None or self.repeats != Evaluate.repeats):
+        if self.train_on and (self.folds is not None or self.repeats is not None):
             raise InputError("--folds and --repeats are for cross-validation; leave them out, or leave out --train-on.")
         grammars, how = self.read_tracks()
+        repeats = EvaluationProtocol.repeats if self.repeats is None else self.repeats
         protocol = EvaluationProtocol(
-            self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on, self.group
+            self.folds, repeats, self.seed, self.grid, self.train_on, self.test_on, self.group
         )
         families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-        folds = 1 if self.train_on else (self.folds or FOLDS) * self.repeats
+        folds = 1 if self.train_on else (self.folds or FOLDS) * repeats
         recordings, facts = table_and_facts(self.store)
         spec = self.spec(recordings)
         with progress_bar("evaluate", "folds", folds) as bar:

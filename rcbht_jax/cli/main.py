@@ -13,6 +13,7 @@ import io
 import json
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -225,11 +226,13 @@ def parse(name: str, words: list[str]) -> Command | None:
         described: Any = command_class(name)
     words = _current_spelling(words, described.FORMER)
     known = [*options_of(described), *COMMON]
-    given = set[str]()
-    for word in words:
-        option = word.partition("=")[0].replace("_", "-")
-        if option in given and option in of_several_values(described):  # only the last would count
+    several, given = of_several_values(described), set[str]()
+    for word, following in zip(words, [*words[1:], "--"], strict=False):
+        option, equals, _ = word.replace("_", "-").partition("=")
+        if option in given and option in several:  # only the last would count
             raise InputError(f"{option} is given twice; write all its values after one {option}.")
+        if option in several and not equals and re.match("--|-[a-z]$", following):  # it would count as left out
+            raise InputError(f"{option} has no value; expected one or more.")
         given.add(option)
         if option.startswith("--") and option not in ("--", *known):
             close = _similar(option, known)
@@ -256,6 +259,7 @@ def parse(name: str, words: list[str]) -> Command | None:
 
 def _current_spelling(words: list[str], former: dict[str, str]) -> list[str]:
     """The words with former spellings of options replaced by the present ones."""
+    words = [part for word in words for part in (word.split("=", 1) if word.partition("=")[0] in former else [word])]
     for old, new in former.items():
         parts = old.split()
         for start in reversed(range(len(words) - len(parts) + 1)):

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import learned_arm, rows_of_arm
 from rcbht_jax._util.cells import number_of
 from rcbht_jax._util.printable import padded, plural, printable, room
-from rcbht_jax.cli.command import Arm, Command, MadeBy, Store, option, progress_bar
-from rcbht_jax.cli.snaps import SnapSize, detector_of
+from rcbht_jax.cli.command import Arm, Command, Flag, MadeBy, Store, option, progress_bar
+from rcbht_jax.cli.readers import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ class MonitorFit(Command):
     group: Group = "session"
     score_rate: ScoreRate = None
     levels: Levels = AUTO
-    exact: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    exact: Flag = False
     """Set the threshold on recordings held out from training, so that its guarantee on false alarms is exact."""
     seed: int = 0
     """Seed for the choice of held-out recordings."""
@@ -85,6 +84,7 @@ class MonitorFit(Command):
             "held_out": held,
             "groups": len(np.unique(groups)),
             "levels": [recordings.axes[level] for level in monitor.levels_],
+            "score_rate": monitor.rate / monitor.score_step,
             "fewest_false_alarms": 1 / (held + 1),
             "remarks": remarks,
         }
@@ -95,7 +95,8 @@ class MonitorFit(Command):
         count = f"{plural(result['recordings'], 'nominal recording')} of {plural(result['groups'], 'group')}"
         fitted = (
             f"{result['monitor']}: {count}; "
-            f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}; "
+            f"it compares the changes of all axes and the values of {', '.join(result['levels']) or 'none'}, "
+            f"{result['score_rate']:.3g} times a second; "
             f"the smallest share of false alarms that it can promise is {rounded_up(result['fewest_false_alarms']):g}"
         )
         return "\n".join([fitted, *result["remarks"]])
@@ -186,9 +187,11 @@ class MonitorEvaluate(Command):
         from rcbht_jax.introspection.alarms import trials_needed
         from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, parts, thresholds
         from rcbht_jax.learning.class_groups import column_groups
+        from rcbht_jax.learning.tasks import UNFINISHED, UNKNOWN
 
         chosen, remarks, _ = _read(self.store, self.where, self.arm)
-        recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | _judged(chosen)))
+        judged = ~np.isin(chosen.outcome, (UNKNOWN, UNFINISHED))
+        recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal) | judged))
         series = _series(recordings)
         groups, nominal = column_groups(self.group, recordings), _nominal(recordings, self.nominal)
         monitor, onset = _monitor(recordings, self.score_rate, self.levels), self._onset(recordings)
@@ -285,13 +288,6 @@ def _nominal(recordings: Recordings, outcome: str) -> NDArray[np.bool_]:
         there = ", ".join(sorted(set(recordings.outcome.tolist())))
         raise InputError(f"No recording has the outcome {outcome}, only {there}; choose one with --nominal.")
     return np.asarray(nominal)
-
-
-def _judged(recordings: Recordings) -> NDArray[np.bool_]:
-    """Recordings ``[recording]`` that were judged: whose outcome is known, and not "unfinished"."""
-    from rcbht_jax.learning.tasks import UNFINISHED, UNKNOWN
-
-    return ~np.isin(recordings.outcome, (UNKNOWN, UNFINISHED))
 
 
 def _monitor(recordings: Recordings, score_rate: float | None, levels: tuple[str, ...]) -> NominalMonitor:

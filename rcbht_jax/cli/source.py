@@ -21,14 +21,14 @@ from rcbht_jax.cli.command import (
     MadeBy,
     OnlineModel,
     RuleCommand,
+    Starts,
     belief_rate,
     checked_tolerance,
     option,
     unset,
 )
 from rcbht_jax.cli.monitor import MONITOR, FalseAlarms
-from rcbht_jax.cli.readers import Reads, readers_of
-from rcbht_jax.cli.snaps import SnapSize, detector_of
+from rcbht_jax.cli.readers import Reads, SnapSize, detector_of, readers_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,14 +58,7 @@ class Source(RuleCommand):
             "that of the monitor or the segmenter, else the last by name, as the right one",
         ),
     ] = ""
-    starts: Annotated[
-        str,
-        option(
-            "Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = that of the "
-            "model's task, or the first track, harmonised = its corrected variant if there is one, none = no "
-            "sub-tasks, detected = found by the model (train-online --detect)."
-        ),
-    ] = "harmonised"
+    starts: Starts = "harmonised"
     topic: Annotated[str, unset()] = ""
     """Topic of a bag, if several have wrenches."""
     axes: Annotated[
@@ -201,15 +194,11 @@ class Source(RuleCommand):
         """Refuse options that contradict each other, or are out of range."""
         if not 0 <= self.pace < float("inf"):
             raise InputError(f"The playback speed is {self.pace}; expected zero or more.")
-        own = {
-            "--robot": self.robot is not None, "--thresholds": self.thresholds is not None,
-            "--window": self.window != RuleCommand.window, "--axes": bool(self.axes),
-            "--sampling-rate": self.sampling_rate is not None,
-        }  # fmt: skip
-        if not self.OWN_WORDS:
-            own |= {"--rule": self.rule != RuleCommand.rule, "--tolerance": bool(self.tolerance)}
-        if self.model is not None and (given := [name for name, used in own.items() if used]):
-            raise InputError(f"A model has axes, window, rate, rule and thresholds of its own; leave out {given[0]}.")
+        if self.model is not None:
+            own = ("robot", "thresholds", "window", "axes", "sampling_rate")
+            words = () if self.OWN_WORDS else ("rule", "tolerance")
+            why = "has no effect with --model, which has axes, window, rate, rule and thresholds; leave it out."
+            self.refuse((*own, *words), why)
         checked_tolerance(self.rule, self.tolerance)
         if self.model is None and self.starts == "detected":
             raise InputError("Only a model detects sub-tasks; name one with --model, or leave out --starts detected.")
@@ -220,6 +209,8 @@ class Source(RuleCommand):
         if not 0 <= self.lead <= 600:
             raise InputError(f"--lead is {self.lead}; expected 0 to 600 s.")
         self._check_used()
+        if not 0.55 <= self.certainty < 1:
+            raise InputError(f"--certainty is {self.certainty}; expected 0.55 to less than 1.")
 
     def _check_used(self) -> None:
         """Refuse options that would be ignored, for want of what they are about."""
@@ -254,7 +245,6 @@ class Source(RuleCommand):
             say: called with what is being waited for.
             reads: what the model or monitor reads beside which the words are shown; without, the stream tells.
         """
-        from rcbht_jax._util.signals import distinct
         from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.limit_files import has_tolerances
         from rcbht_jax.introspection.opening import read_opening
@@ -262,13 +252,16 @@ class Source(RuleCommand):
         from rcbht_jax.introspection.words import WordIntrospector
         from rcbht_jax.io.messages import is_bag
         from rcbht_jax.io.store import read_recordings
-        from rcbht_jax.labels import UNIT_OF
+        from rcbht_jax.labels import UNITS
 
         path, known = as_path(self.source), self.sampling_rate or (reads and reads.rate)
         if _is_store(path):
             recordings = read_recordings(path)
             rate = known or 1 / recordings.dt
             recordings = resampled(recordings, rate)
+            if self.axes:
+                axes, units = self._signal(recordings.axes, recordings.units)
+                recordings = replace(recordings, axes=axes, units=units)
         else:
             robot = self.robot or ("hiro" if path.is_dir() and not is_bag(path) else "auto")
             learns = self.thresholds is None and robot == "auto"
@@ -279,15 +272,8 @@ class Source(RuleCommand):
                 say(f"taking the {what} from the first {self.lead:g} s")
             opening = read_opening(messages, self.lead if learns or measured else 0.0, known)
             messages, rate = opening.messages, known or opening.rate()
-            recordings = opening.recordings(rate, *self._signal(opening.axes, reads), self.max_gap)
-        if self.axes:
-            if len(self.axes) != len(recordings.axes):
-                raise InputError(
-                    f"--axes names {plural(len(self.axes), 'axis', 'axes')}; the stream has {len(recordings.axes)}."
-                )
-            stated = ("",) * len(self.axes) if self.source == "-" else recordings.units
-            units = tuple(unit or UNIT_OF.get(axis, "") for unit, axis in zip(stated, self.axes, strict=True))
-            recordings = replace(recordings, axes=distinct(self.axes), units=units)
+            stated = ("",) * len(opening.axes) if self.source == "-" else UNITS
+            recordings = opening.recordings(rate, *self._signal(opening.axes, stated, reads), self.max_gap)
         if _is_store(path):
             thresholds, _ = self.read_limits(recordings, path)
         elif learns:
@@ -298,32 +284,37 @@ class Source(RuleCommand):
         limits = self.limits(config, thresholds, recordings)
         return WordIntrospector(config, limits, recordings.axes, recordings.units), messages
 
-    def _signal(self, axes: tuple[str, ...], reads: Reads | None) -> tuple[tuple[str, ...], tuple[str, ...] | None]:
-        """Names and units of a stream's axes, None = by the names: lines have neither, and are what is read.
+    def _signal(
+        self, axes: tuple[str, ...], stated: tuple[str, ...], reads: Reads | None = None
+    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names and units of a stream's axes. Lines have neither: they are what a reader or the thresholds are for.
 
-        Bags and folders hold a wrench in N and Nm, which a reader may name otherwise.
+        Args:
+            axes: their names where nobody names them.
+            stated: their units, as of a wrench in a bag or a folder, in N and Nm; "" = not stated.
+            reads: what is read beside the words, which may name a wrench otherwise.
         """
-        from rcbht_jax.labels import UNITS
+        from rcbht_jax._util.signals import distinct
+        from rcbht_jax.encoding.thresholds import units_in
+        from rcbht_jax.labels import UNIT_OF
 
-        wrench = None if self.source == "-" else UNITS
-        its = reads is not None and not self.axes and len(reads.axes) == len(axes)
-        if reads and its and not (wrench and set(reads.axes) == set(axes)):
-            return reads.axes, wrench or reads.units or None
-        return self._axes_of(axes), wrench
-
-    def _axes_of(self, axes: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of a stream's axes that nobody named: those in the file of thresholds, if it has other ones."""
-        from rcbht_jax.encoding.thresholds import axes_in
-
-        named = axes_in(self.thresholds) if self.thresholds is not None and not self.axes else axes
-        if set(axes) <= set(named):
-            return axes
+        known, named = {} if self.thresholds is None else units_in(self.thresholds), self.axes or axes
+        units = UNIT_OF | {axis: unit for axis, unit in known.items() if unit}
         if len(named) != len(axes):
-            raise InputError(
-                f"{self.thresholds} has thresholds for {', '.join(named)}, and the stream has "
-                f"{plural(len(axes), 'axis', 'axes')}; name {'it' if len(axes) == 1 else 'them'} with --axes."
-            )
-        return named
+            raise InputError(f"--axes names {plural(len(named), 'axis', 'axes')}; the stream has {len(axes)}.")
+        its = reads is not None and not self.axes and len(reads.axes) == len(axes)
+        if reads and its and not (any(stated) and set(reads.axes) == set(axes)):
+            named = reads.axes
+            units = UNIT_OF | dict(zip(reads.axes, reads.units, strict=False))  # old monitors have none
+        elif known and not self.axes and not set(axes) <= set(known):
+            if len(known) != len(axes):
+                count = plural(len(axes), "axis", "axes")
+                raise InputError(
+                    f"{self.thresholds} has thresholds for {', '.join(known)}, and the stream has {count}; name "
+                    f"{'it' if len(axes) == 1 else 'them'} with --axes."
+                )
+            named = tuple(known)
+        return distinct(named), tuple(unit or units.get(axis, "") for unit, axis in zip(stated, named, strict=True))
 
     def _messages(self, model: IntrospectionModel | None, arms: list[str]) -> Messages:
         from rcbht_jax._util.arms import common_arm, rows_of_arm

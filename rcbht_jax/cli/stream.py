@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import tyro
 
+from rcbht_jax._util.arms import rows_of_arm
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     ONLINE_MODEL,
@@ -102,6 +103,8 @@ class TrainOnline(RuleCommand):
         config = self.config(recordings.dt)
         rows = np.flatnonzero(np.any([chosen_recordings(recordings, spec.task) for spec in specs], axis=0))
         training = recordings.take(rows) if len(rows) else recordings  # without any, training raises the error
+        of_arm, remarks = rows_of_arm(training.arm, "")
+        training = training.take(of_arm)
         limits = self.limits(config, self.read_limits(training, self.store)[0], training)
         with progress_bar("train", "snapshots") as bar:
 
@@ -112,7 +115,8 @@ class TrainOnline(RuleCommand):
             model = train_model(recordings, specs, config, limits, self.seed, progress)
         save(self.out, model)
         encoder, heads = made_by(config, limits)["config"], _summaries(recordings, specs, model)
-        return {"model": str(self.out), "encoder": encoder, "heads": heads, "data_hash": model.data_hash}
+        how = {"encoder": encoder, "data_hash": model.data_hash, "remarks": remarks}
+        return {"model": str(self.out), "heads": heads, **how}
 
     def _heads(self, recordings: Recordings) -> tuple[HeadSpec, ...]:
         """What is learned: a classifier per task, and one that detects when sub-tasks begin."""
@@ -149,7 +153,7 @@ class TrainOnline(RuleCommand):
             lines.append(f"{name}: {classes}; {svm}")
             lines += [f"  {line}" for line in left_out(head["dropped"])]
             lines += [f"  confounds: {head['confounds']}"] * bool(head["confounds"])
-        return "\n".join(lines)
+        return "\n".join([*lines, *result["remarks"]])
 
 
 @dataclass(frozen=True)

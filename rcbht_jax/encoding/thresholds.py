@@ -318,20 +318,20 @@ def read_rows(
         if missing := [axis for axis in axes if axis not in rows]:
             raise InputError(f"{path} has no thresholds for {', '.join(missing)}; it has {', '.join(rows)}.")
         pairs = zip(axes, units_of(axes, units), strict=True)
-        factors = np.array([_factor(path, axis, rows[axis].get("unit", ""), unit) for axis, unit in pairs])
+        factors = np.array([_factor(path, axis, _unit(path, axis, rows[axis]), unit) for axis, unit in pairs])
         found = {name: np.array([_number(path, rows, axis, name) for axis in axes]) for name in COLUMNS[version]}
         columns = {name: values * factors for name, values in found.items()}
     return version, columns, provenance
 
 
-def axes_in(path: Path | str) -> tuple[str, ...]:
-    """Names of the axes in a file of thresholds, in their order.
+def units_in(path: Path | str) -> dict[str, str]:
+    """Units of the axes in a file of thresholds by their names, in the order of the file; "" = not stated.
 
     Raises:
         InputError: not such a file.
     """
     with _file_of_thresholds(path) as (_, rows, _):
-        return tuple(rows)
+        return {axis: _unit(path, axis, row) for axis, row in rows.items()}
 
 
 @contextmanager
@@ -358,8 +358,12 @@ def _number(path: Path | str, rows: Mapping[str, Any], axis: str, name: str) -> 
     return checked_number(f"{path}: {name} of {axis}", rows[axis][name])
 
 
-def _factor(path: Path | str, axis: str, stated: Any, unit: str) -> float:
-    expect(f"{path}: unit of {axis}", stated, str)
+def _unit(path: Path | str, axis: str, row: Mapping[str, Any]) -> str:
+    expect(f"{path}: unit of {axis}", unit := row.get("unit", ""), str)
+    return str(unit)
+
+
+def _factor(path: Path | str, axis: str, stated: str, unit: str) -> float:
     if not (factor := unit_factor(stated, unit)):
         raise InputError(f"{path} has thresholds for {axis} in {stated}; it is in {unit} here, and no factor is known.")
     return factor

@@ -71,17 +71,16 @@ def plain(text: str) -> str:
 
 
 def cut(text: str, letters: int) -> str:
-    """A text that takes the room of so many letters at most.
+    """A text that takes the room of so many letters at most: names of a series differ at the end, so its middle goes.
 
     >>> cut("operator", 8), cut("operators", 8), room(cut("\ud798" * 8, 8))
-    ('operator', 'operato…', 7)
+    ('operator', 'oper…ors', 7)
     """
-    if room(text) <= letters:
-        return text
-    kept = text[:letters]
-    while room(kept) >= letters:
-        kept = kept[:-1]
-    return f"{kept}…"
+    kept, shown = min(len(text), letters), text
+    while room(shown) > letters:
+        kept -= 1
+        shown = f"{text[: kept - kept // 2]}…{text[len(text) - kept // 2 :]}"
+    return shown
 
 
 def stacked(spans: Iterable[tuple[float, float]], most: int) -> list[int | None]:

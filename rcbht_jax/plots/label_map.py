@@ -31,8 +31,8 @@ LINE = 0.19  # inches of a line of names
 _CAPTIONS = {
     "word": "rows: recordings by session and outcome (number of recordings); columns: labels in order; white: after "
     "the last label",
-    "state": "rows: recordings by session and outcome (number of recordings); columns: time, normalised within each "
-    "state; white: state missing, or no label",
+    "state": "rows: recordings by session and outcome (their number); columns: normalised time in each state's first "
+    "interval; white: state missing, or no label",
 }
 Rows = Int[np.ndarray, " row"]
 Codes = Int8[np.ndarray, "row axis _column"]
@@ -52,8 +52,8 @@ def label_map(
     """Labels of one layer of many recordings.
 
     Rows are sorted by session, outcome, data set, trial and arm. Columns are the labels in order (``by="word"``) or
-    time, normalised within each interval of a track of annotations (``by="state"``). White: after the last label of a
-    recording, a missing interval, or a time without a label.
+    time, normalised within the first interval of each state of a track of annotations (``by="state"``). White: after
+    the last label of a recording, a missing interval, or a time without a label.
 
     >>> import rcbht_jax as rj
     >>> recordings = Recordings.from_arrays(np.random.default_rng(0).normal(size=(3, 400, 6)).cumsum(1), 200.0)
@@ -204,8 +204,8 @@ def _groups(recordings: Recordings, rows: Rows) -> list[tuple[int, int, str]]:
     groups = []
     for start, stop in zip(starts, [*starts[1:], len(rows)], strict=True):
         session, (outcome, count) = keys[start][0], (keys[start][1], f" ({stop - start})")
-        pair = cut(session, LONG), cut(outcome, LONG - len(count)) + count
-        groups.append((start, stop, (",\n" if room(", ".join(pair)) > LONG + 2 else ", ").join(map(plain, pair))))
+        names = [*filter(None, [cut(session, LONG)]), cut(outcome, LONG - len(count)) + count]
+        groups.append((start, stop, (",\n" if room(", ".join(names)) > LONG + 2 else ", ").join(map(plain, names))))
     return groups
 
 

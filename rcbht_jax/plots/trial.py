@@ -321,7 +321,8 @@ def _name_marks(ax: Axes, names: list[tuple[Mark, bool, int]]) -> None:
 
 def _title(recordings: Recordings, index: int, window: int | None, rule: str) -> str:
     arm = title_among(str(recordings.arm[index]), recordings.arm)
-    facts = [f"session {recordings.session[index]}", outcome_of(recordings, index), arm]
+    session = str(recordings.session[index])
+    facts = [session and f"session {session}", outcome_of(recordings, index), arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")
     if rule != "paper":

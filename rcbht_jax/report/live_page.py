@@ -1,14 +1,12 @@
 """The live page: one self-contained HTML document and a stream of frames, over HTTP from this machine only.
 
-The server answers GET and HEAD of ``/``, ``/frames`` and ``/description`` and nothing else; it takes no input from
-viewers. All its memory is bounded: the last frames, the number of viewers, the frames a slow viewer may lag behind, and
-the time a connection may idle. It may be opened before anything is known about the stream; then the page says what is
-being waited for.
+The server answers GET of ``/`` and ``/frames`` and nothing else; it takes no input from viewers. All its memory is
+bounded: the last frames, the number of viewers, the frames a slow viewer may lag behind, and the time a connection may
+idle. It may be opened before anything is known about the stream; then the page says what is being waited for.
 """
 
 from __future__ import annotations
 
-import json
 import queue
 import re
 import secrets
@@ -42,12 +40,6 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "rcbht", ""
 
     def do_GET(self) -> None:
-        self._answer(body=True)
-
-    def do_HEAD(self) -> None:
-        self._answer(body=False)
-
-    def _answer(self, body: bool) -> None:
         self.server.asked(self.request)
         path = self.path.split("?", 1)[0]
         # A page elsewhere must not read this one under a name of its own (DNS rebinding).
@@ -56,10 +48,9 @@ class _Handler(BaseHTTPRequestHandler):
         elif path != "/" and self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none"):
             self.send_error(403, "Requests from other pages are refused")  # nor take the places of viewers
         elif path == "/":
-            self._send(self.server.document, "text/html; charset=utf-8", body)
-        elif path == "/description":
-            self._send(json.dumps(self.server.about).encode(), "application/json", body)
-        elif path == "/frames" and body:
+            self._head("text/html; charset=utf-8")
+            self.wfile.write(self.server.document)
+        elif path == "/frames":
             self._stream()
         else:
             self.send_error(404, "There is only /")
@@ -70,13 +61,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Content-Security-Policy", _POLICY)
-
-    def _send(self, content: bytes, kind: str, body: bool) -> None:
-        self._head(kind)
-        self.send_header("Content-Length", str(len(content)))
         self.end_headers()
-        if body:
-            self.wfile.write(content)
 
     def _stream(self) -> None:
         viewer = self.server.broadcast.join()
@@ -86,7 +71,6 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
             self._head("text/event-stream")
-            self.end_headers()
             while True:
                 try:
                     packet = viewer.get(timeout=1.0)
@@ -105,14 +89,16 @@ class _Handler(BaseHTTPRequestHandler):
         """Suppress the request log: standard error is for the user."""
 
 
-def document() -> bytes:
-    """The page: markup with its style and scripts in it."""
-    parts = {"STYLE": ("live_page.css",), "SCRIPT": ("live_page.js", "live_controls.js", "live_draw.js")}
+def filled(template: str, parts: dict[str, str]) -> str:
+    """A page of this folder with texts in place of its marks ``@@NAME@@``."""
+    pieces = asset(template).split("@@")  # text, NAME, text, NAME, ..., text
+    return "".join(parts[piece] if number % 2 else piece for number, piece in enumerate(pieces))
+
+
+def asset(*names: str) -> str:
+    """The text of files of this folder, one after the other."""
     folder = files("rcbht_jax.report")
-    text = folder.joinpath("live_page.html").read_text(encoding="utf-8")
-    for mark, names in parts.items():
-        text = text.replace(f"@@{mark}@@", "".join(folder.joinpath(part).read_text(encoding="utf-8") for part in names))
-    return text.encode()
+    return "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in names)
 
 
 def _host(value: str) -> str:
@@ -144,8 +130,8 @@ class PageServer(ThreadingHTTPServer):
         self._unasked: dict[socket.socket, float] = {}  # when those without a whole request came, the oldest first
         self.local = host in LOOPBACK or host.startswith("127.")
         self.names = {*LOOPBACK, host}  # that a Host header may have: another site's page has another name
-        self.document = document()
-        self.about: dict[str, Any] = {}
+        script = asset("live_page.js", "live_controls.js", "live_draw.js")
+        self.document = filled("live_page.html", {"STYLE": asset("live_page.css"), "SCRIPT": script}).encode()
         if session is not None:
             self.show(session)
         self.address_family = socket.AF_INET6 if (six := ":" in host) else socket.AF_INET
@@ -160,8 +146,7 @@ class PageServer(ThreadingHTTPServer):
     def show(self, session: Session) -> None:
         """Tell viewers what the frames of a session mean."""
         # By the name a viewer that reconnects recognises whether it is still the same stream.
-        self.about = {"stream": secrets.token_hex(8), **description(session)}
-        self.broadcast.tell("about", self.about)
+        self.broadcast.tell("about", {"stream": secrets.token_hex(8), **description(session)})
 
     def status(self, text: str) -> None:
         """Tell viewers what is being waited for; "" = nothing any more."""

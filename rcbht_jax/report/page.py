@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from html import escape
-from importlib.resources import files
 from itertools import groupby
 from typing import Any, Literal
 
@@ -25,6 +24,7 @@ from rcbht_jax.io.export.card import confounds
 from rcbht_jax.io.export.dataset import Block, DataSet
 from rcbht_jax.io.simulation import with_faults
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
+from rcbht_jax.report.live_page import asset, filled
 from rcbht_jax.report.pack import infer_beliefs, pack
 from rcbht_jax.report.results import Results, cells
 from rcbht_jax.types import Recordings
@@ -77,15 +77,14 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     parts = {
         "TITLE": escape(options.title or f"{what.capitalize()} introspection"),
         "SECTIONS": _sections(options),
-        "STYLE": _asset("report.css"),
+        "STYLE": asset("report.css"),
         "SUMMARY": _summary(data, len(rows)) + _about_model(data, rows, options.model),
         "RESULTS": "" if options.results is None else results_html(options.results),
         "FACTS": _script_json(facts),
         "BLOBS": "\n".join(f'<script type="text/plain" id="blob-{n}">{blob}</script>' for n, blob in enumerate(blobs)),
-        "SCRIPT": _asset("report.js") + _asset("report_draw.js"),
+        "SCRIPT": asset("report.js", "report_draw.js"),
     }
-    pieces = _asset("report.html").split("@@")  # text, NAME, text, NAME, ..., text
-    return "".join(parts[piece] if number % 2 else piece for number, piece in enumerate(pieces))
+    return filled("report.html", parts)
 
 
 def chosen(recordings: Recordings, options: Options) -> NDArray[np.int64]:
@@ -131,10 +130,6 @@ def _sections(options: Options) -> str:
     return " ".join(f'<a href="#{place}">{title}</a>' for place, title in titles.items())
 
 
-def _asset(file: str) -> str:
-    return files("rcbht_jax.report").joinpath(file).read_text(encoding="utf-8")
-
-
 def _script_json(value: Any) -> str:
     """JSON that cannot end the script element around it, whatever the name of a trial."""
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
@@ -151,12 +146,13 @@ def _summary(data: DataSet, shown: int) -> str:
     seconds = samples * recordings.dt
     lasting = f"{seconds / 60:.1f} minutes" if seconds >= 60 else f"{seconds:.1f} s"
     warnings = "".join(f"<li>{escape(sentence)}</li>" for sentence in confounds(data))
+    digest = escape(str(data.attrs.get("content_sha256", "not hashed"))[:12])
     return (
         f"<p>{plural(len(recordings), 'recording')} of {sources}: {', '.join(map(escape, outcomes))}; "
         f"{lasting} at {1 / recordings.dt:g} Hz; {labels}. "
         f"{shown} of them {'is' if shown == 1 else 'are'} in the browser below.</p>"
         f"<h3>Known confounds of this data</h3><ul>{warnings}</ul>"
-        f'<p class="made">Made by rcbht-jax {escape(rcbht_jax.__version__)}; content {_short(data)}.</p>'
+        f'<p class="made">Made by rcbht-jax {escape(rcbht_jax.__version__)}; content {digest}.</p>'
     )
 
 
@@ -175,10 +171,6 @@ def _about_model(data: DataSet, rows: NDArray[np.int64], model: IntrospectionMod
     else:
         trained = "The model was trained on none of the recordings in the browser."
     return f"<p><strong>Beliefs:</strong> {trained} The start of each sub-task is given to it, from the store.</p>"
-
-
-def _short(data: DataSet) -> str:
-    return escape(str(data.attrs.get("content_sha256", "not hashed"))[:12])
 
 
 _HEADS = ("benchmark", "paper", "ours", "95 % interval", "best peer", "duration alone", "read with care")

@@ -69,8 +69,8 @@ async function show(number) {
   if (view.number !== number) return; // another one was asked for meanwhile
   Object.assign(view, { trial, from: 0, to: trial.seconds, word: -1, drag: null });
   byId("trial").value = number;
-  const a = trial.about, arm = a.arm_title && `${a.arm_title}, `; // an arm alone has no name
-  byId("about").textContent = `${a.trial}: ${a.source}, session ${a.session}, ${a.facts}, ${arm}${trial.seconds.toFixed(2)} s`;
+  const a = trial.about, what = [a.source, a.session && `session ${a.session}`, a.facts, a.arm_title, `${trial.seconds.toFixed(2)} s`];
+  byId("about").textContent = `${a.trial}: ${what.filter(Boolean).join(", ")}`; // an arm alone has no name
   byId("word").textContent = "Point at a word, or move from word to word with the arrow keys.";
   byId("previous").disabled = number === 0;
   byId("description").replaceChildren(...a.description.map(([time, text]) => {

@@ -90,14 +90,12 @@ def read_results(folder: Path) -> Results:
 
 
 def _record(path: Path) -> dict[str, Any]:
-    """The object in a file; of one with another schema, whose numbers do not matter, an empty one."""
+    """The object in a file; of another value, an empty one. Numbers are checked where they are used."""
     try:
         record = load_json(path, finite=False)
-        if not isinstance(record, dict) or record.get("schema") != SCHEMA:
-            return {}
-        return load_json(path)
     except ValueError as error:
         raise InputError(f"{path} is not JSON ({error}).") from error
+    return record if isinstance(record, dict) else {}
 
 
 def _row(entry: Any, where: str, notes: dict[str, str]) -> Row:

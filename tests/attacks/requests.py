@@ -12,7 +12,6 @@ from rcbht_jax.report.live_page import PageServer
 PATHS = (
     "/",
     "/frames",
-    "/description",
     "/../etc/passwd",
     "/%2e%2e/x",
     "//x",

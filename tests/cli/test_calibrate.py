@@ -229,9 +229,11 @@ def test_thresholds_of_an_unknown_robot_come_from_the_chosen_trials_alone(tmp_pa
     assert both["preset_value"] == alone["preset_value"]
 
 
-def test_a_model_for_streams_of_an_unknown_robot_takes_thresholds_from_the_chosen_trials(tmp_path, monkeypatch):
+@pytest.mark.parametrize("others", [{"source": np.full(2, "strong")}, {"arm": np.full(2, "L")}])
+def test_a_model_for_streams_of_an_unknown_robot_takes_thresholds_from_what_it_learns(tmp_path, monkeypatch, others):
+    """Those of the other arm, which it does not learn, counted as well."""
     calm = replace(recordings(trials=2), source=np.full(2, "calm"))
-    strong = replace(calm, source=np.full(2, "strong"), wrench=calm.wrench * np.float32(64))
+    strong = replace(calm, wrench=calm.wrench * np.float32(64), **others)
     write_recordings(tmp_path / "both.zarr", rj.Recordings.join([calm, strong]), {})
     seen = []
 
@@ -310,6 +312,7 @@ def test_wrong_calls_end_with_one_sentence(store, tmp_path, capsys):
         *((["-o", str(tmp_path / "x.json"), f"--rest-weight={wrong}"], "0 or more") for wrong in ("-1", "nan", "inf")),
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--method", "context"], "paper's rule"),
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--plot", "x.png"], "leave it out"),
+        (["-o", str(tmp_path / "x.json"), "--plot", "x.txt"], "x.txt does not end in .png"),  # not after the search
         (["-o", str(tmp_path / "x.json"), "--tolerance", "0.1"], "--rule fit"),
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--method", "rest", "--tolerance", "1"], "leave out"),
         (["-o", str(tmp_path / "x.json"), "--method", "rest", "--plot", "x.png"], "--plot is for --method context or"),

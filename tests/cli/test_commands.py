@@ -78,7 +78,7 @@ def test_evaluate_beats_chance_and_reports_baselines(store: Path, capsys: pytest
     assert np.sum(crossed["confusion"]) == 4 * TRIALS // 2
     assert (crossed["protocol"]["folds"], crossed["protocol"]["repeats"]) == (None, None)
     for unused in ("--folds", "--repeats"):
-        assert main(["evaluate", str(store), "--train-on", "A", "--test-on", "B", unused, "4"]) == 2
+        assert main(["evaluate", str(store), "--train-on", "A", "--test-on", "B", unused, "10"]) == 2
         assert "--folds and --repeats are for cross-validation" in capsys.readouterr().err
     assert main(["evaluate", str(store), "--folds", "3", "--repeats", "1", *map(str, quick)]) == 0
     assert "duration alone" in capsys.readouterr().out
@@ -285,7 +285,7 @@ def test_any_words_give_a_sentence_or_help(
         (["--clean"], "--clean is for --mode offline; leave it out"),
         (["--version", "wip"], "--version is for --mode offline"),
         (["--mode", "offline", "--window", "20"], "--window is for --mode online; leave it out"),
-        (["--mode", "offline", "--no-gate"], "--gate is for --mode online"),
+        (["--mode", "offline", "--no-gate"], "--no-gate is for --mode online"),
         (["--mode", "offline", "--latency-cap", "0.1"], "--latency-cap is for --mode online"),
         (["--robot", "pa10", "--thresholds", "limits.json"], "--robot and --thresholds both choose thresholds"),
     ],

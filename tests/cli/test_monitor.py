@@ -97,10 +97,10 @@ def test_values_are_compared_of_axes_without_a_bias(store: Path, capsys: pytest.
     for levels, names in (((), ["grip"]), (("--levels", "none"), []), (("--levels", "Fz", "grip"), ["Fz", "grip"])):
         words = ["monitor", "fit", path, "--where", "skill=5", "--group", "day", *levels, "-o", store.parent / "levels"]
         (found,) = lines(capsys, *words, "--json")
-        assert found["levels"] == names
+        assert (found["levels"], found["score_rate"]) == (names, 20.0)
         assert main([*map(str, words)]) == 0
         assert (
-            f"it compares the changes of all axes and the values of {', '.join(names) or 'none'};"
+            f"it compares the changes of all axes and the values of {', '.join(names) or 'none'}, 20 times a second;"
             in capsys.readouterr().out
         )
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import rcbht_jax as rj
 from rcbht_jax.cli.main import main
+from rcbht_jax.encoding.thresholds import write_thresholds
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.types import Recordings
+from tests.cli.test_stream import Stdin, lines
 
 RATE = 50.0
 
@@ -101,6 +105,23 @@ def test_thresholds_mean_the_same_in_other_units(
     write_recordings(tmp_path / "other.zarr", replace(one, units=("N", "A")), {})
     assert main(["encode", str(tmp_path / "other.zarr"), "--thresholds", str(file)]) == 2
     assert "has thresholds for twist in Nmm; it is in A here, and no factor is known." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("options", [[], ["--axes", "Fz", "My"]])
+def test_lines_have_the_units_of_the_file_of_thresholds(
+    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They were taken for N and Nm, so that a file for Nmm was converted: all its limits were a thousandth."""
+    wrench = np.interp(np.arange(200), [0, 80, 120], [0.0, 0.0, 200.0])[:, None] * [0.001, 1.0]
+    found = []
+    for axis, unit in (("My", "Nmm"), ("twist", "")):
+        limits = rj.GradientThresholds(np.array([[70.0, 46.0, 23.0, 1.0], [70e3, 46e3, 23e3, 2e3]]))
+        write_thresholds(tmp_path / "t.json", limits, {}, ("Fz", axis), ("N", unit))
+        monkeypatch.setattr(sys, "stdin", Stdin(lines(wrench)))
+        chosen = [axis if word == "My" else word for word in options]
+        events = said_by(capsys, Path("-"), "--thresholds", str(tmp_path / "t.json"), *chosen)
+        found.append([(label, begin) for name, label, begin in events if name == axis])
+    assert found[0] == found[1]
 
 
 def test_a_preset_is_converted_to_the_units_of_a_store(

@@ -283,16 +283,17 @@ def test_an_outcome_from_the_same_seconds_of_every_record(tmp_path, capsys):
 
 def test_options_that_contradict_each_other(model_path, capsys, monkeypatch):
     for words, part in (
-        (["-m", str(model_path), "--robot", "hiro"], "leave out --robot"),
-        (["-m", str(model_path), "--window", "7"], "leave out --window"),
-        (["-m", str(model_path), "--rule", "fit"], "leave out --rule"),
-        (["-m", str(model_path), "--tolerance", "1"], "leave out --tolerance"),
+        (["-m", str(model_path), "--robot", "hiro"], "--robot has no effect with --model"),
+        (["-m", str(model_path), "--window", "7"], "--window has no effect with --model"),
+        (["-m", str(model_path), "--rule", "fit"], "--rule has no effect with --model"),
+        (["-m", str(model_path), "--tolerance", "1"], "--tolerance has no effect with --model"),
         (["--tolerance", "1"], "--tolerance is for --rule fit"),
         (["--rule", "fit", "--tolerance", "1", "2", "--robot", "hiro"], "expected one, or 6"),
         (["--starts", "detected"], "Only a model detects"),
         (["--sampling-rate", "0"], "--sampling-rate is 0"),
         (["--sampling-rate", "1e300"], "--sampling-rate is 1e+300; expected 0.001 to"),
         (["--lead", "-1"], "--lead is -1"),
+        (["-m", str(model_path), "--certainty", "0.5"], "--certainty is 0.5; expected 0.55 to less than 1."),
         (["--robot", "hiro", "--axes", "a"], "names 1 axis; the stream has 6"),
         (["--robot", "hiro", "--axes", *"abadef"], "2 axes are called a"),
         (

@@ -70,6 +70,9 @@ def test_help_is_as_quick_as_importing_jax() -> None:
         ("train x.zarr --qqqq=1", '"rcbht train --help" lists the options'),
         ("train x.zarr --session A --session B", "--session is given twice; write all its values after one --session."),
         ("monitor fit x.zarr --where=skill=4 --where day=2", "--where is given twice"),
+        ("train x.zarr --session --task states", "--session has no value; expected one or more."),  # not all of them
+        ("stream x.zarr -m x.model --trial", "--trial has no value; expected one or more."),
+        ("monitor fit x.zarr --where -o x.monitor", "--where has no value; expected one or more."),
         ("classify x.zarr --model m --source a -o o.csv --source=b", "--source is given twice"),
     ],
 )
@@ -94,7 +97,7 @@ def test_a_mistyped_second_word_of_a_command_gets_a_suggestion(capsys: pytest.Ca
         ("calibrate", "x -o t.json --ledger s.npz", "x -o t.json --checkpoint s.npz"),
         ("train-online", "x --tasks outcome --features relative", "x --task outcome --relative"),
         ("train-online", "x --features all --detect", "x --detect"),
-        ("stream", "- --k 0.9 --bridge 0.1 --silent 2", "- --certainty 0.9 --max-gap 0.1 --timeout 2"),
+        ("stream", "- --k=0.9 --bridge 0.1 --silent 2", "- --certainty 0.9 --max-gap 0.1 --timeout 2"),
         ("simulate", "--longest 3 -o x.zarr", "x.zarr --max-seconds 3"),
         ("report", "x -o r.html --most 3", "x -o r.html --max-trials 3"),
     ],

@@ -63,6 +63,26 @@ def test_letters_that_the_usual_font_lacks_come_from_an_installed_one(
     save(belief_map([belief], "trial"), tmp_path / "a.png")
 
 
+def test_a_session_without_a_name_is_not_named() -> None:
+    """A comma stood before its outcome in a map, and the word session before nothing in a title."""
+    wrench = np.random.default_rng(0).normal(size=(1, 400, 1)).cumsum(1)
+    recordings = Recordings.from_arrays(wrench, 100, axes=["Fz"], session="", outcome="success")
+    tracks = rj.encode(wrench, 100)
+    [label] = label_map(recordings, tracks, "llb").axes[0].get_yticklabels()
+    assert label.get_text() == "success (1)"
+    assert "\nsuccess" in trial_figure(recordings, tracks, 0).get_suptitle()
+
+
+def test_long_names_of_sessions_are_told_apart_by_their_ends() -> None:
+    """All sessions of a day had one name, as what is beyond 22 letters was left out."""
+    sessions = [f"experiment_at_2018y05m19d15H48M03S__{number}" for number in range(3)]
+    wrench = np.random.default_rng(0).normal(size=(3, 400, 1)).cumsum(1)
+    recordings = Recordings.from_arrays(wrench, 100, axes=["Fz"], session=sessions, outcome="success")
+    figure = label_map(recordings, rj.encode(wrench, 100), "llb")
+    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert [name.partition(",")[0][-3:] for name in names] == ["__0", "__1", "__2"]
+
+
 @pytest.mark.filterwarnings("ignore:No installed font", "ignore:Glyph")
 @pytest.mark.parametrize("session", ["\uc6d4\uc694\uc77c & <b>", "\uc6d4\uc694\uc77c" * 10])
 def test_letters_twice_as_wide_have_room_beside_a_label_map(session: str) -> None:

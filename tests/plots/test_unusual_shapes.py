@@ -90,6 +90,17 @@ def test_names_of_many_states_do_not_cover_each_other_nor_the_title() -> None:
     assert not overlapping(figure, [*named, *legend])
 
 
+def test_a_map_by_state_says_that_it_has_the_first_interval_of_each() -> None:
+    """A state that comes several times seemed to be shown whole."""
+    marks = [(0, "step", ("screw", "wait")[number % 2], number * 2.0, number * 2.0 + 2.0) for number in range(5)]
+    recordings = Recordings.from_arrays(np.zeros((1, 2000, 1)), 200.0, axes=["grip"], units=["N"], annotations=marks)
+    figure = label_map(recordings, words(1, [(1, 0, 400), (2, 400, 2000)]), "llb", by="state")
+    assert "normalised time in each state's first interval" in figure.get_suptitle()
+    assert {int(code) for code in np.unique(figure.axes[0].images[0].get_array())} == {1, 2}
+    [title] = [text for text in figure.findobj(Text) if text.get_text() == figure.get_suptitle()]
+    assert title.get_window_extent().x1 <= figure.bbox.x1
+
+
 def test_a_contact_is_seen_in_a_long_recording() -> None:
     recordings = Recordings.from_arrays(np.zeros((1, SAMPLES, 1)), 200.0, axes=["grip"], units=["N"])
     middle = SAMPLES // 2

@@ -85,7 +85,7 @@ def server():
         yield running
 
 
-def test_page_and_description(server):
+def test_the_page_fetches_nothing_from_anywhere(server):
     status, body = ask(server, "GET", "/")
     assert status == 200
 
@@ -102,15 +102,16 @@ def test_page_and_description(server):
     assert links.found == ["data:,"]  # nothing is fetched from anywhere
     assert b"http" not in body
     assert b"@@" not in body
-    status, body = ask(server, "GET", "/description")
-    said = json.loads(body)
-    assert said["heads"]["states"] == ["calm", "push", "shake"]
+
+
+def test_the_description_has_classes_alarms_and_names():
+    said = live_frames.description(Session(Introspector(model())))
+    assert said["heads"]["states"] == ("calm", "push", "shake")
     assert said["alarms"] == {"outcome": {"class": "failure", "level": 0.7}}
     assert [len(said["names"][layer]) for layer in said["layers"]] == [10, 9, 9]
-    assert ask(server, "HEAD", "/")[0] == 200
 
 
-@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "BREW"])
+@pytest.mark.parametrize("method", ["HEAD", "POST", "PUT", "DELETE", "PATCH", "OPTIONS", "BREW"])
 def test_nothing_but_reading(server, method):
     assert ask(server, method, "/")[0] == 501
 
@@ -142,10 +143,9 @@ def test_pages_of_others_neither_look_nor_frame_nor_take_a_place(server):
     """A browser says which page asks; a link from elsewhere to the page itself is followed."""
     for site in ("cross-site", "same-site"):
         assert ask(server, "GET", "/", {"Sec-Fetch-Site": site})[0] == 200
-        for path in ("/frames", "/description"):
-            assert ask(server, "GET", path, {"Sec-Fetch-Site": site})[0] == 403
+        assert ask(server, "GET", "/frames", {"Sec-Fetch-Site": site})[0] == 403
     for site in ("same-origin", "none"):
-        assert ask(server, "GET", "/description", {"Sec-Fetch-Site": site})[0] == 200
+        assert ask(server, "GET", "/frames", {"Sec-Fetch-Site": site})[0] == 200
     with urlopen(server.url) as answer:
         assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
 
@@ -174,9 +174,9 @@ def test_frames_hold_the_stream():
         frames.finish()
         server.broadcast.close()
         heard = packets(answer.read().decode())
-        about = server.about
     assert answer.getheader("Content-Type") == "text/event-stream"
-    assert heard[:2] == [("status", "compiling"), ("about", json.loads(json.dumps(about)))]
+    about = json.loads(json.dumps(live_frames.description(session)))
+    assert heard[:2] == [("status", "compiling"), ("about", {"stream": heard[1][1]["stream"], **about})]
     assert heard[-1] == ("end", 0)
     said = [value for kind, value in heard if kind == "frame"]
     assert [frame["number"] for frame in said] == list(range(1, len(said) + 1))
@@ -330,7 +330,7 @@ def test_any_bytes_leave_the_server_well(data):
         client.shutdown(socket.SHUT_WR)
         while client.recv(4096):
             pass
-    assert ask(server, "GET", "/description")[0] == 200
+    assert ask(server, "GET", "/")[0] == 200
 
 
 _kept: list[PageServer] = []
