@@ -169,7 +169,7 @@ def read_table(stored: Stored) -> Recordings:
 
 
 def first_trials(path: Path, count: int) -> list[str]:
-    """Names of the trials of the first ``count`` recordings; [] = of version 1 or 2, or not finished."""
+    """Names of the trials of the first ``count`` recordings; [] = of version 1, or not finished."""
     group = open_store(path)
     if not in_parts(group) or HASH not in group.attrs:
         return []
