@@ -18,7 +18,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
 from rcbht_jax.io.importing.families import numbered
-from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.names import GROUPS, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
 from rcbht_jax.io.importing.words import in_order
@@ -83,6 +83,7 @@ def read_npz(path: Path, name: str) -> Iterator[Table]:
         raise InputError(f"{error}{hint}") from None
 
 
+@apart("h5py")
 def read_hdf5(path: Path, name: str) -> Iterator[Table]:
     """Tables of an HDF5 file: sub-groups of like content are a recording each, else the whole file is one.
 
@@ -95,7 +96,7 @@ def read_hdf5(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares arrays too large for it, or h5py is missing.
     """
-    yield from isolated(hdf5_tables, path, name, "h5py")
+    yield from hdf5_tables(path, name)
 
 
 def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:

@@ -21,7 +21,7 @@ from rcbht_jax._util.untrusted import (
 )
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
-from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.names import of_levels
 from rcbht_jax.io.importing.table import Table
 
@@ -32,6 +32,7 @@ _OWN = ("index", "frame_index", EPISODE, "task_index", "next.done", "timestamp")
 _BOOKKEEPING = ("dataset_from_index", "dataset_to_index", "length")  # of an episode; names of others have a "/"
 
 
+@apart(*LIBRARIES)
 def read_parquet(path: Path, name: str) -> Iterator[Table]:
     """The table of a Parquet or Arrow file.
 
@@ -43,7 +44,9 @@ def read_parquet(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares a table too large for it, or pyarrow is missing.
     """
-    yield from isolated(parquet_tables, path, name, *LIBRARIES)
+    with reading(path, "Parquet or Arrow"):
+        columns, rate, units = _columns(path)
+    yield Table(name, columns, rate, units)
 
 
 def read_columns(path: Path) -> Mapping[str, NDArray[Any]]:
@@ -55,22 +58,8 @@ def read_columns(path: Path) -> Mapping[str, NDArray[Any]]:
     Raises:
         InputError: as :func:`read_parquet`.
     """
-    [table] = isolated(parquet_tables, path, "", *LIBRARIES)
+    [table] = read_parquet(path, "")
     return table.columns
-
-
-def parquet_tables(path: Path, name: str) -> Iterator[Table]:
-    """As :func:`read_parquet`, in this process, which a damaged file can crash.
-
-    >>> [table.name for table in parquet_tables(Path("run.parquet"), "run.parquet")]
-    ['run.parquet']
-
-    Raises:
-        InputError: as :func:`read_parquet`.
-    """
-    with reading(path, "Parquet or Arrow"):
-        columns, rate, units = _columns(path)
-    yield Table(name, columns, rate, units)
 
 
 def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[str, str]]:
@@ -227,8 +216,7 @@ def _episodes(folder: Path) -> dict[int, dict[str, str | float]]:
     if lines.is_file():
         return dict(map(_episode, _rows(lines)))
     files = sorted((folder / "meta" / "episodes").glob("*/*.parquet"))
-    tables = (table for path in files for table in isolated(episode_tables, path, "", *LIBRARIES))
-    return {int(table.name): dict(table.facts) for table in tables}
+    return {int(table.name): dict(table.facts) for path in files for table in _episode_tables(path, "")}
 
 
 def _rows(path: Path) -> Iterator[dict[str, Any]]:
@@ -243,14 +231,9 @@ def _rows(path: Path) -> Iterator[dict[str, Any]]:
         yield row
 
 
-def episode_tables(path: Path, _: str) -> Iterator[Table]:
-    """Facts of the episodes that a Parquet file of a LeRobot data set describes: tables without columns.
-
-    >>> list(episode_tables(Path("pusht/meta/episodes/chunk-000/file-000.parquet"), ""))  # doctest: +SKIP
-
-    Raises:
-        InputError: damaged.
-    """
+@apart(*LIBRARIES)
+def _episode_tables(path: Path, _: str) -> Iterator[Table]:
+    """Facts of the episodes that a Parquet file of a LeRobot data set describes: tables without columns."""
     size = check_file(path)
     with reading(path, "Parquet"), path.open("rb") as raw:
         file = require("pyarrow.parquet", "import").ParquetFile(raw)

@@ -18,7 +18,7 @@ from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.attributes import stated_units, units_of
 from rcbht_jax.io.importing.groups import MAX_GROUPS
-from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.json_lines import Rows
 from rcbht_jax.io.importing.mapping import Track
 from rcbht_jax.io.importing.marks import intervals_of, is_intervals
@@ -33,6 +33,7 @@ LEAST_STAMP = 1e8  # of an index: time since 1970; smaller whole numbers count r
 Object = Mapping[str, Any]
 
 
+@apart()
 def read_json_document(path: Path, name: str) -> Iterator[Table]:
     """The tables of a JSON document.
 
@@ -49,20 +50,6 @@ def read_json_document(path: Path, name: str) -> Iterator[Table]:
 
     Raises:
         InputError: not a regular file, too large, not JSON, nested too deeply, or without a list of two samples.
-    """
-    yield from isolated(json_tables, path, name)
-
-
-def json_tables(path: Path, name: str) -> Iterator[Table]:
-    """As :func:`read_json_document`, in this process, which a large document can fill.
-
-    >>> _ = Path("rows.json").write_text('[{"t": 0, "Fz": 1}, {"t": 0.1, "Fz": 2}]')
-    >>> [table] = json_tables(Path("rows.json"), "rows.json")
-    >>> list(table.columns)
-    ['t', 'Fz']
-
-    Raises:
-        InputError: as :func:`read_json_document`.
     """
     with opened(path, MAX_JSON_BYTES) as file:
         content = file.read()

@@ -18,7 +18,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
 from rcbht_jax.io.importing.groups import MAX_GROUPS
-from rcbht_jax.io.importing.isolated import bytes_of, isolated
+from rcbht_jax.io.importing.isolated import apart, bytes_of
 from rcbht_jax.io.importing.table import Table, tables_of
 
 ENDS = "episode_ends"  # array of one past the last row of each recording
@@ -30,6 +30,7 @@ CODECS = {
 }  # fmt: skip
 
 
+@apart("zarr", "numcodecs")
 def read_zarr(path: Path, name: str) -> Iterator[Table]:
     """Tables of a Zarr group of version 2 or 3: a recording for each episode, or as of any other file of arrays.
 
@@ -46,20 +47,6 @@ def read_zarr(path: Path, name: str) -> Iterator[Table]:
 
     Raises:
         InputError: not a Zarr group, damaged, of arrays too large for it, or zarr is missing.
-    """
-    yield from isolated(zarr_tables, path, name, "zarr", "numcodecs")
-
-
-def zarr_tables(path: Path, name: str) -> Iterator[Table]:
-    """As :func:`read_zarr`, in this process.
-
-    >>> import zarr
-    >>> _ = zarr.open_group("runs.zarr", mode="w").create_array("Fz", data=np.arange(5.0))
-    >>> [table.columns["Fz"].tolist() for table in zarr_tables(Path("runs.zarr"), "runs.zarr")]
-    [[0.0, 1.0, 2.0, 3.0, 4.0]]
-
-    Raises:
-        InputError: as :func:`read_zarr`.
     """
     zarr = require("zarr", "store")
     with reading(path, "Zarr"):
