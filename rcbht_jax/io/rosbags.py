@@ -30,8 +30,6 @@ with needs_extra("stream"):
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 WRENCH = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
-
-_FOREIGN = ("Profile is not ros2", "'jsonschema'", "'protobuf'", "'flatbuffer'", "'ros1msg'")  # what AnyReader says
 LATEST = 2.0**31 - 1  # s, the last stamp that ROS can hold
 _MESSAGES = {  # of the package rcbht_msgs
     "Labels": """std_msgs/Header header
@@ -135,12 +133,17 @@ def open_bag(path: Path) -> Iterator[Bag]:
     if not path.exists():
         raise InputError(f"{path} does not exist; expected a bag or an MCAP file.")
     with ExitStack() as stack:
-        sources, problems = path, list[str]()
+        sources, problems, foreign = path, list[str](), False
         for part in _files(path):
             plain = part if part == path else stack.enter_context(unpacked_file(part))
             found, wrong = stack.enter_context(sound(plain))  # nothing for a file that is no MCAP
             sources = found if part == path else sources
             problems += wrong
+            foreign |= found != plain and not wrong
+        refused = InputError(
+            f"{path} holds messages that are not of ROS 2, which alone are read of an MCAP file; save its topics of "
+            "ROS 2 by themselves, or the wrench as CSV or JSON lines."
+        )
         try:
             reader = Bag([sources], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
@@ -149,12 +152,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
             reader.packed = take_packed(reader)
         except Exception as error:  # a damaged file fails in any way inside the reader
             text = str(error).replace(str(sources), str(path)).rstrip(".") or type(error).__name__
-            if text in _FOREIGN:
-                raise InputError(
-                    f"{path} holds messages that are not of ROS 2, which alone are read of an MCAP file; save its "
-                    "topics of ROS 2 by themselves, or the wrench as CSV or JSON lines."
-                ) from error
-            raise InputError(f"{path} is not a readable bag: {text}.") from error
+            raise refused if foreign else InputError(f"{path} is not a readable bag: {text}.") from error
+        if foreign and not reader.connections:
+            raise refused
         reader.problems = tuple(problems)
         yield reader
 
