@@ -146,7 +146,7 @@ class _Decoder:
             if line.endswith(b"\n"):
                 return json.loads(line)
             with suppress(subprocess.TimeoutExpired):  # its own exit status tells more than that of a kill
-                child.wait(1)
+                child.wait(patience)
             status = self._end()
             if late.is_set():  # the processor had time left: the file need not be at fault
                 raise InputError(f"{path} was not decoded within {patience:.0f} s; try again when the machine is idle.")
