@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from mcap.reader import make_reader
+from pyarrow import parquet
 from rosbags.highlevel import AnyReader
 
 from rcbht_jax.cli.main import main
@@ -301,3 +302,19 @@ def test_parquet_signals_in_another_order_are_refused(tmp_path: Path) -> None:
     pd.read_parquet(path).sort_values(["sample", "recording"]).to_parquet(path, index=False)
     with pytest.raises(InputError, match=r"wrench.parquet: the column recording is not that of an export"):
         read_source(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("kind", "file", "groups"), [("parquet", "trials", 1), ("lerobot", "meta/episodes/chunk-000/file-000", 2)]
+)
+def test_parquet_keeps_every_text_and_type(
+    kind: str, file: str, groups: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcbht_jax.io.export.lerobot.GROUP", 2)
+    large = np.arange(2**64 - 4, 2**64, dtype=np.uint64)
+    recordings = Recordings.from_arrays([np.ones((9, 6))] * 4, 100.0, texts=["a\0b", "\0c", "d", ""], large=large)
+    export(DataSet.of(recordings), tmp_path / "out", kind)
+    table = parquet.read_table(tmp_path / f"out/{file}.parquet")
+    for column in ("texts", "large"):
+        assert table[column].to_pylist() == recordings.columns[column].tolist()
+    assert parquet.ParquetFile(tmp_path / f"out/{file}.parquet").num_row_groups == groups
