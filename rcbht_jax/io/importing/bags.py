@@ -17,7 +17,7 @@ from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.messages import Malformed, stamp_of
 from rcbht_jax.io.rosbags import WRENCH, messages, open_bag
 
-MAX_ELEMENTS = 64  # of an array in a message
+MAX_ELEMENTS = 1024  # of an array in a message; longer ones are pictures and clouds of points
 TEXT = "std_msgs/msg/String"
 _UNITS = {  # of wrenches, as REP 103 prescribes
     f"{prefix}{part}.{axis}": unit

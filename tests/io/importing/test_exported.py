@@ -72,10 +72,11 @@ def test_an_export_comes_back_equal(exported: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(back.annotations, name), getattr(made.annotations, name))
 
 
+@pytest.mark.parametrize("axes", [("force norm", "torque"), tuple(f"taxel {k}" for k in range(256))], ids=len)
 @pytest.mark.parametrize("kind", sorted(FORMATS))
-def test_two_channels_of_any_name_come_back(kind: str, tmp_path: Path) -> None:
-    values = [np.random.default_rng(0).normal(size=(30, 2))]
-    made = Recordings.from_arrays(values, 20.0, axes=["force norm", "torque"], units=["N", ""])
+def test_channels_of_any_name_and_number_come_back(kind: str, axes: tuple[str, ...], tmp_path: Path) -> None:
+    values = [np.random.default_rng(0).normal(size=(30, len(axes)))]
+    made = Recordings.from_arrays(values, 20.0, axes=axes, units=["N", ""] * (len(axes) // 2))
     write_recordings(tmp_path / "a.zarr", made, {})
     export(load(tmp_path / "a.zarr"), tmp_path / "out", kind)
     back = read_source(tmp_path / "out").recordings
