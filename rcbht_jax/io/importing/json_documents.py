@@ -108,13 +108,17 @@ def _with_shared(one: Any, around: Object) -> Any:
 def _with_units(table: Table) -> Table:
     """The table with the units that an object ``units`` states for the names of columns, which are no facts."""
     words = {key: key.split(".") for key in table.facts if "." in key}
-    of_units = {key: own[-1] for key, own in words.items() if own[-2].lower() in ("unit", "units")}
+    of_units = {key: own[-1] for key, own in words.items() if _states_units(key)}
     stated = {name: texts for key, name in of_units.items() if (texts := stated_units({"units": table.facts[key]}))}
     short = {column: column.rpartition(".")[2] for column in table.columns}
     known = units_of(short.values(), stated)
     units = {column: known[name] for column, name in short.items() if name in known}
     facts = {key: fact for key, fact in table.facts.items() if key not in of_units}
     return replace(table, facts=facts, units={**units, **table.units})
+
+
+def _states_units(key: str) -> bool:
+    return key.rpartition(".")[0].rpartition(".")[2].lower() in ("unit", "units")
 
 
 def _of_rows(
@@ -260,6 +264,8 @@ def _named(value: Object) -> Iterator[tuple[str, NDArray[Any]]]:
     for number, (key, one) in enumerate(_flat(value)):
         if number == MAX_MEMBERS:
             raise ValueError(f"it holds more than {MAX_MEMBERS} values with a name; split it")
+        if _states_units(key) and isinstance(one, list):  # one for each element of a column
+            one = ",".join(map(str, one))
         if one is not None and (array := _array(one)) is not None:
             yield key, array
 
@@ -271,6 +277,9 @@ def _array(value: Any) -> Any:
         return np.array(["" if one is None else one for one in value]) if texts else None
     if isinstance(value, str | bool):
         return np.array(str(value).lower() if isinstance(value, bool) else value)
+    if isinstance(value, list) and (width := max((len(one) for one in value if isinstance(one, list)), default=0)):
+        missing = [None] * width
+        value = [missing if one is None else one for one in value]
     try:
         return np.array(value, np.float64)
     except (ValueError, TypeError):

@@ -12,7 +12,7 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.importer import Imported, read_source
-from rcbht_jax.labels import AXES
+from rcbht_jax.labels import AXES, UNITS
 
 COUNT = 120
 TIME = (np.arange(COUNT) * 0.01).round(4)
@@ -181,3 +181,12 @@ def test_units_of_lists_of_rows_are_those_of_their_columns(
     recordings = read_source(tmp_path, "json").recordings
     assert recordings.units == expected
     assert not recordings.columns
+
+
+def test_a_row_that_is_missing_and_units_of_each_element(tmp_path: Path) -> None:
+    content = lists(0)
+    content["wrench"][7] = None
+    imported = read(tmp_path, {**content, "units": {"wrench": ["N", "N", "N", "Nm", "Nm", "Nm"]}})
+    assert imported.recordings.units == UNITS
+    assert imported.recordings.note.tolist() == ["missing:1"]
+    np.testing.assert_allclose(np.delete(imported.recordings.wrench[0], 7, 0), np.delete(WRENCH[0], 7, 0), rtol=1e-6)
