@@ -88,7 +88,8 @@ class Stored:
         )
 
     def damaged(self, what: str) -> InputError:
-        """The error for content that does not match its checksum."""
+        """The error for content that does not match its checksum, unless it is that of another store."""
+        self.check_unchanged()
         return InputError(f"{self.path} is damaged: {what} does not match its checksum. Import or copy it again.")
 
 
