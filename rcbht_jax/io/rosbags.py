@@ -133,25 +133,27 @@ def open_bag(path: Path) -> Iterator[Bag]:
     if not path.exists():
         raise InputError(f"{path} does not exist; expected a bag or an MCAP file.")
     with ExitStack() as stack:
-        sources, problems, foreign = path, list[str](), False
+        sources, whole, problems, foreign = list[Path](), True, list[str](), False
         for part in _files(path):
             plain = part if part == path else stack.enter_context(unpacked_file(part))
             found, wrong = stack.enter_context(sound(plain))  # nothing for a file that is no MCAP
-            sources = found if part == path else sources
+            sources += [found] if found.suffix == ".mcap" else []
+            whole &= found == plain
             problems += wrong
             foreign |= found != plain and not wrong
+        sources = [path] if whole else sources
         refused = InputError(
             f"{path} holds messages that are not of ROS 2, which alone are read of an MCAP file; save its topics of "
             "ROS 2 by themselves, or the wrench as CSV or JSON lines."
         )
         try:
-            reader = Bag([sources], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            reader = Bag(sources, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
             stack.callback(reader.close)
             bound_chunks(reader)
             reader.packed = take_packed(reader)
         except Exception as error:  # a damaged file fails in any way inside the reader
-            text = str(error).replace(str(sources), str(path)).rstrip(".") or type(error).__name__
+            text = str(error).replace(str(sources[0]), str(path)).rstrip(".") or type(error).__name__
             raise refused if foreign else InputError(f"{path} is not a readable bag: {text}.") from error
         if foreign and not reader.connections:
             raise refused
