@@ -49,19 +49,6 @@ def read_parquet(path: Path, name: str) -> Iterator[Table]:
     yield Table(name, columns, rate, units, others=others)
 
 
-def read_columns(path: Path) -> Mapping[str, NDArray[Any]]:
-    """Columns of a Parquet file that can be imported.
-
-    >>> list(read_columns(Path("run.parquet")))
-    ['time', 'Fz']
-
-    Raises:
-        InputError: as :func:`read_parquet`.
-    """
-    [table] = read_parquet(path, "")
-    return table.columns
-
-
 def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[str, str], tuple[str, ...]]:
     """Columns that can be imported, the rate where the metadata state it, the unit of those that are times by type.
 
@@ -195,10 +182,10 @@ def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
     if not files:
         raise InputError(f"{folder} has no data/*/*.parquet.")
     for path in files:
-        columns = read_columns(path)
+        [table] = read_parquet(path, "")
+        columns = {names.get(key, key): values for key, values in table.columns.items()}
         if EPISODE not in columns:
             raise InputError(f"{path} has no column {EPISODE}.")
-        columns = {names.get(key, key): values for key, values in columns.items()}
         for episode in np.unique(columns[EPISODE]):
             rows = columns[EPISODE] == episode
             part = {key: values[rows] for key, values in columns.items() if key not in _OWN}

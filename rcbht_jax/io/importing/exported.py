@@ -273,7 +273,8 @@ def _wrench(path: Path, columns: Mapping[str, NDArray[Any]], axes: tuple[str, ..
 
 
 def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[np.float32]]:
-    columns = columnar.read_columns(path)
+    [table] = columnar.read_parquet(path, "")
+    columns = table.columns
     if "recording" not in columns:
         raise InputError(f"{path} has no column recording.")
     wrench = _wrench(path, columns, axes)

@@ -74,7 +74,9 @@ def _metadata(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     found: dict[str, dict[str, Any]] = {}
     for file, content in _files(path):
         key, _, kind = file.rpartition("/")
-        value = _json(content, file)
+        value = parse_json(content, finite=False)
+        if not isinstance(value, dict):
+            raise ValueError(f"{file} is not a JSON object")
         if kind == "zarr.json":
             found[key] = value
         else:
@@ -98,13 +100,6 @@ def _files(path: Path) -> Iterator[tuple[str, bytes]]:
         for name in sorted({*files} & {*METADATA}):
             file = Path(folder, name)
             yield file.relative_to(path).as_posix(), read_bytes(file, MAX_JSON_BYTES)
-
-
-def _json(content: bytes, name: str) -> dict[str, Any]:
-    value = parse_json(content, finite=False)
-    if not isinstance(value, dict):
-        raise ValueError(f"{name} is not a JSON object")
-    return value
 
 
 def _arrays(path: Path, metadata: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], tuple[str, ...]]:
