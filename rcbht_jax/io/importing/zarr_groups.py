@@ -60,7 +60,8 @@ def read_zarr(path: Path, name: str) -> Iterator[Table]:
     about = {key: metadata[key].get("attributes", {}) for key in chosen}
     arrays = {key: scaled(array, about[key]) if array.dtype.kind in "fiu" else array for key, array in arrays.items()}
     stated = {key.removeprefix("data/"): texts for key in chosen if (texts := stated_units(about[key]))}
-    facts = {key: np.asarray(value) for key, value in metadata.get("", {}).get("attributes", {}).items()}
+    groups = {key: one.get("attributes", {}) for key, one in metadata.items() if "shape" not in one}
+    facts = {f"{key}/{own}".lstrip("/"): np.asarray(value) for key, one in groups.items() for own, value in one.items()}
     arrays = {key: array for key, array in {**facts, **arrays}.items() if array.dtype.kind in "fiubU"}
     several = _episodes(path, arrays)
     for part, own in several.items() if several else [("", arrays)]:
