@@ -97,9 +97,11 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
         topics = sorted({c.topic for c in connections})
         if not topics and reader.problems:
             raise InputError(f"{path} is damaged ({reader.problems[0]}), and nothing is left of its wrenches.")
+        if not topics:
+            raise InputError(f"{path} has no wrenches; its topics are {reader.listed_topics()}")
         if topic and topic not in topics:
-            raise InputError(f"{path} has no wrenches on {topic}; it has them on {', '.join(topics) or 'no topic'}.")
-        if not topic and len(topics) != 1:
+            raise InputError(f"{path} has no wrenches on {topic}; it has them on {', '.join(topics)}.")
+        if not topic and len(topics) > 1:
             raise InputError(
                 f"{path} has wrenches on {len(topics)} topics ({', '.join(topics)}); choose one with --topic."
             )
@@ -157,15 +159,22 @@ def open_bag(path: Path) -> Iterator[Bag]:
             raise refused if foreign else InputError(f"{path} is not a readable bag: {text}.") from error
         if foreign and not reader.connections:
             raise refused
-        reader.problems = tuple(problems)
+        reader.problems, reader.foreign = tuple(problems), foreign
         yield reader
 
 
 class Bag(AnyReader):
-    """A reader with the problems of its file, and whether each message in it is packed."""
+    """A reader with the problems of its file, and whether each message in it is packed and others are left out."""
 
     problems: tuple[str, ...] = ()
     packed = False
+    foreign = False
+
+    def listed_topics(self) -> str:
+        """The end of a sentence about a topic that is not there."""
+        topics = sorted({connection.topic for connection in self.connections})
+        more = " Messages in other encodings than that of ROS 2 are not read." if self.foreign else ""
+        return f"{', '.join(topics[:20]) or 'none'}.{more}"
 
 
 def _files(path: Path) -> list[Path]:

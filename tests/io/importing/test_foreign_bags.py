@@ -97,3 +97,7 @@ def test_topics_of_ros_2_are_read_beside_others(tmp_path: Path) -> None:
     recordings = read_source(tmp_path / "run.mcap").recordings
     assert recordings.note.tolist() == [""]
     np.testing.assert_array_equal(recordings.wrench[0, :, 0], np.arange(60))
+    with pytest.raises(
+        InputError, match=r"its topics are /wrench\. Messages in other encodings than that of ROS 2 are"
+    ):
+        read_source(tmp_path / "run.mcap", mapping=Mapping(topic="/steps"))
