@@ -174,7 +174,7 @@ def _copied(path: Path, file: BinaryIO, folder: Path) -> Path:
     schemas: dict[int, list[str]] = {}  # name, encoding and definition
     connections: dict[int, Any] = {}
     made: dict[tuple[str, ...], Any] = {}  # several publishers of one topic become one
-    with Writer(folder / path.stem, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for kind, content in _intact(path, file):
             if kind == MESSAGE:
                 channel, _, time, _ = struct.unpack_from("<HIQQ", content)
@@ -196,7 +196,7 @@ def _copied(path: Path, file: BinaryIO, folder: Path) -> Path:
                 key = topic, name
                 made[key] = made.get(key) or writer.add_connection(topic, name, msgdef=text, rihs01="unknown")
                 connections[number] = made[key]
-    return next((folder / path.stem).glob("*.mcap"))
+    return folder / "bag" / "bag.mcap"
 
 
 def _texts(content: bytes, count: int) -> list[str]:
