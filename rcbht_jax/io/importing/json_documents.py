@@ -272,6 +272,8 @@ def _named(value: Object) -> Iterator[tuple[str, NDArray[Any]]]:
 
 def _array(value: Any) -> Any:
     """An array of numbers or of texts, null = not a number; None = it is neither."""
+    if isinstance(value, list) and all(one is None or isinstance(one, bool) for one in value):
+        value = [str(one).lower() if isinstance(one, bool) else None for one in value]
     if isinstance(value, list) and any(isinstance(one, str) for one in value):
         texts = all(one is None or isinstance(one, str) for one in value)
         return np.array(["" if one is None else one for one in value]) if texts else None

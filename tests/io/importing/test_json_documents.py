@@ -190,3 +190,11 @@ def test_a_row_that_is_missing_and_units_of_each_element(tmp_path: Path) -> None
     assert imported.recordings.units == UNITS
     assert imported.recordings.note.tolist() == ["missing:1"]
     np.testing.assert_allclose(np.delete(imported.recordings.wrench[0], 7, 0), np.delete(WRENCH[0], 7, 0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("rows", [False, True])
+def test_lists_of_true_and_false_are_words_as_in_rows(rows: bool, tmp_path: Path) -> None:
+    columns = {"t": TIME.tolist(), "Fz": WRENCH[0, :, 2].tolist(), "in_contact": [k >= 60 for k in range(COUNT)]}
+    content = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)] if rows else columns
+    marks = read(tmp_path, content).recordings.annotations
+    assert (marks.tracks, marks.names().tolist()) == (("in_contact",), ["false", "true"])
