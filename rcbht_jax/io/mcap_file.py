@@ -13,16 +13,22 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_CHANNELS, MAX_CHUNK, MAX_SCHEMA, check_declared, check_file
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.bag_chunks import unpack_lz4, unpack_zstd
 
+with needs_extra("stream"):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
 MAGIC = b"\x89MCAP0\r\n"
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 7, 8, 0x0B, 0x0F
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, STATISTICS, DATA_END = 1, 2, 3, 4, 5, 6, 0x0B, 0x0F
 _HEAD = 9  # bytes of kind and length
 _BLOCK = 2**20
+_LANGUAGES = ("ros2msg", "ros2idl", "omgidl")  # of definitions of messages of ROS 2
+_IDL = f"{'=' * 80}\nIDL: "  # how definitions in this language begin, by which the writer knows them
 
 
 class _Cut(Exception):
@@ -60,9 +66,10 @@ def seal(path: Path) -> None:
 
 @contextmanager
 def sound(path: Path) -> Iterator[tuple[Path, list[str]]]:
-    """A readable MCAP file and its problems: the file itself, or a copy of the intact parts of a damaged one.
+    """A readable MCAP file and its problems: the file itself, or a copy, in a folder for temporary files.
 
-    The copy, in a folder for temporary files, holds every chunk that is complete and agrees with its checksum.
+    Of a damaged file, the copy holds the messages of every chunk that is complete and agrees with its checksum; of a
+    file with other messages than those of ROS 2, it holds those of ROS 2.
 
     >>> with sound(Path("run.mcap")) as (path, problems):  # doctest: +SKIP
     ...     print(problems)
@@ -73,33 +80,33 @@ def sound(path: Path) -> Iterator[tuple[Path, list[str]]]:
     size = check_file(path, MAX_BAG_BYTES, empty=True)
     with path.open("rb") as file:
         # The reader reports a file that is no MCAP.
-        problems = _problems(path, file, size) if file.read(len(MAGIC)) == MAGIC else []
-        if not problems:
+        problems, foreign = _problems(path, file, size) if file.read(len(MAGIC)) == MAGIC else ([], False)
+        if not problems and not foreign:
             yield path, []
             return
         with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder, path.name)
-            with copy.open("wb") as out:
-                _copy_whole(path, file, out)
-            yield copy, problems
+            yield _copied(path, file, Path(folder)), problems
 
 
-def _problems(path: Path, file: BinaryIO, size: int) -> list[str]:
-    """Problems of a file, in a few words each; needs the memory of one chunk."""
+def _problems(path: Path, file: BinaryIO, size: int) -> tuple[list[str], bool]:
+    """Problems of a file, in a few words each, and whether it is not of ROS 2 alone; needs the memory of one chunk."""
     problems: Counter[str] = Counter()
     kinds: Counter[int] = Counter()  # records outside and inside of chunks
-    unpacked = 0
+    unpacked, foreign = 0, False
     stated: int | None = None
     try:
         for kind, at, length in _records(path, file):
             kinds[kind] += 1
             _check_schema(path, kind, length)
-            if kind == CHUNK:
-                if (found := _chunk_and_kinds(path, file, at, length)) is None:
+            if kind in (HEADER, SCHEMA):
+                foreign |= _is_foreign(kind, _content(file, at, length))
+            elif kind == CHUNK:
+                if (found := _chunk_and_records(path, file, at, length)) is None:
                     problems["damaged chunks"] += 1
                     continue
                 chunk, inside = found
-                kinds += inside
+                kinds.update(one for one, *_ in inside)
+                foreign |= any(_is_foreign(one, chunk.content[at:][:size]) for one, at, size in inside if one == SCHEMA)
                 unpacked += len(chunk.content)
                 check_declared(path, min(unpacked, 2 * size), size)
                 problems["chunks with a wrong checksum"] += chunk.crc not in (0, zlib.crc32(chunk.content))
@@ -115,25 +122,36 @@ def _problems(path: Path, file: BinaryIO, size: int) -> list[str]:
         problems["the file is cut off, or damaged in the middle"] += 1
     if stated not in (None, kinds[MESSAGE]) and not problems.total():
         problems[f"{kinds[MESSAGE]} messages were found where {stated} were written"] += 1
-    return [f"{what}: {count}" if "chunks" in what else what for what, count in problems.items() if count]
+    words = [f"{what}: {count}" if "chunks" in what else what for what, count in problems.items() if count]
+    return words, foreign
 
 
-def _chunk_and_kinds(path: Path, file: BinaryIO, at: int, length: int) -> tuple[_Chunk, Counter[int]] | None:
-    """A chunk, and how many records of each kind it holds; None = it is damaged.
+def _is_foreign(kind: int, content: bytes) -> bool:
+    """Whether a header or a schema is not of ROS 2; a damaged one is left to the reader."""
+    try:
+        return _texts(content, 1) != ["ros2"] if kind == HEADER else _texts(content[2:], 2)[1] not in ("", *_LANGUAGES)
+    except (ValueError, struct.error):
+        return False
+
+
+def _chunk_and_records(
+    path: Path, file: BinaryIO, at: int, length: int
+) -> tuple[_Chunk, list[tuple[int, int, int]]] | None:
+    """A chunk, and kind, place and length of its records; None = it is damaged.
 
     Raises:
         InputError: it, or the description of a message in it, is larger than is allowed.
     """
     try:
         chunk = _chunk(file, at, length)
-        inside = [(kind, size) for kind, _, size in _inside(chunk.content)]
+        inside = list(_inside(chunk.content))
     except _TooLarge as error:
         raise InputError(f"{path} holds {error}; expected at most {MAX_CHUNK}. That is not a recording.") from None
     except ValueError:
         return None
-    for kind, size in inside:
+    for kind, _, size in inside:
         _check_schema(path, kind, size)
-    return chunk, Counter(kind for kind, _ in inside)
+    return chunk, inside
 
 
 def _data_match(file: BinaryIO, at: int) -> bool:
@@ -151,62 +169,83 @@ def _index_matches(file: BinaryIO, at: int) -> bool:
     return begin <= at and (not crc or _crc(file, begin, at + 16) == crc)
 
 
-def _copy_whole(path: Path, file: BinaryIO, out: BinaryIO) -> None:
-    """Write the intact records of a damaged file as a valid one, with a new index."""
-    out.write(MAGIC)
-    chunks: list[bytes] = []
-    described = _described(path, file)  # they are also in the first chunk, which may be lost
-    counts: Counter[int] = Counter()
-    first, last = 2**63, 0
+def _copied(path: Path, file: BinaryIO, folder: Path) -> Path:
+    """A file in a folder with the intact messages of a damaged one, by the writer, which makes a new index."""
+    schemas: dict[int, list[str]] = {}  # name, encoding and definition
+    connections: dict[int, Any] = {}
+    made: dict[tuple[str, ...], Any] = {}  # several publishers of one topic become one
+    with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for kind, content in _intact(path, file):
+            if kind == MESSAGE:
+                channel, _, time, _ = struct.unpack_from("<HIQQ", content)
+                if channel in connections:
+                    writer.write(connections[channel], time, content[22:])
+                continue
+            with suppress(ValueError, struct.error):  # a damaged description
+                (number,) = struct.unpack_from("<H", content)
+                if kind == SCHEMA:
+                    schemas[number] = _texts(content[2:], 3)
+                    continue
+                topic, encoding = _texts(content[4:], 2)
+                (schema,) = struct.unpack_from("<H", content, 2)
+                name, language, text = schemas.get(schema, ["", "", ""])
+                if encoding != "cdr" or language not in _LANGUAGES:
+                    continue
+                if language != "ros2msg" and not text.startswith(_IDL):
+                    text = f"{_IDL}{name}\n{text}"
+                key = topic, name
+                made[key] = made.get(key) or writer.add_connection(topic, name, msgdef=text, rihs01="unknown")
+                connections[number] = made[key]
+    return folder / "bag" / "bag.mcap"
 
-    def keep(chunk: _Chunk) -> None:
-        nonlocal first, last
-        messages = _indexed(chunk.content, described)
-        chunks.append(_write_chunk(out, chunk, messages))
-        for channel, entries in messages.items():
-            counts[channel] += len(entries)
-            first = min(first, *(time for time, _ in entries))
-            last = max(last, *(time for time, _ in entries))
 
+def _texts(content: bytes, count: int) -> list[str]:
+    """The texts with which a record goes on, each after its length."""
+    found, at = list[str](), 0
+    for _ in range(count):
+        (length,) = struct.unpack_from("<I", content, at)
+        at += 4 + length
+        found.append(content[at - length : at].decode())
+    return found
+
+
+def _intact(path: Path, file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of the schemas, channels and messages in what is intact of a file."""
+    yield from _described(path, file)  # they are also in the first chunk, which may be lost
     try:
-        for number, (kind, at, length) in enumerate(_records(path, file)):
+        for kind, at, length in _records(path, file):
             if kind == CHUNK:
                 with suppress(ValueError):
                     chunk = _chunk(file, at, length)
                     if chunk.crc in (0, zlib.crc32(chunk.content)):
-                        keep(chunk)
-            elif kind in (SCHEMA, CHANNEL, MESSAGE) or not number:  # the header, or a file without chunks
-                content = _content(file, at, length)
-                if kind in (SCHEMA, CHANNEL):
-                    described[_record(kind, content)] = None
-                out.write(_record(kind, content))
+                        yield from _members(chunk.content)
+            elif kind in (SCHEMA, CHANNEL) or (kind == MESSAGE and length >= 22):
+                yield kind, _content(file, at, length)
             elif kind == DATA_END:
-                break
+                return
     except _Cut as end:
-        if (rest := _beginning(file, end.at)) is not None:
-            keep(rest)
-    out.write(_record(DATA_END, bytes(4)))
-    start = out.tell() if chunks else 0
-    if chunks:
-        table = b"".join(struct.pack("<HQ", *one) for one in sorted(counts.items()))
-        statistics = struct.pack("<QHIIIIQQI", counts.total(), 0, 0, 0, 0, len(chunks), first, last, len(table))
-        out.write(b"".join([*described, *chunks, _record(STATISTICS, statistics + table)]))
-    out.write(_record(FOOTER, struct.pack("<QQI", start, 0, 0)) + MAGIC)
+        yield from _members(_beginning(file, end.at))
 
 
-def _beginning(file: BinaryIO, at: int) -> _Chunk | None:
-    """The messages at the beginning of the chunk in which a file was cut off; None = there are none, or not known."""
+def _members(chunk: bytes) -> list[tuple[int, bytes]]:
+    """Kind and content of the schemas, channels and messages of a chunk; ValueError: it does not consist of records."""
+    records = [(kind, chunk[at : at + length]) for kind, at, length in _inside(chunk)]
+    return [(kind, content) for kind, content in records if kind in (SCHEMA, CHANNEL, MESSAGE)]
+
+
+def _beginning(file: BinaryIO, at: int) -> bytes:
+    """The whole records at the beginning of the chunk in which a file was cut off, as far as they can be known."""
     size = file.seek(0, 2)
     if _content(file, size - len(MAGIC), len(MAGIC)) == MAGIC:
-        return None  # not cut: data are missing before this place, so that messages after it may be wrong
+        return b""  # not cut: data are missing before this place, so that messages after it may be wrong
     content = _content(file, at, min(size - at, MAX_CHUNK))
     if len(content) < _HEAD + 40 or content[0] != CHUNK or content[_HEAD + 28 : _HEAD + 32] != bytes(4):
-        return None  # of compressed chunks nothing is read
+        return b""  # of compressed chunks nothing is read
     data, whole = content[_HEAD + 40 :], 0
     with suppress(ValueError):
         for _, start, length in _inside(data):
             whole = start + length
-    return _Chunk(0, data[:whole]) if whole else None
+    return data[:whole]
 
 
 def _check_schema(path: Path, kind: int, length: int) -> None:
@@ -215,47 +254,15 @@ def _check_schema(path: Path, kind: int, length: int) -> None:
         raise InputError(f"{path} describes a message in {length} bytes; expected at most {MAX_SCHEMA}.")
 
 
-def _described(path: Path, file: BinaryIO) -> dict[bytes, None]:
-    """The schemas and channels in the index at the end, if there is one."""
-    found: dict[bytes, None] = {}
+def _described(path: Path, file: BinaryIO) -> list[tuple[int, bytes]]:
+    """Kind and content of the schemas and channels in the index at the end, if there is one."""
     size = file.seek(0, 2)
     (begin,) = _numbers(file, max(size - 28, 0), "<Q")
     try:
-        for kind, at, length in _records(path, file, begin) if 0 < begin < size else ():
-            if kind in (SCHEMA, CHANNEL):
-                found[_record(kind, _content(file, at, length))] = None
+        records = list(_records(path, file, begin)) if 0 < begin < size else []
     except (_Cut, InputError):  # it is no index
-        return {}
-    return found
-
-
-def _indexed(content: bytes, described: dict[bytes, None]) -> dict[int, list[tuple[int, int]]]:
-    """By channel, time and place of each message of a chunk; schemas and channels are added to ``described``."""
-    messages: dict[int, list[tuple[int, int]]] = {}
-    for kind, at, length in _inside(content):
-        if kind in (SCHEMA, CHANNEL):
-            described[content[at - _HEAD : at + length]] = None
-        elif kind == MESSAGE:
-            channel, _, time = struct.unpack_from("<HIQ", content, at)
-            messages.setdefault(channel, []).append((time, at - _HEAD))
-    return messages
-
-
-def _write_chunk(out: BinaryIO, chunk: _Chunk, messages: dict[int, list[tuple[int, int]]]) -> bytes:
-    """Write a chunk, not compressed, and its index; returns the record that the index at the end has of it."""
-    times = [time for entries in messages.values() for time, _ in entries] or [0]
-    span = struct.pack("<QQ", min(times), max(times))
-    size = len(chunk.content)
-    crc = zlib.crc32(chunk.content)
-    begin = out.tell()
-    out.write(_record(CHUNK, span + struct.pack("<QIIQ", size, crc, 0, size) + chunk.content))
-    end, offsets = out.tell(), b""
-    for channel, entries in messages.items():
-        offsets += struct.pack("<HQ", channel, out.tell())
-        table = b"".join(struct.pack("<QQ", *entry) for entry in entries)
-        out.write(_record(INDEX, struct.pack("<HI", channel, len(table)) + table))
-    places = struct.pack("<QQI", begin, end - begin, len(offsets)) + offsets
-    return _record(CHUNK_INDEX, span + places + struct.pack("<QIQQ", out.tell() - end, 0, size, size))
+        return []
+    return [(kind, _content(file, at, length)) for kind, at, length in records if kind in (SCHEMA, CHANNEL)]
 
 
 def _records(path: Path, file: BinaryIO, at: int = len(MAGIC)) -> Iterator[tuple[int, int, int]]:
@@ -338,10 +345,6 @@ def _chunk(file: BinaryIO, at: int, length: int) -> _Chunk:
 
 
 _UNPACK: dict[bytes, Callable[[bytes], bytes]] = {b"": bytes, b"lz4": unpack_lz4, b"zstd": unpack_zstd}
-
-
-def _record(kind: int, content: bytes) -> bytes:
-    return struct.pack("<BQ", kind, len(content)) + content
 
 
 def _content(file: BinaryIO, at: int, length: int) -> bytes:

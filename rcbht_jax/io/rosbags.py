@@ -30,8 +30,6 @@ with needs_extra("stream"):
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 WRENCH = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
-
-_FOREIGN = ("Profile is not ros2", "'jsonschema'", "'protobuf'", "'flatbuffer'", "'ros1msg'")  # what AnyReader says
 LATEST = 2.0**31 - 1  # s, the last stamp that ROS can hold
 _MESSAGES = {  # of the package rcbht_msgs
     "Labels": """std_msgs/Header header
@@ -99,27 +97,16 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
         topics = sorted({c.topic for c in connections})
         if not topics and reader.problems:
             raise InputError(f"{path} is damaged ({reader.problems[0]}), and nothing is left of its wrenches.")
+        if not topics:
+            raise InputError(f"{path} has no wrenches; its topics are {reader.listed_topics()}")
         if topic and topic not in topics:
-            raise InputError(f"{path} has no wrenches on {topic}; it has them on {', '.join(topics) or 'no topic'}.")
-        if not topic and len(topics) != 1:
+            raise InputError(f"{path} has no wrenches on {topic}; it has them on {', '.join(topics)}.")
+        if not topic and len(topics) > 1:
             raise InputError(
                 f"{path} has wrenches on {len(topics)} topics ({', '.join(topics)}); choose one with --topic."
             )
         for found in messages(reader, [c for c in connections if c.topic == (topic or topics[0])]):
             yield found if isinstance(found, Malformed) else sample_of(found[2], found[1])
-
-
-def topics_of(path: Path) -> set[str]:
-    """The topics of a bag.
-
-    >>> topics_of(Path("assembly.mcap"))  # doctest: +SKIP
-    {'/wrench'}
-
-    Raises:
-        InputError: as :func:`open_bag`.
-    """
-    with open_bag(path) as reader:
-        return {connection.topic for connection in reader.connections}
 
 
 @contextmanager
@@ -135,35 +122,46 @@ def open_bag(path: Path) -> Iterator[Bag]:
     if not path.exists():
         raise InputError(f"{path} does not exist; expected a bag or an MCAP file.")
     with ExitStack() as stack:
-        sources, problems = path, list[str]()
+        sources, whole, problems, foreign = list[Path](), True, list[str](), False
         for part in _files(path):
             plain = part if part == path else stack.enter_context(unpacked_file(part))
             found, wrong = stack.enter_context(sound(plain))  # nothing for a file that is no MCAP
-            sources = found if part == path else sources
+            sources += [found] if found.suffix == ".mcap" else []
+            whole &= found == plain
             problems += wrong
+            foreign |= found != plain and not wrong
+        sources = [path] if whole else sources
+        refused = InputError(
+            f"{path} holds messages that are not of ROS 2, which alone are read of an MCAP file; save its topics of "
+            "ROS 2 by themselves, or the wrench as CSV or JSON lines."
+        )
         try:
-            reader = Bag([sources], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            reader = Bag(sources, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
             stack.callback(reader.close)
             bound_chunks(reader)
             reader.packed = take_packed(reader)
         except Exception as error:  # a damaged file fails in any way inside the reader
-            text = str(error).replace(str(sources), str(path)).rstrip(".") or type(error).__name__
-            if text in _FOREIGN:
-                raise InputError(
-                    f"{path} holds messages that are not of ROS 2, which alone are read of an MCAP file; save its "
-                    "topics of ROS 2 by themselves, or the wrench as CSV or JSON lines."
-                ) from error
-            raise InputError(f"{path} is not a readable bag: {text}.") from error
-        reader.problems = tuple(problems)
+            text = str(error).replace(str(sources[0]), str(path)).rstrip(".") or type(error).__name__
+            raise refused if foreign else InputError(f"{path} is not a readable bag: {text}.") from error
+        if foreign and not reader.connections:
+            raise refused
+        reader.problems, reader.foreign = tuple(problems), foreign
         yield reader
 
 
 class Bag(AnyReader):
-    """A reader with the problems of its file, and whether each message in it is packed."""
+    """A reader with the problems of its file, and whether each message in it is packed and others are left out."""
 
     problems: tuple[str, ...] = ()
     packed = False
+    foreign = False
+
+    def listed_topics(self) -> str:
+        """The end of a sentence about a topic that is not there."""
+        topics = sorted({connection.topic for connection in self.connections})
+        more = " Messages in other encodings than that of ROS 2 are not read." if self.foreign else ""
+        return f"{', '.join(topics[:20]) or 'none'}.{more}"
 
 
 def _files(path: Path) -> list[Path]:

@@ -7,8 +7,8 @@ further columns ``[trial]`` in ``columns/``; annotations in ``annotations/`` (``
 ``[trial, interval]``; the codes count from 1 in the attribute ``annotation_labels``, 0 = no interval); label tracks in
 ``labels/<name>/<layer>/`` (``rcbht_jax.io.label_store``); parameters and ground truth of a simulation in
 ``simulation/``, every array ``[trial, ...]``. The dimension "trial" counts recordings: one arm of one trial. A row of
-length 0, listed in the attribute ``gaps``, is no recording, and readers leave it out. Versions 1 and 2 are read as well
-(:mod:`rcbht_jax.io.store_old`).
+length 0, listed in the attribute ``gaps``, is no recording, and readers leave it out. Version 1 is read as well
+(:mod:`rcbht_jax.io.store_old`); no release has written version 2.
 
 A store is written in parts of consecutive rows (:mod:`rcbht_jax.io.store_writer`), each with files of its own, and read
 whole, by rows or in batches, so that it may be larger than memory. Every chunk carries a CRC-32C, every recording's
@@ -134,7 +134,7 @@ def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
     >>> len(read_rows(Path("trials.zarr"), [3]))
     1
 
-    A store of version 1 or 2 is read whole.
+    A store of version 1 is read whole.
 
     Raises:
         InputError: there is no such recording, or as for :func:`read_recordings`.
@@ -156,7 +156,7 @@ def read_batches(path: Path | str, most: int | None = None) -> Iterator[Recordin
     1600
 
     Args:
-        path: the store; of version 1 or 2 it is read whole.
+        path: the store; of version 1 it is read whole.
         most: bytes of wrenches in a batch; default 64 MiB.
 
     Raises:
@@ -186,7 +186,7 @@ def read_table(path: Path | str) -> Recordings:
 def read_summary(path: Path) -> Summary:
     """The summary of a store (:func:`rcbht_jax.io.summary.summary_of`), as far as it is written; no row is read.
 
-    A store of version 1 or 2 is read whole.
+    A store of version 1 is read whole.
 
     Raises:
         InputError: ``path`` does not exist, is not a store of this format, or is damaged.
@@ -217,7 +217,7 @@ def progress_of(path: Path) -> tuple[int, int, dict[str, str], int]:
     group, there = open_store(path), count_recordings(path)
     with zarr_io.reading(path):
         wrench: Any = group["wrench"]
-        if group.attrs["format_version"] == 1:
+        if not in_parts(group):
             return there, there, dict(zip(AXES, UNITS, strict=True)), wrench.nbytes
         names = zarr_io.read_array(group, "axis", "string").tolist()
         axes = dict(zip(names, map(str, group.attrs["axis_units"]), strict=True))  # type: ignore[arg-type]
@@ -358,7 +358,7 @@ def recording_rows(path: Path) -> NDArray[np.int64]:
 
 
 def _open(path: Path, *, collected: bool = False) -> Stored | Recordings:
-    """An open store; all recordings, verified, of a store of version 1 or 2."""
+    """An open store; all recordings, verified, of a store of version 1."""
     group = open_store(path, collected=collected)
     return Stored.of(path, group) if in_parts(group) else store_old.read(path, group)
 

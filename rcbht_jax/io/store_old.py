@@ -1,6 +1,6 @@
-"""Stores of versions 1 and 2: every array in one piece, padded to the longest recording, with one digest for all.
+"""Stores of version 1, of rcbht-jax 0.1: every array in one piece, with one digest for all.
 
-Version 1 holds recordings of snap assemblies, with four start times of sub-tasks for each.
+They hold recordings of snap assemblies, with four start times of sub-tasks for each.
 """
 
 from __future__ import annotations
@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import content_hash
-from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import zarr as zarr_io
-from rcbht_jax.io.checks import VARIABLES
 from rcbht_jax.io.label_parts import FIELDS, checked
 from rcbht_jax.io.store_reader import padded_to
 from rcbht_jax.io.store_schema import HASH
@@ -24,13 +22,12 @@ from rcbht_jax.labels import LAYERS
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
-# Variables in the order of the digest, and their dtypes.
-FIRST_VARIABLES = {
+# In the order of the digest; values are dtypes.
+VARIABLES = {
     "wrench": "float32", "length": "int32", "onset": "float64", "onset_harmonised": "float64", "deviation": "float64",
     "trial_name": "string", "arm": "string", "source": "string", "session": "string", "outcome": "string",
     "failure_type": "string", "note": "string",
 }  # fmt: skip
-INTERVALS = {"recording": "int32", "track": "string", "label": "string", "start": "float64", "end": "float64"}
 
 
 def read(path: Path, group: zarr_io.Group) -> Recordings:
@@ -41,11 +38,12 @@ def read(path: Path, group: zarr_io.Group) -> Recordings:
     """
     padded_to(path, group)
     with zarr_io.reading(path):
-        recordings, digest = (_first if group.attrs["format_version"] == 1 else _second)(group)
-        expected = group.attrs[HASH]
-    if digest != expected:
-        raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
-    return recordings
+        arrays = {name: zarr_io.read_array(group, name, dtype) for name, dtype in VARIABLES.items()}
+        dt = float(zarr_io.read_array(group, "dt", "float64")[()])
+        if content_hash([*arrays.values(), np.float64(dt)]) != group.attrs[HASH]:
+            raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
+        wrench, length, trial = (arrays.pop(name) for name in ("wrench", "length", "trial_name"))
+        return snap_recordings(wrench, length, dt, trial=trial, **arrays)
 
 
 def read_simulation(path: Path, group: zarr_io.Group) -> dict[str, NDArray[Any]]:
@@ -55,7 +53,10 @@ def read_simulation(path: Path, group: zarr_io.Group) -> dict[str, NDArray[Any]]
         InputError: they do not match their checksum.
     """
     with zarr_io.reading(path):
-        arrays = _arrays(group)
+        arrays = {
+            name: zarr_io.read_array(group, name, None if array.dtype.kind in "biuf" else "string")
+            for name, array in sorted(group.arrays())
+        }
         expected = group.attrs[HASH]
     if content_hash(arrays.values()) != expected:
         raise InputError(f"{path} is damaged: its simulation does not match its checksum. Simulate or copy it again.")
@@ -80,49 +81,3 @@ def read_tracks(folder: Path, attrs: Mapping[str, Any], count: int) -> LabelTrac
     if content_hash(array for layer in arrays for array in layer.values()) != attrs[HASH]:
         raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
     return LabelTracks(*layers)
-
-
-def _first(group: zarr_io.Group) -> tuple[Recordings, str]:
-    """Recordings and digest of a store of version 1."""
-    arrays = {name: zarr_io.read_array(group, name, dtype) for name, dtype in FIRST_VARIABLES.items()}
-    dt = float(zarr_io.read_array(group, "dt", "float64")[()])
-    digest = content_hash([*arrays.values(), np.float64(dt)])
-    wrench, length, trial = (arrays.pop(name) for name in ("wrench", "length", "trial_name"))
-    return snap_recordings(wrench, length, dt, trial=trial, **arrays), digest
-
-
-def _second(group: zarr_io.Group) -> tuple[Recordings, str]:
-    """Recordings and digest of a store of version 2."""
-    arrays = {variable: zarr_io.read_array(group, variable, dtype) for variable, dtype in VARIABLES.items()}
-    columns = _arrays(zarr_io.subgroup(group, "columns"))
-    sub = zarr_io.subgroup(group, "annotations")
-    intervals = {name: zarr_io.read_array(sub, name, dtype) for name, dtype in INTERVALS.items()}
-    try:
-        marks = Annotations.from_table(intervals, dict(group.attrs["annotation_labels"]))  # type: ignore[arg-type]
-    except InputError as error:
-        raise InputError(f"{zarr_io.path_of(group)} is damaged: {error} Import or copy it again.") from error
-    recordings = Recordings(
-        dt=float(zarr_io.read_array(group, "dt", "float64")[()]),
-        annotations=marks,
-        columns=columns,
-        axes=tuple(zarr_io.read_array(group, "axis", "string").tolist()),
-        units=tuple(map(str, group.attrs["axis_units"])),  # type: ignore[arg-type]
-        **arrays,
-    )
-    return recordings, _hash(recordings, arrays, intervals)
-
-
-def _arrays(group: zarr_io.Group) -> dict[str, NDArray[Any]]:
-    """All arrays of a group, by name in order."""
-    return {
-        name: zarr_io.read_array(group, name, None if array.dtype.kind in "biuf" else "string")
-        for name, array in sorted(group.arrays())
-    }
-
-
-def _hash(recordings: Recordings, arrays: Mapping[str, Any], intervals: Mapping[str, Any]) -> str:
-    names = np.array([*recordings.axes, *recordings.units, *recordings.columns], np.str_)
-    order = [[track, *labels] for track, labels in recordings.annotations.labels.items()]
-    texts = np.array([label for labels in order for label in [str(len(labels)), *labels]], np.str_)
-    columns = recordings.columns.values()
-    return content_hash([*arrays.values(), np.float64(recordings.dt), names, texts, *intervals.values(), *columns])

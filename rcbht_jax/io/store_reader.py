@@ -88,7 +88,8 @@ class Stored:
         )
 
     def damaged(self, what: str) -> InputError:
-        """The error for content that does not match its checksum."""
+        """The error for content that does not match its checksum, unless it is that of another store."""
+        self.check_unchanged()
         return InputError(f"{self.path} is damaged: {what} does not match its checksum. Import or copy it again.")
 
 
@@ -169,7 +170,7 @@ def read_table(stored: Stored) -> Recordings:
 
 
 def first_trials(path: Path, count: int) -> list[str]:
-    """Names of the trials of the first ``count`` recordings; [] = of version 1 or 2, or not finished."""
+    """Names of the trials of the first ``count`` recordings; [] = of version 1, or not finished."""
     group = open_store(path)
     if not in_parts(group) or HASH not in group.attrs:
         return []

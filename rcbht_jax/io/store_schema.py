@@ -133,17 +133,17 @@ def open_store(path: Path, *, collected: bool = False) -> zarr_io.Group:
     group = zarr_io.open_group(path, collected=collected)
     if group.attrs.get("format") != FORMAT:
         raise InputError(f'{path} is not a store of recordings; expected one made by "rcbht import" or "simulate".')
-    if group.attrs.get("format_version") not in range(1, FORMAT_VERSION + 1):
+    if group.attrs.get("format_version") not in (1, FORMAT_VERSION):
         raise InputError(
-            f"{path} has format version {group.attrs.get('format_version')}; expected 1 to {FORMAT_VERSION}. "
+            f"{path} has format version {group.attrs.get('format_version')}; expected 1 or {FORMAT_VERSION}. "
             "Import it again with this version of rcbht."
         )
     return group
 
 
 def in_parts(group: zarr_io.Group) -> bool:
-    """Whether a store is written in parts, as from version 3 on."""
-    return int(group.attrs["format_version"]) > 2  # type: ignore[arg-type]
+    """Whether a store is written in parts, as all but those of version 1 are."""
+    return group.attrs["format_version"] != 1
 
 
 def values_of(recordings: Recordings) -> dict[str, NDArray[Any]]:

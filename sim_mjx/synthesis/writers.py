@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Any
 
-from rcbht_jax.io import part_process
 from rcbht_jax.io.part_process import PartProcess
 from sim_mjx.synthesis import shards
 from sim_mjx.synthesis.draft import Draft
@@ -34,7 +32,7 @@ class Writers:
         if apart is None:
             apart = cores >= FEWEST and missing >= FEWEST
         self._draft, self._idle = draft, SimpleQueue[PartProcess]()
-        self._processes = [PartProcess() for _ in range(self.count if apart and part_process.available() else 0)]
+        self._processes = [PartProcess() for _ in range(self.count if apart else 0)]
         for process in self._processes:
             self._idle.put(process)
         self._threads = ThreadPoolExecutor(self.count)
@@ -56,13 +54,13 @@ class Writers:
             process.wait()
 
     def _write(self, shard: int, given: list[tuple[Any, Arrays, Arrays | None]]) -> None:
-        """Write a shard, taken out of ``given`` so that its memory is free as soon as it has been copied."""
+        """Write a shard, taken out of ``given`` so that its memory is free as soon as it has been sent."""
         if not self._processes:
             self._draft.write(shard, *given.pop())
             return
         process = self._idle.get()
         try:
-            with closing(part_process.shared(self._draft.path, self._draft.parts_of(shard, *given.pop()))) as copied:
-                process.write(copied)
+            process.send(self._draft.path, self._draft.parts_of(shard, *given.pop()))
+            process.wait_until_written()
         finally:
             self._idle.put(process)

@@ -110,6 +110,10 @@ def test_bags_that_are_none(tmp_path):
     assert len(list(read_bag(two, "/left"))) == 50
     with pytest.raises(InputError, match="no wrenches on /up"):
         list(read_bag(two, "/up"))
+    with McapWriter(tmp_path / "grip.mcap", ("grip", "push"), ("N", "V")) as out:
+        out.wrench(0.0, (1.0, 2.0))
+    with pytest.raises(InputError, match=r"grip.mcap has no wrenches; its topics are /signal\.$"):
+        list(read_bag(tmp_path / "grip.mcap"))
     [file] = two.glob("*.mcap")
     whole = file.read_bytes()
     for cut, sentence in ((0, "is empty"), (5, "is not a readable bag"), (60, "is damaged .*cut off")):

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from rcbht_jax._util.untrusted import MAX_CHANNELS, MAX_SCHEMA
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.mcap_file import CHANNEL, CHUNK, MAGIC, SCHEMA, sound
 from rcbht_jax.io.messages import Malformed, Sample
-from rcbht_jax.io.rosbags import McapWriter, read_bag
+from rcbht_jax.io.rosbags import WRENCH, McapWriter, read_bag
 
 READINGS = 12_000  # two chunks of 1 MiB
 
@@ -95,6 +97,22 @@ def test_damage_is_told_and_nothing_false_is_read(
         assert set(readings) <= set(map(float, range(READINGS)))
         halves += 0 < len(readings) < READINGS
     assert halves
+
+
+def test_of_a_folder_with_a_file_that_is_cut_off_all_that_is_whole_is_read(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/wrench", WRENCH[1], typestore=store)
+        vector, wrench = (store.types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Wrench"))
+        for k in range(READINGS):
+            message = wrench(force=vector(float(k), 1.0, 2.0), torque=vector(3.0, 4.0, 5.0))
+            writer.write(connection, k * 10**6, store.serialize_cdr(message, WRENCH[1]))
+    file = tmp_path / "run" / "run.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    assert read(tmp_path / "run") == read(file)
+    readings, told = read(file)
+    assert 0 < len(readings) < READINGS
+    assert told == ["the bag is damaged (the file is cut off, or damaged in the middle); what is whole of it is read"]
 
 
 def record(kind: int, content: bytes) -> bytes:

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import pytest
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
-from rcbht_jax.io.part_process import PartProcess, shared
+from rcbht_jax.io.part_process import PartProcess
 from rcbht_jax.io.parts import Field, Layout, Part
 from tests.support.fake_simulation import tree
 
@@ -43,8 +42,8 @@ def process() -> Iterator[PartProcess]:
 
 
 def written(process: PartProcess, path: Path, *some: Part) -> None:
-    with closing(shared(path, some)) as copied:
-        process.write(copied)
+    process.send(path, some)
+    process.wait_until_written()
 
 
 def test_the_same_bytes_and_errors_as_in_this_process(tmp_path: Path, process: PartProcess) -> None:

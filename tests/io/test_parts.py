@@ -28,7 +28,6 @@ from rcbht_jax.io import label_parts, label_store, parts, store, store_reader, s
 from rcbht_jax.io.store_schema import schema_of
 from rcbht_jax.io.summary import merged, quantiles, summary_of
 from rcbht_jax.types import Recordings
-from tests.support.old_stores import write_version_2
 from tests.support.parted_stores import (
     COUNT,
     GAPS,
@@ -341,25 +340,6 @@ def test_labels_of_too_few_or_too_many_recordings_are_refused(copied: Path) -> N
         with pytest.raises(InputError, match=words):
             label_store.write_batches(copied, "y", [tracks_of(count)], {})
     assert label_store.list_tracks(copied) == ["x"]
-
-
-def test_version_2_reads_equal(tmp_path: Path) -> None:
-    path = tmp_path / "old.zarr"
-    write_version_2(path, ragged(), truth(), tracks_of())
-    same(store.read_recordings(path), ragged())
-    same(store.read_rows(path, [3, 1]), ragged().take([3, 1]))
-    same(Recordings.join([*store.read_batches(path)]), ragged())
-    same(store.read_table(path), ragged())
-    store.verify(path)
-    assert store.count_recordings(path) == COUNT
-    assert_trees_equal(store.read_simulation(path), {name: truth()[name] for name in sorted(truth())})
-    assert_trees_equal(label_store.choose_tracks(path, "online-W5")[1], tracks_of())
-    label_store.write_tracks(path, "new", tracks_of(), {})
-    assert_trees_equal(label_store.choose_tracks(path, "new")[1], tracks_of())
-    chunk = path / "length" / "c" / "0"
-    chunk.unlink()
-    with pytest.raises(InputError, match="damaged"):
-        store.read_recordings(path)
 
 
 def test_batches_need_the_memory_of_one(tmp_path: Path) -> None:

@@ -31,7 +31,10 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "a.zarr"
 
 
-@pytest.mark.parametrize("read", [store.read_batches, store.read_simulation_batches])
+@pytest.mark.parametrize(
+    "read", [store.read_batches, lambda path: store.read_batches(path, 1), store.read_simulation_batches],
+    ids=["parts", "recordings", "simulation"],
+)  # fmt: skip
 def test_batches_are_of_one_store(read: Callable[[Path], Iterator[object]], path: Path) -> None:
     """The parts that were not yet read were those of the other store, each of which is whole."""
     batches = read(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -15,8 +16,12 @@ import pytest
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.thresholds import read_thresholds
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store as stores
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_recordings, read_simulation
+from rcbht_jax.types import Recordings
+from tests.support.store_cases import same
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = ROOT / "tests/data/v0.1"
@@ -38,6 +43,19 @@ def test_the_store_is_whole(store: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert info["content_sha256"] == EXPECTED["content_sha256"]
     assert info["rcbht_jax_version"] == "0.1.0"
     assert read_simulation(store)["seated"].shape == (6, 4)
+
+
+def test_the_store_is_read_by_rows_and_in_batches_and_damage_is_found(store: Path, tmp_path: Path) -> None:
+    whole = stores.read_recordings(store)
+    same(stores.read_rows(store, [3, 1]), whole.take([3, 1]))
+    same(Recordings.join([*stores.read_batches(store)]), whole)
+    same(stores.read_table(store), whole)
+    assert stores.count_recordings(store) == len(whole) == 6
+    stores.verify(store)
+    copy = Path(shutil.copytree(store, tmp_path / "copy.zarr"))
+    (copy / "length" / "c" / "0").unlink()
+    with pytest.raises(InputError, match="damaged"):
+        stores.read_recordings(copy)
 
 
 def test_its_labels_are_made_again(store: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from jaxtyping import Int8, Int16, UInt8
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import data_hash, wrench_digests
-from rcbht_jax.annotations import nearest_samples
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AnyLimits, config_of, limits_for, made_by
 from rcbht_jax.encoding.thresholds import preset
@@ -224,14 +223,9 @@ def states_at_samples(recordings: Recordings, row: int) -> Int16[np.ndarray, " s
     Of several intervals the one that begins last counts. One whose end is unknown lasts until the next begins.
     """
     length = int(recordings.length[row])
-    state = np.full(length, -1, np.int16)
     track = recordings.annotations.choose()
     if not track:
-        return state
+        return np.full(length, -1, np.int16)
     marks = recordings.annotations.of_recording(row).of(track)
-    starts, ends = (nearest_samples(times, length, recordings.dt) for times in (marks.start, marks.end))
-    ends = np.where(np.isnan(ends), np.append(starts[1:], length), ends)
-    edges = np.stack([starts, ends], 1).clip(0, length).astype(int)
-    for code, (first, last) in zip(marks.code, edges.tolist(), strict=True):
-        state[first:last] = code
-    return state
+    ends = np.where(np.isnan(marks.end), np.append(marks.start[1:], np.inf), marks.end)
+    return replace(marks, end=ends).of_samples(row, track, length, recordings.dt).astype(np.int16)

@@ -57,9 +57,8 @@ def write_lerobot(data: DataSet, folder: Path, progress: Callable[[int], None]) 
     tasks = list(dict.fromkeys(source or "unnamed" for source in data.recordings.source.tolist()))
     meta = folder / "meta"
     (meta / "episodes" / "chunk-000").mkdir(parents=True)
-    large = {name for name, values in data.recordings.columns.items() if values.dtype == np.uint64}
-    with _Episodes(meta / "episodes" / "chunk-000" / "file-000.parquet", large) as episodes:
-        frames = _write_frames(data, folder, fps, tasks, episodes, progress)
+    with ParquetFiles(meta / "episodes", rows=GROUP) as episodes:
+        frames, total = _write_frames(data, folder, fps, tasks, episodes, progress)
         episodes.flush()
     with ParquetFiles(folder) as files:
         for title, rows in tables.optional(data):
@@ -67,9 +66,8 @@ def write_lerobot(data: DataSet, folder: Path, progress: Callable[[int], None]) 
         files.flush()
     named = pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks, name="task"))
     named.to_parquet(meta / "tasks.parquet")
-    _write_json(meta / "info.json", _info(data, fps, len(tasks), episodes.count, frames))
-    total = {key: {name: v.tolist() for name, v in found.items()} for key, found in episodes.total.items()}
-    _write_json(meta / "stats.json", total)
+    _write_json(meta / "info.json", _info(data, fps, len(tasks), frames))
+    _write_json(meta / "stats.json", _listed(total))
     front = "---\ntags: [LeRobot, robotics, force-torque]\nconfigs:\n- config_name: default\n"
     front += "  data_files: data/*/*.parquet\n---\n"
     write_card(data, folder, _LAYOUT, front)
@@ -100,7 +98,8 @@ def _features(labelled: bool, axes: list[str]) -> dict[str, dict[str, Any]]:
     }
 
 
-def _info(data: DataSet, fps: int, tasks: int, episodes: int, frames: int) -> dict[str, Any]:
+def _info(data: DataSet, fps: int, tasks: int, frames: int) -> dict[str, Any]:
+    episodes = len(data.recordings)
     return {
         "codebase_version": VERSION,
         "robot_type": None,
@@ -140,12 +139,12 @@ def _frames(block: Block, row: int, fps: int, first: int, task: int) -> Table:
 
 
 def _write_frames(
-    data: DataSet, folder: Path, fps: int, tasks: list[str], episodes: _Episodes, progress: Callable[[int], None]
-) -> int:
-    """Write the frames, one row group per episode, and inform ``episodes`` of each; returns how many there are."""
+    data: DataSet, folder: Path, fps: int, tasks: list[str], episodes: ParquetFiles, progress: Callable[[int], None]
+) -> tuple[int, _Statistics]:
+    """Write the frames, one row group per episode, and the table of episodes; returns their number and statistics."""
     pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
     names, ours = tables.trials(data.recordings), {"recording", "samples"} - set(data.recordings.columns)
-    first, file, written, writer = 0, 0, 0, None
+    first, file, written, writer, total = 0, 0, 0, None, _Statistics()
     try:
         for block, row in ((some, row) for some in data.blocks() for row in range(len(some.recordings))):
             number = block.first + row
@@ -163,56 +162,20 @@ def _write_frames(
             writer.write_table(table)
             written += table.nbytes
             last = first + len(frames["index"])
-            columns = {key: v[number].item() for key, v in names.items() if key not in ours}
-            own = (number, [task], last - first, first, last, chunk, place, 0, 0)
-            episodes.add(dict(zip(EPISODE, own, strict=True)) | columns, _statistics(frames))
+            own = ([value] for value in (number, [task], last - first, first, last, chunk, place, 0, 0))
+            columns = {key: values[number : number + 1] for key, values in names.items() if key not in ours}
+            statistics = _statistics(frames)
+            lists = {
+                f"stats/{key}/{name}": [v] for key, found in _listed(statistics).items() for name, v in found.items()
+            }
+            episodes.add("chunk-000/file-000", {**dict(zip(EPISODE, own, strict=True)), **columns, **lists})
+            total = {key: _combined(total[key], found) if number else found for key, found in statistics.items()}
             first = last
             progress(1)
     finally:
         if writer is not None:
             writer.close()
-    return first
-
-
-class _Episodes:
-    """The table ``meta/episodes``, written group by group, and the statistics of all frames so far."""
-
-    def __init__(self, path: Path, large: set[str]) -> None:
-        self.count, self.total = 0, _Statistics()
-        self._large = large  # columns whose numbers 63 bits need not hold
-        self._path, self._rows = path, list[dict[str, Any]]()
-        self._writer: Any = None
-
-    def __enter__(self) -> _Episodes:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._writer is not None:
-            self._writer.close()
-
-    def add(self, about: dict[str, Any], statistics: _Statistics) -> None:
-        """One more episode."""
-        self.count += 1
-        values = {f"stats/{key}/{name}": v.tolist() for key, found in statistics.items() for name, v in found.items()}
-        self._rows.append(about | values)
-        if len(self._rows) == GROUP:
-            self.flush()
-        for key, found in statistics.items():
-            self.total[key] = _combined(self.total[key], found) if key in self.total else found
-
-    def flush(self) -> None:
-        """Write the episodes that are not yet written."""
-        pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
-        if not self._rows:
-            return
-        columns = {
-            key: pa.array([row[key] for row in self._rows], pa.uint64() if key in self._large else None)
-            for key in self._rows[0]
-        }
-        table = pa.table(columns, schema=None if self._writer is None else self._writer.schema)
-        self._writer = self._writer or pq.ParquetWriter(self._path, table.schema)
-        self._writer.write_table(table)
-        self._rows = []
+    return first, total
 
 
 def _column(pa: Any, values: NDArray[Any]) -> Any:
@@ -231,6 +194,10 @@ def _statistics(frames: Table) -> _Statistics:
         quantiles = {f"q{100 * q:02.0f}": level for q, level in levels}
         statistics[key] = moments | quantiles | {"count": np.array([len(values)])}
     return statistics
+
+
+def _listed(statistics: _Statistics) -> dict[str, dict[str, list[float]]]:
+    return {key: {name: values.tolist() for name, values in found.items()} for key, found in statistics.items()}
 
 
 def _combined(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

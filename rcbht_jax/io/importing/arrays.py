@@ -18,7 +18,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
 from rcbht_jax.io.importing.families import numbered
-from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.names import GROUPS, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
 from rcbht_jax.io.importing.words import in_order
@@ -83,6 +83,7 @@ def read_npz(path: Path, name: str) -> Iterator[Table]:
         raise InputError(f"{error}{hint}") from None
 
 
+@apart("h5py")
 def read_hdf5(path: Path, name: str) -> Iterator[Table]:
     """Tables of an HDF5 file: sub-groups of like content are a recording each, else the whole file is one.
 
@@ -95,7 +96,7 @@ def read_hdf5(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares arrays too large for it, or h5py is missing.
     """
-    yield from isolated(hdf5_tables, path, name, "h5py")
+    yield from hdf5_tables(path, name)
 
 
 def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
@@ -134,7 +135,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         sides = all(names_side(part) for part, _ in parts)
         members = _members(datasets, group)
         for part, node in parts:
-            found = members[part]
+            found = {**_shared(members[""], members[part], turned), **members[part]}
             around = [file, node] if turned else [*_around(node), node]
             arrays: dict[str, Any] = {key: np.asarray(value) for one in around for key, value in one.attrs.items()}
             objects = _objects(found) if turned else []
@@ -151,13 +152,20 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
 
 
 def _members(datasets: Iterable[Any], group: Any) -> defaultdict[str, dict[str, Any]]:
-    """The data sets of each sub-group by their path in it; of "" all, if there is no group."""
+    """The data sets of each sub-group by their path in it; of "" those outside of any, or all if there is no group."""
     above = "/" if group is None else group.name.rstrip("/") + "/"
     found: defaultdict[str, dict[str, Any]] = defaultdict(dict)
     for path, one in ((one.name.removeprefix(above), one) for one in datasets):
-        part, _, key = ("", "", path) if group is None else path.partition("/")
-        found[part][key] = one
+        part, slash, key = ("", "", path) if group is None else path.partition("/")
+        found[part if slash else ""][key if slash else path] = one
     return found
+
+
+def _shared(beside: Mapping[str, Any], own: Mapping[str, Any], turned: bool) -> dict[str, Any]:
+    """Single values beside a recording, and arrays as long as one of its own, such as a time that all share."""
+    lengths = {one.shape[-1 if turned else 0] for one in own.values() if one.shape}
+    near = {key: one for key, one in beside.items() if "/" not in key and key not in own}
+    return {key: one for key, one in near.items() if one.size == 1 or one.size == max(one.shape or (0,)) in lengths}
 
 
 def _around(node: Any) -> list[Any]:

@@ -17,7 +17,7 @@ from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.messages import Malformed, stamp_of
 from rcbht_jax.io.rosbags import WRENCH, messages, open_bag
 
-MAX_ELEMENTS = 64  # of an array in a message
+MAX_ELEMENTS = 1024  # of an array in a message; longer ones are pictures and clouds of points
 TEXT = "std_msgs/msg/String"
 _UNITS = {  # of wrenches, as REP 103 prescribes
     f"{prefix}{part}.{axis}": unit
@@ -44,13 +44,10 @@ def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
         InputError: not a bag, damaged at its beginning, too large, or it has no such topic.
     """
     with open_bag(path) as reader:
-        every = sorted({connection.topic for connection in reader.connections})
         chosen = [c for c in reader.connections if (c.topic == topic if topic else c.msgtype in WRENCH)]
         if not chosen:
             what = f"no topic {topic}" if topic else "no wrenches"
-            raise InputError(
-                f"{path} has {what}; its topics are {', '.join(every[:20]) or 'none'}. Choose with --topic."
-            )
+            raise InputError(f"{path} has {what}. Choose with --topic; its topics are {reader.listed_topics()}")
         texts = [c for c in reader.connections if c.msgtype == TEXT]
         topics = {c.topic: _Topic(c.msgtype) for c in chosen}
         spoken: dict[str, list[tuple[int, str]]] = {}

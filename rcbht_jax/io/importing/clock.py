@@ -88,12 +88,13 @@ def no_time(texts: Sequence[str]) -> str:
     >>> no_time(["10:00:00", "noon"])
     "'noon', which is not a time; write 2026-05-01T12:00:00.5 or numbers, or give --source-rate, which replaces them."
     """
-    wrong = next((text for text in texts if not _is_time(text)), texts[0])
+    wrong = next((text for text in texts if not is_time(text)), texts[0])
     how = "write 2026-05-01T12:00:00.5 or numbers, or give --source-rate, which replaces them."
     return f"{wrong!r}, which is not a time; {how}"
 
 
-def _is_time(text: str) -> bool:
+def is_time(text: str) -> bool:
+    """Whether :func:`seconds_of` reads a text."""
     try:
         seconds_of([text])
     except ValueError:

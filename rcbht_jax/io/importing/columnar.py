@@ -21,7 +21,7 @@ from rcbht_jax._util.untrusted import (
 )
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
-from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.names import of_levels
 from rcbht_jax.io.importing.table import Table
 
@@ -32,6 +32,7 @@ _OWN = ("index", "frame_index", EPISODE, "task_index", "next.done", "timestamp")
 _BOOKKEEPING = ("dataset_from_index", "dataset_to_index", "length")  # of an episode; names of others have a "/"
 
 
+@apart(*LIBRARIES)
 def read_parquet(path: Path, name: str) -> Iterator[Table]:
     """The table of a Parquet or Arrow file.
 
@@ -43,49 +44,30 @@ def read_parquet(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares a table too large for it, or pyarrow is missing.
     """
-    yield from isolated(parquet_tables, path, name, *LIBRARIES)
-
-
-def read_columns(path: Path) -> Mapping[str, NDArray[Any]]:
-    """Columns of a Parquet file that can be imported.
-
-    >>> list(read_columns(Path("run.parquet")))
-    ['time', 'Fz']
-
-    Raises:
-        InputError: as :func:`read_parquet`.
-    """
-    [table] = isolated(parquet_tables, path, "", *LIBRARIES)
-    return table.columns
-
-
-def parquet_tables(path: Path, name: str) -> Iterator[Table]:
-    """As :func:`read_parquet`, in this process, which a damaged file can crash.
-
-    >>> [table.name for table in parquet_tables(Path("run.parquet"), "run.parquet")]
-    ['run.parquet']
-
-    Raises:
-        InputError: as :func:`read_parquet`.
-    """
     with reading(path, "Parquet or Arrow"):
-        columns, rate, units = _columns(path)
-    yield Table(name, columns, rate, units)
+        columns, rate, units, others = _columns(path)
+    yield Table(name, columns, rate, units, others=others)
 
 
-def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[str, str]]:
-    """Columns that can be imported, the rate where the metadata state it, the unit of those that are times by type."""
+def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[str, str], tuple[str, ...]]:
+    """Columns that can be imported, the rate where the metadata state it, the unit of those that are times by type.
+
+    The last result are the names of columns of lists that are left out, since their lengths differ.
+    """
     pa, table = require("pyarrow", "import"), _table(path)
     rows = (table.schema.metadata or {}).get(b"dt_seconds")
     while any(pa.types.is_struct(field.type) for field in table.schema):
         table = table.flatten()
     columns: dict[str, NDArray[Any]] = {}
+    others = list[str]()
     for field in (field for field in table.schema if _kind(pa, field.type)):
         column = table.column(field.name).combine_chunks()
         if _kind(pa, field.type) == "list":
             wide = _wide(column)
             if wide is not None and len(columns) + wide.shape[1] <= MAX_COLUMNS:
                 columns |= {f"{field.name}_{number}": wide[:, number] for number in range(wide.shape[1])}
+            else:
+                others.append(field.name)
         else:
             columns[field.name] = _array(pa, column, _kind(pa, field.type))
     if not columns or not len(next(iter(columns.values()))):
@@ -94,7 +76,7 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
     if len(set(plain.values())) == len(plain):
         columns = {plain[name]: column for name, column in columns.items()}
     seconds = {plain.get(field.name, field.name): "s" for field in table.schema if _kind(pa, field.type) == "time"}
-    return columns, 1 / float(rows) if rows and float(rows) > 0 else None, seconds
+    return columns, 1 / float(rows) if rows and float(rows) > 0 else None, seconds, tuple(others)
 
 
 def _table(path: Path) -> Any:
@@ -141,6 +123,8 @@ def _kind(pa: Any, kind: Any) -> str:
         return "number"
     if pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_boolean(kind):
         return "text"
+    if pa.types.is_time(kind) or pa.types.is_date(kind):  # parts of a time
+        return "text"
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         return "time"
     if pa.types.is_struct(kind):
@@ -152,6 +136,8 @@ def _kind(pa: Any, kind: Any) -> str:
 def _array(pa: Any, column: Any, kind: str) -> NDArray[Any]:
     if pa.types.is_dictionary(column.type):
         column = column.dictionary_decode()
+    if pa.types.is_time(column.type) or pa.types.is_date(column.type):
+        column = column.cast(pa.string())
     if kind == "text":
         return np.array(["" if value is None else str(value) for value in column.to_pylist()], np.str_)
     if kind == "time":
@@ -162,14 +148,14 @@ def _array(pa: Any, column: Any, kind: str) -> NDArray[Any]:
 
 
 def _wide(column: Any) -> NDArray[np.float64] | None:
-    """Lists of one length ``[row, element]``; None if their lengths differ."""
-    flat = np.asarray(column.flatten().to_numpy(zero_copy_only=False)).astype(np.float64)
-    rows = len(column)
-    if column.null_count or not rows or len(flat) % rows or not len(flat):
+    """Lists of one length ``[row, element]``, NaN where a list is missing or empty; None if their lengths differ."""
+    lengths = np.nan_to_num(column.value_lengths().to_numpy(zero_copy_only=False)).astype(np.int64)
+    width = int(lengths.max(initial=0))
+    if not width or not np.isin(lengths, (0, width)).all():
         return None
-    width = len(flat) // rows
-    lengths = np.asarray(column.value_lengths().to_numpy(zero_copy_only=False))
-    return flat.reshape(rows, width) if (lengths == width).all() else None
+    wide = np.full((len(lengths), width), np.nan)
+    wide[lengths > 0] = column.flatten().to_numpy(zero_copy_only=False).astype(np.float64).reshape(-1, width)
+    return wide
 
 
 def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
@@ -196,10 +182,10 @@ def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
     if not files:
         raise InputError(f"{folder} has no data/*/*.parquet.")
     for path in files:
-        columns = read_columns(path)
+        [table] = read_parquet(path, "")
+        columns = {names.get(key, key): values for key, values in table.columns.items()}
         if EPISODE not in columns:
             raise InputError(f"{path} has no column {EPISODE}.")
-        columns = {names.get(key, key): values for key, values in columns.items()}
         for episode in np.unique(columns[EPISODE]):
             rows = columns[EPISODE] == episode
             part = {key: values[rows] for key, values in columns.items() if key not in _OWN}
@@ -227,8 +213,7 @@ def _episodes(folder: Path) -> dict[int, dict[str, str | float]]:
     if lines.is_file():
         return dict(map(_episode, _rows(lines)))
     files = sorted((folder / "meta" / "episodes").glob("*/*.parquet"))
-    tables = (table for path in files for table in isolated(episode_tables, path, "", *LIBRARIES))
-    return {int(table.name): dict(table.facts) for table in tables}
+    return {int(table.name): dict(table.facts) for path in files for table in _episode_tables(path, "")}
 
 
 def _rows(path: Path) -> Iterator[dict[str, Any]]:
@@ -243,14 +228,9 @@ def _rows(path: Path) -> Iterator[dict[str, Any]]:
         yield row
 
 
-def episode_tables(path: Path, _: str) -> Iterator[Table]:
-    """Facts of the episodes that a Parquet file of a LeRobot data set describes: tables without columns.
-
-    >>> list(episode_tables(Path("pusht/meta/episodes/chunk-000/file-000.parquet"), ""))  # doctest: +SKIP
-
-    Raises:
-        InputError: damaged.
-    """
+@apart(*LIBRARIES)
+def _episode_tables(path: Path, _: str) -> Iterator[Table]:
+    """Facts of the episodes that a Parquet file of a LeRobot data set describes: tables without columns."""
     size = check_file(path)
     with reading(path, "Parquet"), path.open("rb") as raw:
         file = require("pyarrow.parquet", "import").ParquetFile(raw)

@@ -26,7 +26,6 @@ from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.joining import KEPT, importer_of
 from rcbht_jax.io.simulation import origin_of
-from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
 _OURS = ("recording", "samples", "seconds")
@@ -273,7 +272,8 @@ def _wrench(path: Path, columns: Mapping[str, NDArray[Any]], axes: tuple[str, ..
 
 
 def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[np.float32]]:
-    columns = columnar.read_columns(path)
+    [table] = columnar.read_parquet(path, "")
+    columns = table.columns
     if "recording" not in columns:
         raise InputError(f"{path} has no column recording.")
     wrench = _wrench(path, columns, axes)
@@ -285,11 +285,9 @@ def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[
 
 def _mcap(path: Path, axes: tuple[str, ...], units: tuple[str, ...]) -> NDArray[np.float32]:
     from rcbht_jax.io.importing.bags import read_bag_tables  # rosbags is an extra of its own
-    from rcbht_jax.io.rosbags import is_wrench, topics_of
+    from rcbht_jax.io.rosbags import is_wrench
 
     topic = "/wrench" if is_wrench(axes, units) else "/signal"  # as McapWriter has it
-    if topic == "/signal" and len(axes) == len(AXES) and topic not in topics_of(path):
-        topic = "/wrench"  # an export from before axes out of order, or in other units, became signals
     [table] = read_bag_tables(path, path.name, topic)
     values = [column for key, column in table.columns.items() if key != "stamp"]
     if len(values) != len(axes):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import importlib
+import inspect
 import json
 import math
 import os
@@ -18,7 +19,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from threading import Event, Lock, Timer
 from typing import Any
@@ -34,6 +35,28 @@ from rcbht_jax.io.importing.table import Table
 _SPARING = {"ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}
 _STOPPED = (-signal.SIGKILL, -getattr(signal, "SIGXCPU", signal.SIGKILL))
 Decode = Callable[[Path, str], Iterable[Table]]
+
+
+def apart(*libraries: str) -> Callable[[Decode], Callable[[Path, str], Iterator[Table]]]:
+    """Let a reader of a module read every file in another process; see :func:`isolated`.
+
+    Its attribute ``__wrapped__`` is the reader itself, which a damaged file can crash or keep busy without end.
+
+    >>> @apart("h5py")
+    ... def read(path: Path, name: str) -> Iterator[Table]:
+    ...     yield Table(name, {})
+    >>> [table.name for table in read.__wrapped__(Path("run.h5"), "run.h5")]
+    ['run.h5']
+    """
+
+    def decorated(decode: Decode) -> Callable[[Path, str], Iterator[Table]]:
+        @wraps(decode)
+        def read(path: Path, name: str) -> Iterator[Table]:
+            return isolated(decode, path, name, *libraries)
+
+        return read
+
+    return decorated
 
 
 def isolated(decode: Decode, path: Path, name: str, *libraries: str) -> Iterator[Table]:
@@ -123,7 +146,7 @@ class _Decoder:
             if line.endswith(b"\n"):
                 return json.loads(line)
             with suppress(subprocess.TimeoutExpired):  # its own exit status tells more than that of a kill
-                child.wait(1)
+                child.wait(patience)
             status = self._end()
             if late.is_set():  # the processor had time left: the file need not be at fault
                 raise InputError(f"{path} was not decoded within {patience:.0f} s; try again when the machine is idle.")
@@ -178,7 +201,7 @@ def _answer(request: dict[str, Any]) -> dict[str, Any]:
     module, _, function = request["decode"].partition(":")
     try:
         _unlimit()  # imports are not limited as the last file was
-        decode: Decode = getattr(importlib.import_module(module), function)
+        decode: Decode = inspect.unwrap(getattr(importlib.import_module(module), function))
         for library in request["libraries"]:
             with suppress(ImportError):  # the decoder names the missing one, if this file needs it
                 importlib.import_module(library)

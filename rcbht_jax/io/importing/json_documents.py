@@ -18,7 +18,7 @@ from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.attributes import stated_units, units_of
 from rcbht_jax.io.importing.groups import MAX_GROUPS
-from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.json_lines import Rows
 from rcbht_jax.io.importing.mapping import Track
 from rcbht_jax.io.importing.marks import intervals_of, is_intervals
@@ -33,6 +33,7 @@ LEAST_STAMP = 1e8  # of an index: time since 1970; smaller whole numbers count r
 Object = Mapping[str, Any]
 
 
+@apart()
 def read_json_document(path: Path, name: str) -> Iterator[Table]:
     """The tables of a JSON document.
 
@@ -49,20 +50,6 @@ def read_json_document(path: Path, name: str) -> Iterator[Table]:
 
     Raises:
         InputError: not a regular file, too large, not JSON, nested too deeply, or without a list of two samples.
-    """
-    yield from isolated(json_tables, path, name)
-
-
-def json_tables(path: Path, name: str) -> Iterator[Table]:
-    """As :func:`read_json_document`, in this process, which a large document can fill.
-
-    >>> _ = Path("rows.json").write_text('[{"t": 0, "Fz": 1}, {"t": 0.1, "Fz": 2}]')
-    >>> [table] = json_tables(Path("rows.json"), "rows.json")
-    >>> list(table.columns)
-    ['t', 'Fz']
-
-    Raises:
-        InputError: as :func:`read_json_document`.
     """
     with opened(path, MAX_JSON_BYTES) as file:
         content = file.read()
@@ -121,13 +108,17 @@ def _with_shared(one: Any, around: Object) -> Any:
 def _with_units(table: Table) -> Table:
     """The table with the units that an object ``units`` states for the names of columns, which are no facts."""
     words = {key: key.split(".") for key in table.facts if "." in key}
-    of_units = {key: own[-1] for key, own in words.items() if own[-2].lower() in ("unit", "units")}
+    of_units = {key: own[-1] for key, own in words.items() if _states_units(key)}
     stated = {name: texts for key, name in of_units.items() if (texts := stated_units({"units": table.facts[key]}))}
     short = {column: column.rpartition(".")[2] for column in table.columns}
     known = units_of(short.values(), stated)
     units = {column: known[name] for column, name in short.items() if name in known}
     facts = {key: fact for key, fact in table.facts.items() if key not in of_units}
     return replace(table, facts=facts, units={**units, **table.units})
+
+
+def _states_units(key: str) -> bool:
+    return key.rpartition(".")[0].rpartition(".")[2].lower() in ("unit", "units")
 
 
 def _of_rows(
@@ -273,17 +264,24 @@ def _named(value: Object) -> Iterator[tuple[str, NDArray[Any]]]:
     for number, (key, one) in enumerate(_flat(value)):
         if number == MAX_MEMBERS:
             raise ValueError(f"it holds more than {MAX_MEMBERS} values with a name; split it")
+        if _states_units(key) and isinstance(one, list):  # one for each element of a column
+            one = ",".join(map(str, one))
         if one is not None and (array := _array(one)) is not None:
             yield key, array
 
 
 def _array(value: Any) -> Any:
     """An array of numbers or of texts, null = not a number; None = it is neither."""
+    if isinstance(value, list) and all(one is None or isinstance(one, bool) for one in value):
+        value = [str(one).lower() if isinstance(one, bool) else None for one in value]
     if isinstance(value, list) and any(isinstance(one, str) for one in value):
         texts = all(one is None or isinstance(one, str) for one in value)
         return np.array(["" if one is None else one for one in value]) if texts else None
     if isinstance(value, str | bool):
         return np.array(str(value).lower() if isinstance(value, bool) else value)
+    if isinstance(value, list) and (width := max((len(one) for one in value if isinstance(one, list)), default=0)):
+        missing = [None] * width
+        value = [missing if one is None else one for one in value]
     try:
         return np.array(value, np.float64)
     except (ValueError, TypeError):

@@ -15,10 +15,11 @@ from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_BYTES, MAX_MEMBERS, check_declared, check_file
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import hdf5_tables, reading, texts_of, unpadded, without_objects
-from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.table import Table
 
 
+@apart("scipy.io", "h5py")
 def read_matlab(path: Path, name: str) -> Iterator[Table]:
     """Tables of a MATLAB file: of version 7.3 as HDF5, of earlier ones by their arrays and structures.
 
@@ -29,20 +30,6 @@ def read_matlab(path: Path, name: str) -> Iterator[Table]:
 
     Raises:
         InputError: not a regular file, damaged, declares arrays too large for it, or scipy or h5py is missing.
-    """
-    yield from isolated(matlab_tables, path, name, "scipy.io", "h5py")
-
-
-def matlab_tables(path: Path, name: str) -> Iterator[Table]:
-    """As :func:`read_matlab`, in this process, which a damaged file can crash.
-
-    >>> from scipy.io import savemat
-    >>> savemat("a.mat", {"t": np.arange(9) * 0.01, "F": np.zeros((9, 3))})
-    >>> [table.name for table in matlab_tables(Path("a.mat"), "a.mat")]
-    ['a.mat']
-
-    Raises:
-        InputError: as :func:`read_matlab`.
     """
     size = check_file(path)
     with path.open("rb") as file:

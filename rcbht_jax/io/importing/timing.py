@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import SECONDS, TIMES, TIMES_ABROAD, base_and_unit, snake, split_unit
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
-from rcbht_jax.io.importing.clock import seconds_of
+from rcbht_jax.io.importing.clock import is_time
 from rcbht_jax.io.importing.clock_parts import JOINT
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.importing.table import Table
@@ -183,16 +183,12 @@ def _grow(values: NDArray[Any]) -> bool:
 
 
 def are_dates(values: NDArray[Any]) -> bool:
-    """Whether texts are times.
+    """Whether texts are times, by the first of them.
 
     >>> are_dates(np.array(["2024-05-01T12:00:00"])), are_dates(np.array(["push"]))
     (True, False)
     """
-    try:
-        seconds_of(values[:1].tolist())
-    except ValueError:
-        return False
-    return True
+    return not len(values) or is_time(str(values[0]))
 
 
 def is_clock(values: NDArray[Any]) -> bool:

@@ -63,7 +63,8 @@ def opened(path: Path, most: int = MAX_TEXT_BYTES) -> Iterator[BinaryIO]:
                 _recode(path, file, copy)
                 file = copy
             file.seek(0)
-            if _ends_in_returns(file.read(_HEAD)):
+            head = file.read(_HEAD)
+            if b"\r" in head and b"\n" not in head:
                 copy = stack.enter_context(tempfile.TemporaryFile())
                 file = copy if _with_line_feeds(file, copy) else file
             file.seek(0)
@@ -83,11 +84,6 @@ def _unpack(path: Path, packed: io.BufferedIOBase, copy: IO[bytes], most: int) -
     except (EOFError, ValueError, zlib.error, gzip.BadGzipFile) as error:
         raise InputError(f"{path} is damaged, or not packed as its name says: {error}.") from None
     copy.seek(0)
-
-
-def _ends_in_returns(head: bytes) -> bool:
-    """Whether the beginning of a file has carriage returns, and none with a line feed."""
-    return b"\r" in head and b"\n" not in head
 
 
 def _with_line_feeds(file: IO[bytes], copy: IO[bytes]) -> bool:

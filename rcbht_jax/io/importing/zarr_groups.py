@@ -18,7 +18,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
 from rcbht_jax.io.importing.groups import MAX_GROUPS
-from rcbht_jax.io.importing.isolated import bytes_of, isolated
+from rcbht_jax.io.importing.isolated import apart, bytes_of
 from rcbht_jax.io.importing.table import Table, tables_of
 
 ENDS = "episode_ends"  # array of one past the last row of each recording
@@ -30,6 +30,7 @@ CODECS = {
 }  # fmt: skip
 
 
+@apart("zarr", "numcodecs")
 def read_zarr(path: Path, name: str) -> Iterator[Table]:
     """Tables of a Zarr group of version 2 or 3: a recording for each episode, or as of any other file of arrays.
 
@@ -47,20 +48,6 @@ def read_zarr(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a Zarr group, damaged, of arrays too large for it, or zarr is missing.
     """
-    yield from isolated(zarr_tables, path, name, "zarr", "numcodecs")
-
-
-def zarr_tables(path: Path, name: str) -> Iterator[Table]:
-    """As :func:`read_zarr`, in this process.
-
-    >>> import zarr
-    >>> _ = zarr.open_group("runs.zarr", mode="w").create_array("Fz", data=np.arange(5.0))
-    >>> [table.columns["Fz"].tolist() for table in zarr_tables(Path("runs.zarr"), "runs.zarr")]
-    [[0.0, 1.0, 2.0, 3.0, 4.0]]
-
-    Raises:
-        InputError: as :func:`read_zarr`.
-    """
     zarr = require("zarr", "store")
     with reading(path, "Zarr"):
         metadata = dict(_metadata(path))
@@ -73,7 +60,8 @@ def zarr_tables(path: Path, name: str) -> Iterator[Table]:
     about = {key: metadata[key].get("attributes", {}) for key in chosen}
     arrays = {key: scaled(array, about[key]) if array.dtype.kind in "fiu" else array for key, array in arrays.items()}
     stated = {key.removeprefix("data/"): texts for key in chosen if (texts := stated_units(about[key]))}
-    facts = {key: np.asarray(value) for key, value in metadata.get("", {}).get("attributes", {}).items()}
+    groups = {key: one.get("attributes", {}) for key, one in metadata.items() if "shape" not in one}
+    facts = {f"{key}/{own}".lstrip("/"): np.asarray(value) for key, one in groups.items() for own, value in one.items()}
     arrays = {key: array for key, array in {**facts, **arrays}.items() if array.dtype.kind in "fiubU"}
     several = _episodes(path, arrays)
     for part, own in several.items() if several else [("", arrays)]:
@@ -87,7 +75,9 @@ def _metadata(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     found: dict[str, dict[str, Any]] = {}
     for file, content in _files(path):
         key, _, kind = file.rpartition("/")
-        value = _json(content, file)
+        value = parse_json(content, finite=False)
+        if not isinstance(value, dict):
+            raise ValueError(f"{file} is not a JSON object")
         if kind == "zarr.json":
             found[key] = value
         else:
@@ -111,13 +101,6 @@ def _files(path: Path) -> Iterator[tuple[str, bytes]]:
         for name in sorted({*files} & {*METADATA}):
             file = Path(folder, name)
             yield file.relative_to(path).as_posix(), read_bytes(file, MAX_JSON_BYTES)
-
-
-def _json(content: bytes, name: str) -> dict[str, Any]:
-    value = parse_json(content, finite=False)
-    if not isinstance(value, dict):
-        raise ValueError(f"{name} is not a JSON object")
-    return value
 
 
 def _arrays(path: Path, metadata: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], tuple[str, ...]]:

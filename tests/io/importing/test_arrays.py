@@ -209,3 +209,15 @@ def test_recordings_of_one_file_are_in_the_order_of_their_numbers(tmp_path: Path
     (tmp_path / "arms.csv").write_text("\n".join([",".join(["t", *arms]), *rows]))
     for file, word in {"demos.hdf5": "demo_", "runs.csv": "run_", "arms.csv": "robot"}.items():
         assert read_source(tmp_path / file).report.imported == [f"{file}#{word}{number}" for number in numbers]
+
+
+def test_what_stands_beside_hdf5_groups_is_of_all(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["time"], file["operator"], file["splits/train"] = TIME, "ann", [0, 1]
+        for number in range(2):
+            file[f"trial_{number}/force"] = WRENCH[:, :3] * (number + 1)
+    recordings = read_source(tmp_path / "run.h5").recordings
+    assert recordings.dt == pytest.approx(DT)
+    assert recordings.columns["operator"].tolist() == ["ann", "ann"]
+    np.testing.assert_allclose(recordings.wrench[1], 2 * WRENCH[:, :3], rtol=1e-6)

@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.rosbags import WRENCH, McapWriter, open_bag
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -68,3 +69,35 @@ def test_an_mcap_of_other_messages_is_refused_with_what_to_do(
     (tmp_path / "run.mcap").write_bytes(MAGIC + b"".join(records) + MAGIC)
     with pytest.raises(InputError, match=r"messages that are not of ROS 2, .* or the wrench as CSV or JSON lines"):
         read_source(tmp_path / "run.mcap")
+
+
+def test_topics_of_ros_2_are_read_beside_others(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    definition, _ = store.generate_msgdef(WRENCH[0], ros_version=2)
+    records = [
+        record(1, text("") + text("")),
+        record(3, struct.pack("<H", 1) + text("Step") + text("jsonschema") + text("{}")),
+        record(4, struct.pack("<HH", 1, 1) + text("/steps") + text("json") + struct.pack("<I", 0)),
+        record(3, struct.pack("<H", 2) + text(WRENCH[0]) + text("ros2msg") + text(definition)),
+        *(
+            record(4, struct.pack("<HH", channel, 2) + text("/wrench") + text("cdr") + struct.pack("<I", 0))
+            for channel in (2, 3)  # two publishers
+        ),
+    ]
+    with McapWriter(tmp_path / "plain.mcap") as out:
+        for k in range(60):
+            out.wrench(0.01 * k, (float(k), 1.0, 2.0, 3.0, 4.0, 5.0))
+    with open_bag(tmp_path / "plain.mcap") as reader:
+        for k, (_, time, raw) in enumerate(reader.messages()):
+            records.append(record(5, struct.pack("<HIQQ", 2 + k % 2, k, time, time) + raw))
+            records.append(record(5, struct.pack("<HIQQ", 1, k, time, time) + b"{}"))
+    (tmp_path / "run.mcap").write_bytes(
+        MAGIC + b"".join([*records, record(15, bytes(4)), record(2, bytes(20))]) + MAGIC
+    )
+    recordings = read_source(tmp_path / "run.mcap").recordings
+    assert recordings.note.tolist() == [""]
+    np.testing.assert_array_equal(recordings.wrench[0, :, 0], np.arange(60))
+    with pytest.raises(
+        InputError, match=r"its topics are /wrench\. Messages in other encodings than that of ROS 2 are"
+    ):
+        read_source(tmp_path / "run.mcap", mapping=Mapping(topic="/steps"))

@@ -12,7 +12,7 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.importer import Imported, read_source
-from rcbht_jax.labels import AXES
+from rcbht_jax.labels import AXES, UNITS
 
 COUNT = 120
 TIME = (np.arange(COUNT) * 0.01).round(4)
@@ -181,3 +181,20 @@ def test_units_of_lists_of_rows_are_those_of_their_columns(
     recordings = read_source(tmp_path, "json").recordings
     assert recordings.units == expected
     assert not recordings.columns
+
+
+def test_a_row_that_is_missing_and_units_of_each_element(tmp_path: Path) -> None:
+    content = lists(0)
+    content["wrench"][7] = None
+    imported = read(tmp_path, {**content, "units": {"wrench": ["N", "N", "N", "Nm", "Nm", "Nm"]}})
+    assert imported.recordings.units == UNITS
+    assert imported.recordings.note.tolist() == ["missing:1"]
+    np.testing.assert_allclose(np.delete(imported.recordings.wrench[0], 7, 0), np.delete(WRENCH[0], 7, 0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("rows", [False, True])
+def test_lists_of_true_and_false_are_words_as_in_rows(rows: bool, tmp_path: Path) -> None:
+    columns = {"t": TIME.tolist(), "Fz": WRENCH[0, :, 2].tolist(), "in_contact": [k >= 60 for k in range(COUNT)]}
+    content = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)] if rows else columns
+    marks = read(tmp_path, content).recordings.annotations
+    assert (marks.tracks, marks.names().tolist()) == (("in_contact",), ["false", "true"])

@@ -105,3 +105,16 @@ def test_what_this_program_wrote_is_no_source(tmp_path: Path) -> None:
     imported = read_source(tmp_path / "runs")
     assert imported.recordings.trial.tolist() == ["a"]
     assert imported.report.remarks[0] == "1 other file was not read: own.zarr."
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_attributes_of_the_group_of_a_recording_are_its_facts(version: Any, tmp_path: Path) -> None:
+    group = zarr.open_group(tmp_path / "runs.zarr", mode="w", zarr_format=version)
+    group.attrs["fps"] = 100
+    for number in range(2):
+        group.create_array(f"trial_{number}/force", data=np.random.default_rng(number).normal(size=(60, 3)))
+        group[f"trial_{number}"].attrs.update({"operator": "ab"[number], "success": number == 1})
+    recordings = read_source(tmp_path / "runs.zarr").recordings
+    assert recordings.dt == pytest.approx(0.01)
+    assert recordings.columns["operator"].tolist() == ["a", "b"]
+    assert recordings.outcome.tolist() == ["failure", "success"]

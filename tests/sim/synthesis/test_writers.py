@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.part_process import PartProcess, Shared
+from rcbht_jax.io.part_process import PartProcess
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import records, shards, writers
 from sim_mjx.synthesis.draft import Draft
@@ -69,14 +69,14 @@ def test_a_shard_is_not_kept_beside_its_copy(tmp_path: Path, monkeypatch: pytest
     draft, alive = draft_in(tmp_path / "work"), []
     rows, labels = made(draft, 0)
     watched = weakref.ref(rows["wrench"])
-    write = PartProcess.write
+    wait = PartProcess.wait_until_written
 
-    def seen(process: PartProcess, given: Shared) -> None:
+    def seen(process: PartProcess) -> None:
         gc.collect()
         alive.append(watched() is not None)
-        write(process, given)
+        wait(process)
 
-    monkeypatch.setattr(PartProcess, "write", seen)
+    monkeypatch.setattr(PartProcess, "wait_until_written", seen)
     with Writers(draft, apart=True) as pool:
         written = pool.submit(0, draft.draw(0), rows, labels)
         del rows, labels
