@@ -69,6 +69,35 @@ def _moved(interval: Interval, begin: float) -> Interval:
     return track, label, max(start - begin, 0.0) if lasts else start - begin, end - begin
 
 
+def possible(intervals: Sequence[Interval], end: float) -> tuple[list[Interval], list[str]]:
+    """The possible ones of the annotations of a recording that lasts until ``end``, and what was wrong with others.
+
+    An interval that begins after the end, or whose start is missing, is left out; the others stay. An infinite end is
+    that of the recording. One of which most lies after the end is named, too.
+
+    >>> possible([("phase", "push", 1.0, np.inf), ("phase", "hold", 9.0, 9.5)], 4.0)[0]
+    [('phase', 'push', 1.0, 4.0)]
+    """
+    kept, problems = [], []
+    for track, label, start, stop in intervals:
+        if not np.isfinite(start):
+            problems.append(f"{track} {label!r} has no start; left out, the other annotations are kept.")
+        elif not -1e-9 <= start < end:
+            where = "before the beginning" if start < 0 else f"after the end ({end:.6g} s)"
+            problems.append(f"{track} {label!r} at {start:.6g} s is {where}; left out, the other annotations are kept.")
+        elif stop < start:
+            problems.append(
+                f"{track} {label!r} ends before it begins ({stop:.6g} < {start:.6g} s); its end is unknown."
+            )
+            kept.append((track, label, start, float("nan")))
+        else:
+            if end - start < stop - end < np.inf:  # most of it
+                how = f"ends at {stop:.6g} s, after the end ({end:.6g} s). Is the unit of its times right?"
+                problems.append(f"{track} {label!r} {how}")
+            kept.append((track, label, start, end if stop == np.inf else stop))
+    return kept, problems
+
+
 class Given:
     """The annotations of a file, each for the recording in which it begins.
 

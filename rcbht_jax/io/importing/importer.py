@@ -25,14 +25,22 @@ from rcbht_jax.io import store
 from rcbht_jax.io.importing import arrays, columnar, listing, marks
 from rcbht_jax.io.importing.arms import PLACE, tables_of_arms
 from rcbht_jax.io.importing.assemble import assemble
-from rcbht_jax.io.importing.blocks import read_blocks
-from rcbht_jax.io.importing.bounds import bounded
+from rcbht_jax.io.importing.cases import read_blocks, read_ts
 from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import attrs_of_export, not_read, read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
-from rcbht_jax.io.importing.given import from_start, on_clock
-from rcbht_jax.io.importing.guess import Understood, guess, interleaved, more_wrenches, nameless, some, stated_words
+from rcbht_jax.io.importing.given import from_start, on_clock, possible
+from rcbht_jax.io.importing.guess import (
+    Understood,
+    guess,
+    interleaved,
+    more_wrenches,
+    nameless,
+    one_hot,
+    some,
+    stated_words,
+)
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.label_studio import unfolded
@@ -42,14 +50,12 @@ from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.matlab import read_matlab
 from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.one_hot import one_hot
 from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
-from rcbht_jax.io.importing.stand_ins import stand_ins
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
-from rcbht_jax.io.importing.ts import read_ts
+from rcbht_jax.io.importing.topics import stand_ins
 from rcbht_jax.io.importing.unpacked import plain_name
 from rcbht_jax.io.importing.words import text
 from rcbht_jax.io.importing.zarr_groups import read_zarr
@@ -117,7 +123,9 @@ def read_source(
     names = marks.Names(((record.file, record.part) for record in found), [record.arm for record in found])
     _beside(source, read, [track for track in base.annotations if not track.column], names, report)
     _attach(found, tables, names, report)
-    found = [_bounded(record, report) for record in found]
+    for record in found:
+        record.intervals[:], problems = possible(record.intervals, record.end)
+        report.warnings += [(record.name, problem) for problem in problems]
     found = most_common(without_copies(found, report, keep_copies), report)
     if not found:
         raise InputError(f"{source} holds no usable recording.{report.first_reason}")
@@ -378,12 +386,6 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
         elif unknown := [word for word, places in meant.items() if word and not places]:
             count = plural(sum(word in unknown for word, _ in rows), "annotation is", "annotations are")
             report.warnings.append((table.name, f"{count} of no recording here, and left out: {some(unknown)}."))
-
-
-def _bounded(record: Record, report: ImportReport) -> Record:
-    record, problems = bounded(record)
-    report.warnings += [(record.name, problem) for problem in problems]
-    return record
 
 
 def _digest(source: Path, items: Iterable[Item]) -> str:

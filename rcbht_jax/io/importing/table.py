@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import snake, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.families import families
+from rcbht_jax.io.importing.families import families, segments
 from rcbht_jax.io.importing.names import OF_FORCES, wrenches
-from rcbht_jax.io.importing.segments import segments
 
 RATE_NAMES = (
     "rate",
@@ -68,7 +67,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     Beside a wrench or a time ``[row, element]`` of its length, it is a matrix for every row, and left out.
     Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own.
     Scalars called dt or rate state the sampling, other scalars are facts, but for those of numbered groups of
-    annotations (:func:`~rcbht_jax.io.importing.segments.segments`). Of windows of the last samples,
+    annotations (:func:`~rcbht_jax.io.importing.families.segments`). Of windows of the last samples,
     ``[row, sample, element]``, each of which is the one before and a new sample, the newest sample is a row.
 
     >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.array(0.01)})
