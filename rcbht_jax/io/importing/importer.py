@@ -30,7 +30,7 @@ from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import attrs_of_export, not_read, read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
-from rcbht_jax.io.importing.given import from_start, on_clock, possible
+from rcbht_jax.io.importing.given import from_start, possible
 from rcbht_jax.io.importing.guess import (
     Understood,
     guess,
@@ -43,7 +43,6 @@ from rcbht_jax.io.importing.guess import (
 )
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
-from rcbht_jax.io.importing.label_studio import unfolded
 from rcbht_jax.io.importing.lacks import Lacks
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
@@ -236,7 +235,7 @@ def _read(
                 check_inside(item.path, source)
             wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                named = unfolded(marks.headed(table) if marks.named_after(table.name) else table)
+                named = marks.headed(table) if marks.named_after(table.name) else table
                 if item.kind == "csv" and marks.is_intervals(named.columns):
                     marked.append(marks.with_words(named, item.path) if named.columns is table.columns else named)
                     report.remarks += marks.unused(named)
@@ -354,7 +353,6 @@ def _beside(
                 report.warnings.append((record.name, _reason(error, source)))
                 continue
             shift = record.origin if track.clock == "stamps" else 0.0
-            intervals = on_clock(intervals, shift, record.end)
             record.intervals.extend((name, label, start - shift, end - shift) for name, label, start, end in intervals)
 
 

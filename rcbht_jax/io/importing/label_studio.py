@@ -1,4 +1,4 @@
-"""Annotations that Label Studio exports in JSON and CSV: tasks, each with the name of a file and marked regions."""
+"""Annotations that Label Studio exports in JSON: tasks, each with the name of a file and marked regions."""
 
 from __future__ import annotations
 
@@ -7,12 +7,6 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import PurePosixPath
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-
-from rcbht_jax._util.untrusted import parse_json
-from rcbht_jax.io.importing.table import Table
 
 _UPLOAD = re.compile(r"^[0-9a-f]{8}-")  # that it puts before the names of uploaded files
 _QUERY = re.compile(r"[?&]\w+=|#")  # of an address
@@ -47,39 +41,6 @@ def regions_in(content: Any) -> list[dict[str, str | float]]:
                 track = "label" if people[file] == 1 else f"label_{people[file]}"
                 found += [{"file": file, "track": track, **row} for row in regions]
     return found
-
-
-def unfolded(table: Table) -> Table:
-    """The table with a row per region if it is an export as CSV, whose cells hold lists of regions; else itself.
-
-    >>> cells = {"csv": ["run1.csv"], "label": ['[{"start": 0.5, "end": 1, "timeserieslabels": ["push"]}]']}
-    >>> found = unfolded(Table("a.csv", {name: np.array(one) for name, one in cells.items()}))
-    >>> {name: column.tolist() for name, column in found.columns.items()}
-    {'file': ['run1.csv'], 'track': ['label'], 'label': ['push'], 'start': [0.5], 'end': [1.0]}
-    """
-    marked = [name for name, column in table.columns.items() if column.dtype.kind == "U" and _is_marked(column)]
-    if not marked:
-        return table
-    texts = {name: column.tolist() for name, column in table.columns.items() if column.dtype.kind == "U"}
-    tasks = [dict(zip(texts, row, strict=True)) for row in zip(*texts.values(), strict=True)]
-    rows = regions_in([{**task, **{name: _parsed(task[name]) for name in marked}} for task in tasks])
-    if len({type(row[time]) for row in rows for time in ("start", "end")}) != 1:  # none, or numbers beside dates
-        return table
-    return Table(table.name, {name: np.array([row[name] for row in rows]) for name in rows[0]})
-
-
-def _is_marked(column: NDArray[Any]) -> bool:
-    """Whether cells hold regions, as their first letters and a key show."""
-    first = next((text for text in column.tolist() if text), "")
-    return first.startswith("[{") and 'labels": [' in first
-
-
-def _parsed(text: str) -> Any:
-    """The value of a cell; None = it is no JSON."""
-    try:
-        return parse_json(text.encode(), finite=False)
-    except ValueError:
-        return None
 
 
 def _file_in(text: str) -> str:

@@ -13,7 +13,7 @@ from rcbht_jax._util.columns import SECONDS, base_and_unit
 from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, read_bytes
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.clock import DAY, since_epoch
+from rcbht_jax.io.importing.clock import since_epoch
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Track
@@ -132,7 +132,6 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     columns = {kind: table.columns[name] for kind, (name, _) in fields.items()}
     count = len(columns["label"])
     track = track if columns["label"].dtype.kind == "U" else of_numbers(track)
-    texts = columns["start"].dtype.kind == "U"
     unit = 1.0  # s, of the start
     for key in (key for key in ("start", "end", "duration") if key in columns):
         name, seconds = fields[key]
@@ -147,7 +146,6 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
             columns[key] = columns[key] * seconds
             unit = seconds if key == "start" else unit
     ends = columns.get("end", columns["start"] + columns.get("duration", np.nan))
-    ends = np.where(texts & (ends < columns["start"] - DAY / 2), ends + DAY, ends)  # times of day around midnight
     tracks = columns.get("track", np.full(count, track.track))
     names = columns.get("recording", np.full(count, ""))
     found = []
