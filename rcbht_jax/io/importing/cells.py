@@ -135,15 +135,6 @@ def is_word(cell: str) -> bool:
     return not re.match(r"[+-]?[.,]?\d", cell) and not is_number(cell)
 
 
-def is_comment(line: bytes) -> bool:
-    """Whether a line begins as a comment does, and not as the names that ``rostopic echo -p`` writes.
-
-    >>> is_comment(b"# rate: 100"), is_comment(b"%time,field.x")
-    (True, False)
-    """
-    return bool(COMMENT.match(line))
-
-
 def is_title(cells: list[str], below: list[str]) -> bool:
     """Whether a line holds the names of the columns, and is no row like the next one.
 

@@ -36,16 +36,11 @@ class Numerals:
         self._points = delimiter == ","  # whether a point is a decimal one where nothing else shows it
         self._marks: set[str] = set()  # decimal ones, without doubt
 
-    def assume_points(self) -> None:
-        """Other columns of the table have decimal points: between commas, no comma is a decimal one then."""
-        self._points = True
-        if not self._commas:
-            self._marks.add(".")
-
-    def assume_commas(self) -> None:
-        """Other columns of the table have decimal commas, in quotes between commas: no point is a decimal one then."""
-        self._commas = True
-        self._marks.add(",")
+    def assume(self, mark: str) -> None:
+        """Other columns of the table have that decimal mark, commas perhaps in quotes: this one has no other."""
+        self._points, self._commas = self._points or mark == ".", self._commas or mark == ","
+        if mark == "," or not self._commas:
+            self._marks.add(mark)
 
     def read(self, cells: Sequence[str]) -> list[str]:
         """The cells, numbers with a point for the decimals and without marks between thousands.
@@ -100,25 +95,12 @@ def _may_be_thousands(cell: str) -> bool:
     return bool(found and not found[4] and found[2] in ",." and len(found[3]) == 3 and found[1].lstrip("+-")[0] != "0")
 
 
-def shows_points(rows: Iterable[Sequence[str]]) -> bool:
-    """Whether a number in these rows has a decimal point without doubt.
+def shows(rows: Iterable[Sequence[str]], mark: str) -> bool:
+    """Whether a number in these rows has that decimal mark without doubt.
 
-    >>> shows_points([["1,000", "0.5"]]), shows_points([["1,000", "1.500"]])
-    (True, False)
+    >>> shows([["1,000", "0.5"]], "."), shows([["1,000", "1.500"]], "."), shows([["1,000", "0,5"]], ",")
+    (True, False, True)
     """
-    return _shows(rows, ".")
-
-
-def shows_commas(rows: Iterable[Sequence[str]]) -> bool:
-    """Whether a number in these rows has a decimal comma without doubt, as those in quotes may have.
-
-    >>> shows_commas([["1,000", "0,5"]]), shows_commas([["1,000", "1,500"]])
-    (True, False)
-    """
-    return _shows(rows, ",")
-
-
-def _shows(rows: Iterable[Sequence[str]], mark: str) -> bool:
     numbers = (cell for row in rows for cell in row if mark in cell and _DECIMAL.match(cell))
     return any(not _may_be_thousands(cell) for cell in numbers)
 

@@ -62,7 +62,7 @@ def line_of_names(lines: list[bytes]) -> int:
     delimiter = cells.delimiter_of(lines[filled[-1]])
     rows = [cells.split(lines[number], delimiter) for number in filled]
     width = len(rows[-1])
-    kept = [len(row) == width or not cells.is_comment(lines[at]) for row, at in zip(rows, filled, strict=True)]
+    kept = [len(row) == width or not cells.COMMENT.match(lines[at]) for row, at in zip(rows, filled, strict=True)]
     rows, filled = list(compress(rows, kept)), list(compress(filled, kept))
     first = max((at + 1 for at, row in enumerate(rows) if len(row) != width), default=0)
     if not 0 < first < len(rows) - 1 or any(len(row) > width for row in rows[:first]):

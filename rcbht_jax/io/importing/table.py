@@ -18,16 +18,8 @@ from rcbht_jax.io.importing.families import families, segments
 from rcbht_jax.io.importing.names import OF_FORCES, wrenches
 
 RATE_NAMES = (
-    "rate",
-    "fs",
-    "fps",
-    "sr",
-    "sampling_rate",
-    "sample_rate",
-    "samplerate",
-    "frequency",
-    "sampling_frequency",
-)
+    "rate", "fs", "fps", "sr", "sampling_rate", "sample_rate", "samplerate", "frequency", "sampling_frequency",
+)  # fmt: skip
 LONGEST_TEXT = 100_000  # characters of a fact in which a rate is looked for
 _CONTROL = re.compile(r'"control_freq(?:uency)?"\s*:\s*(\d+(?:\.\d+)?)\s*[,}]')
 PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")

@@ -19,7 +19,7 @@ from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
-from rcbht_jax.io.importing.numerals import Numerals, shows_commas, shows_points, two_meanings
+from rcbht_jax.io.importing.numerals import Numerals, shows, two_meanings
 from rcbht_jax.io.importing.preamble import END_OF_HEADER, stated, with_one_time
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, check_one_time
@@ -206,9 +206,9 @@ def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
             raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(columns)}. {hint}")
     if not columns[0].count:
         first = [row for _, row in lines[:PROBES]]
-        points, commas = shows_points(first), shows_commas(first)
-        for column in columns if points != commas else ():
-            (column.numerals.assume_points if points else column.numerals.assume_commas)()
+        marks = [mark for mark in ".," if shows(first, mark)]
+        for column in columns if len(marks) == 1 else ():
+            column.numerals.assume(marks[0])
     numbers = [number for number, _ in lines]
     for column, some in zip(columns, zip(*(row for _, row in lines), strict=True), strict=False):
         column.add(some, numbers)
