@@ -109,19 +109,6 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
             yield found if isinstance(found, Malformed) else sample_of(found[2], found[1])
 
 
-def topics_of(path: Path) -> set[str]:
-    """The topics of a bag.
-
-    >>> topics_of(Path("assembly.mcap"))  # doctest: +SKIP
-    {'/wrench'}
-
-    Raises:
-        InputError: as :func:`open_bag`.
-    """
-    with open_bag(path) as reader:
-        return {connection.topic for connection in reader.connections}
-
-
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
     """A reader of a bag.

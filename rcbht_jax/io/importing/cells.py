@@ -42,8 +42,8 @@ def delimiter_of(line: bytes) -> str:
     """
     for mark in ";\t|":
         if mark.encode() in line and b"," in line:
-            cells = _cells(line.decode("utf-8", "replace").strip("\r\n"), mark)
-            if all(_is_decimal(cell.strip(), mark) for cell in cells if "," in cell):
+            cells = [cell.strip() for cell in _cells(line.decode("utf-8", "replace").strip("\r\n"), mark)]
+            if all(is_number(plain(cell, mark)) or _OF_DAY.search(cell) for cell in cells if "," in cell):
                 return mark  # its commas are those of numbers and times
     words = line.decode("utf-8", "replace").split()
     if len(words) > 1 and b"," in line and all(map(_BETWEEN_BLANKS.fullmatch, words)):
@@ -73,11 +73,6 @@ def between_blanks(line: str) -> list[str]:
     (['0.5', 'free air', ''], ['0.5', 'free'])
     """
     return [quoted or word for quoted, word in _QUOTED.findall(line)] if '"' in line else line.split()
-
-
-def _is_decimal(cell: str, delimiter: str) -> bool:
-    """Whether the comma in a cell is that of a number or of a time."""
-    return is_number(plain(cell, delimiter)) or bool(_OF_DAY.search(cell))
 
 
 def _cells(text: str, delimiter: str) -> list[str]:

@@ -26,7 +26,6 @@ from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.joining import KEPT, importer_of
 from rcbht_jax.io.simulation import origin_of
-from rcbht_jax.labels import AXES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
 _OURS = ("recording", "samples", "seconds")
@@ -285,11 +284,9 @@ def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[
 
 def _mcap(path: Path, axes: tuple[str, ...], units: tuple[str, ...]) -> NDArray[np.float32]:
     from rcbht_jax.io.importing.bags import read_bag_tables  # rosbags is an extra of its own
-    from rcbht_jax.io.rosbags import is_wrench, topics_of
+    from rcbht_jax.io.rosbags import is_wrench
 
     topic = "/wrench" if is_wrench(axes, units) else "/signal"  # as McapWriter has it
-    if topic == "/signal" and len(axes) == len(AXES) and topic not in topics_of(path):
-        topic = "/wrench"  # an export from before axes out of order, or in other units, became signals
     [table] = read_bag_tables(path, path.name, topic)
     values = [column for key, column in table.columns.items() if key != "stamp"]
     if len(values) != len(axes):
@@ -321,13 +318,10 @@ def _episodes(folder: Path, about: Mapping[str, Any]) -> Columns:
     return {ours: table[theirs] for ours, theirs in places.items() if theirs in table} | known
 
 
-def _are_texts(names: Any) -> bool:
-    return isinstance(names, list) and all(isinstance(name, str) for name in names)
-
-
 def _annotations(folder: Path, about: Mapping[str, Any], count: int) -> Annotations:
     labels = about.get("annotations", {})
-    if not isinstance(labels, dict) or not all(_are_texts(names) for names in labels.values()):
+    lists = list(labels.values()) if isinstance(labels, dict) else [None]
+    if not all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in lists):
         raise InputError(f"{folder}/dataset.json: the labels of the annotations are no table of lists of texts.")
     table = _table(
         folder, "annotations", {"column_types": {"recording": "int32", "start": "float64", "end": "float64"}}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import TIMES, base_and_unit
+from rcbht_jax._util.columns import TIMES, base_and_unit, decoded
 from rcbht_jax.io.importing.names import GROUPS, column_name, group_base
 
 _NUMBERED = re.compile(r"^(.*?)(\d+)(?:[./](.+))?$")
@@ -112,12 +112,8 @@ def segments(
             continue
         track = column_name("_".join(part for part in re.split(r"[./]", group) if not part.isdecimal()))
         start, end = map(float, times)
-        found.append((track, _text(label), start, end))
+        found.append((track, str(decoded(label)), start, end))
         if isinstance(fields.get("success"), np.bool_):
             found.append((f"{track}_success", "success" if fields["success"] else "failure", start, end))
         taken |= set(keys.values())
     return found, {key: array for key, array in arrays.items() if key not in taken}
-
-
-def _text(label: str | bytes) -> str:
-    return label.decode("utf-8", "replace") if isinstance(label, bytes) else str(label)

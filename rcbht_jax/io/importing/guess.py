@@ -101,7 +101,9 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     if not base.group:
         mapping = replace(mapping, group=_group(table, mapping.time, free))
         free = [name for name in free if name != mapping.group]
-    if arm := _arm(table, mapping.group, free):
+    # A column of arms separates recordings: the group, or one of text beside it.
+    beside = [name for name in free if mapping.group and table.columns[name].dtype.kind == "U"]
+    if arm := next((name for name in (mapping.group, *beside) if base_and_unit(name)[0] == "arm"), ""):
         mapping = replace(mapping, columns={"arm": Value(arm), **mapping.columns})
         free = [name for name in free if name != arm]
     _check_axes(table, free)
@@ -137,12 +139,6 @@ def _group(table: Table, time: str, free: list[str]) -> str:
                 return name
     arm = bases.get("arm", "")
     return arm if arm and table.columns[arm].dtype.kind == "U" and len(_distinct(table.columns[arm])) > 1 else ""
-
-
-def _arm(table: Table, group: str, free: list[str]) -> str:
-    """The column of arms that separates recordings: the group, or one of text beside it; "" = none."""
-    beside = (name for name in free if group and table.columns[name].dtype.kind == "U")
-    return next((name for name in (group, *beside) if base_and_unit(name)[0] == "arm"), "")
 
 
 def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
@@ -337,10 +333,11 @@ def one_hot(table: Table) -> list[str]:
     >>> one_hot(Table("a.csv", columns))[0][:57]
     "'free', 'push' look like labels, of which one is 1 in eac"
     """
+    flags = {name for name, one in table.columns.items() if one.dtype.kind != "U" and ((one == 0) | (one == 1)).all()}
     found = []
-    for flags, run in groupby(table.columns, lambda name: _is_of_flags(table.columns[name])):
+    for are_flags, run in groupby(table.columns, flags.__contains__):
         listed = list(run)
-        if flags and len(listed) > 1 and (np.sum([table.columns[name] for name in listed], 0) == 1).all():
+        if are_flags and len(listed) > 1 and (np.sum([table.columns[name] for name in listed], 0) == 1).all():
             first = next((name for name in listed if 0 < table.columns[name].sum() < len(table.columns[name])), "")
             how = (
                 f'[[annotations]] with track = "label", column = "{first}", words = {{"1" = "{first}"}}, ignore = ["0"]'
@@ -348,11 +345,6 @@ def one_hot(table: Table) -> list[str]:
             text = f"{some(listed)} look like labels, of which one is 1 in each row; a map reads each column by {how}."
             found += [text] if first else []
     return found
-
-
-def _is_of_flags(values: NDArray[Any]) -> bool:
-    """Whether a column holds nothing but 0 and 1."""
-    return values.dtype.kind != "U" and bool(((values == 0) | (values == 1)).all())
 
 
 def some(texts: Iterable[str]) -> str:

@@ -52,7 +52,7 @@ from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
-from rcbht_jax.io.importing.table import Interval, Table
+from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.topics import stand_ins
 from rcbht_jax.io.importing.unpacked import plain_name
@@ -359,31 +359,26 @@ def _beside(
 def _attach(found: list[Record], tables: list[Table], names: marks.Names, report: ImportReport) -> None:
     """Give recordings the intervals of tables that name them, or that are named after them."""
     for table in tables:
-        own = marks.named_after(table.name)
+        own = "" if marks.is_naming(table.columns) else marks.named_after(table.name)
         try:
             rows = marks.intervals_of(table, Track("label", file=table.name))
         except InputError as error:
             report.warnings.append((table.name, str(error)))
             continue
-        meant = {word: names.meant(word if marks.is_naming(table.columns) else own) for word, _ in rows}
-        own_rows: dict[int, list[Interval]] = {}
-        for word, interval in rows:
-            for place in meant[word] if names.of_one_trial(meant[word]) else ():
-                own_rows.setdefault(place, []).append(interval)
-        for place, intervals in own_rows.items():
+        of_each, twofold, unknown = marks.by_recording(rows, names, own)
+        for place, intervals in of_each.items():
             record = found[place]
             moved, doubts = from_start(intervals, record.origin, record.end, record.period)
             record.intervals.extend(moved)
             report.warnings += [(record.name, f"{doubt[:-1]} ({table.name}).") for doubt in doubts]
-        twofold = [word or own for word, places in meant.items() if places and not names.of_one_trial(places)]
         report.warnings += [(table.name, marks.ambiguous(word)) for word in twofold]
-        if not any(meant.values()):
+        if not of_each and not twofold:
             report.warnings.append(
                 (table.name, "is a table of annotations, and no recording is named in it or like it.")
             )
-        elif unknown := [word for word, places in meant.items() if word and not places]:
-            count = plural(sum(word in unknown for word, _ in rows), "annotation is", "annotations are")
-            report.warnings.append((table.name, f"{count} of no recording here, and left out: {some(unknown)}."))
+        elif lost := list(filter(None, unknown)):
+            count = plural(sum(word in lost for word, _ in rows), "annotation is", "annotations are")
+            report.warnings.append((table.name, f"{count} of no recording here, and left out: {some(lost)}."))
 
 
 def _digest(source: Path, items: Iterable[Item]) -> str:

@@ -25,7 +25,8 @@ from rcbht_jax.io.importing.timing import unit_by_size
 from rcbht_jax.io.importing.unpacked import plain_name
 from rcbht_jax.io.importing.words import of_numbers, text
 
-Marks = dict[int | None, list[Interval]]  # of one file, by recording; None = of any
+Marks = dict[int, list[Interval]]  # of one file, by recording; ANY = of any
+ANY = -1
 _NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
 _LABELS = ("label", "text", "description", *LABELS)
 _STARTS = (
@@ -36,7 +37,8 @@ _ENDS = (
     "end", "end_time", "stop", "stop_time", "offset", "t_end", "time_end", "endtime", "tmax", "to", "finish",
     "finish_time", "ende",
 )  # fmt: skip
-_ELAN = re.compile(r"\s+-\s+(ss\.msec|hh:mm:ss\.ms|msec)$")  # units of times, as that program names them
+_OF_ELAN = {"ss.msec": " [s]", "hh:mm:ss.ms": " [s]", "msec": " [ms]"}  # units of times, as that program names them
+_ELAN = re.compile(rf"\s+-\s+({'|'.join(map(re.escape, _OF_ELAN))})$")
 _DURATIONS = ("duration", "dur", "length")
 _FILES = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
 
@@ -55,7 +57,7 @@ def is_intervals(columns: Iterable[str]) -> bool:
 
 def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
     """Label, start, end, duration, track and recording of annotations -> its column, and s per unit of a time."""
-    pairs = ((name, *base_and_unit(_ELAN.sub(_in_brackets, name))) for name in columns)
+    pairs = ((name, *base_and_unit(_ELAN.sub(lambda unit: _OF_ELAN[unit[1]], name))) for name in columns)
     parsed = {base.replace(" ", "_"): (name, SECONDS.get(unit, 0.0)) for name, base, unit in pairs}
     kinds = {
         "label": _LABELS, "start": _STARTS, "end": _ENDS, "duration": _DURATIONS, "track": ("track", "tier"),
@@ -96,11 +98,6 @@ def named_after(name: str) -> str:
     """
     stem = PurePosixPath(name).with_suffix("").as_posix()
     return next((stem.removesuffix(ending) for ending in _FILES if stem.endswith(ending)), "")
-
-
-def _in_brackets(match: re.Match[str]) -> str:
-    """The unit of a time as ELAN names it, in brackets."""
-    return " [ms]" if match[1] == "msec" else " [s]"
 
 
 def headed(table: Table) -> Table:
@@ -262,7 +259,7 @@ def track_intervals(
     names: Names,
     place: int,
     warnings: list[tuple[str, str]],
-    read: dict[Path, Marks] | None = None,
+    read: dict[Path, Marks],
 ) -> list[Interval]:
     """The intervals of a track that a file beside a recording holds.
 
@@ -280,10 +277,9 @@ def track_intervals(
     """
     if track.file:
         path = beside(source, file, track.file)
-        read = {} if read is None else read
         if path not in read:  # a file of all recordings is read once
             read[path] = _marks_in(path, track, names, warnings)
-        return list(read[path].get(place, read[path].get(None, ())))
+        return list(read[path].get(place, read[path].get(ANY, ())))
     if track.starts:
         return _successive(beside(source, file, track.starts), track)
     ends, ids = (_lines(beside(source, file, pattern)) for pattern in (track.ends, track.ids))
@@ -309,16 +305,30 @@ def _marks_in(path: Path, track: Track, names: Names, warnings: list[tuple[str, 
         raise InputError(f"{path} has columns {', '.join(table.columns)}; expected label, start and end.")
     rows = intervals_of(with_words(table, path), track)
     if not is_naming(table.columns):
-        return {None: [interval for _, interval in rows]}
-    meant = {word: names.meant(word) for word in dict.fromkeys(word for word, _ in rows)}
-    twofold = {word: ambiguous(word) for word, places in meant.items() if places and not names.of_one_trial(places)}
-    ambiguities = [(path.name, sentence) for sentence in twofold.values()]
+        return {ANY: [interval for _, interval in rows]}
+    found, twofold, _ = by_recording(rows, names)
+    ambiguities = [(path.name, ambiguous(word)) for word in twofold]
     warnings += [row for row in ambiguities if row not in warnings]  # of another track, or another call
+    return found
+
+
+def by_recording(
+    rows: Sequence[tuple[str, Interval]], names: Names, own: str = ""
+) -> tuple[Marks, list[str], list[str]]:
+    """The intervals of each recording, the words that mean several recordings, and those that mean none.
+
+    Args:
+        rows: the name of a recording, "" = that of all, and an interval.
+        names: of all recordings.
+        own: the name of the recording of rows without one.
+    """
+    meant = {word: names.meant(word or own) for word, _ in rows}
     found: Marks = {}
     for word, interval in rows:
-        for place in meant[word] if word not in twofold else ():
+        for place in meant[word] if names.of_one_trial(meant[word]) else ():
             found.setdefault(place, []).append(interval)
-    return found
+    twofold = [word or own for word, places in meant.items() if places and not names.of_one_trial(places)]
+    return found, twofold, [word for word, places in meant.items() if not places]
 
 
 def _successive(path: Path, track: Track) -> list[Interval]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import snake, unit_of_time
+from rcbht_jax._util.columns import decoded, snake, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import families, segments
@@ -135,7 +135,8 @@ def _recordings(
     series = {key: array for key, array in usable.items() if array.shape == (count, rows)}
     for number in range(count):
         own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
-        ends = [int(own[key]) for key in own if key.lower() in LENGTH_NAMES and 1 < _number(own[key]) <= rows]
+        lengths = [fact for key, fact in own.items() if key.lower() in LENGTH_NAMES and isinstance(fact, float)]
+        ends = [int(length) for length in lengths if length.is_integer() and 1 < length <= rows]
         cut = {key: array[number] for key, array in each.items()} | shared
         cut |= {key: array[number] for key, array in series.items()}
         columns = _columns(path, {key: array[: ends[0]] if ends else array for key, array in cut.items()})
@@ -283,7 +284,7 @@ def plain(array: NDArray[Any]) -> NDArray[Any]:
     if array.dtype.kind in "fiu":
         return array.astype(np.float64)
     if array.dtype.kind == "S":
-        return np.array([text.decode("utf-8", "replace") for text in array.tolist()], np.str_)
+        return np.array([decoded(text) for text in array.tolist()], np.str_)
     return array.astype(np.str_)
 
 
@@ -331,11 +332,5 @@ def _without_unit(key: str) -> tuple[str, float]:
     return (match[1], unit) if match and (of_rate or of_time) else (short, 1.0)
 
 
-def _number(fact: str | float) -> float:
-    return fact if isinstance(fact, float) and fact.is_integer() else 0.0
-
-
 def _fact(value: Any) -> str | float:
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    return str(value) if isinstance(value, str) else float(value)
+    return str(decoded(value)) if isinstance(value, str | bytes) else float(value)

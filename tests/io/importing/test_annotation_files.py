@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rcbht_jax.io.importing.importer import Imported, read_source
-from rcbht_jax.io.importing.label_studio import regions_in
+from rcbht_jax.io.importing.sidecars import regions_in
 
 N = 40
 LABELS = [("push", 0.1, 0.2), ("pull", 0.2, 0.35)]

@@ -66,7 +66,7 @@ def test_only_words_that_mean_several_recordings_are_told_and_used_for_none(tmp_
     names = Names([("a.csv", ""), ("mon/run.csv", ""), ("tue/run.csv", "")])
     warnings: list[tuple[str, str]] = []
     found = [
-        track_intervals(tmp_path, Path(file), Track("phase", file="marks.csv"), names, place, warnings)
+        track_intervals(tmp_path, Path(file), Track("phase", file="marks.csv"), names, place, warnings, {})
         for place, file in enumerate(("a.csv", "mon/run.csv", "tue/run.csv"))
     ]
     assert found == [[("phase", "push", 0.0, 1.0)], [], []]
