@@ -61,7 +61,9 @@ def split(line: bytes, delimiter: str, encoding: str = "utf-8-sig") -> list[str]
     """
     text = line.decode(encoding, "replace").strip("\r\n")
     if delimiter == " ":
-        words = between_blanks(text) if '"' in text else _BLANKS.split(text.strip()) if text.strip() else []
+        words = between_blanks(text)
+        if '"' not in text and not all(word.startswith(("[", "(", "-")) for word in words):  # units alone
+            words = _BLANKS.split(text.strip())
         return [plain(cell, delimiter) for cell in words]
     return [plain(cell.strip(), ";") for cell in _cells(text, delimiter)]
 

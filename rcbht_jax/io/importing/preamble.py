@@ -70,8 +70,9 @@ def line_of_names(lines: list[bytes]) -> int:
     while first < len(rows) - 2 and cells.count_numbers(rows[first]):
         first += 1  # a line about every column, such as its date or its number of samples
     below = row_of_numbers(rows[first + 1 :]) or []
-    named = not cells.count_numbers(rows[first]) and 2 * cells.count_numbers(below) >= width
-    return filled[first] if named else 0
+    timed = bool(below) and not cells.is_word(below[0])  # with a time
+    sampled = timed or 2 * cells.count_numbers(below) >= width
+    return filled[first] if sampled and not cells.count_numbers(rows[first]) else 0
 
 
 def row_of_numbers(rows: Sequence[list[str]]) -> list[str] | None:
