@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -94,7 +94,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     rate, facts = scalars_of({key: array for key, array in arrays.items() if array.ndim == 0})
     arrays, windows = _newest(arrays)
     cubes = _cubes(arrays)
-    if cubes and not _is_signal(arrays, len(next(iter(cubes.values())))):
+    if cubes and not _are_matrices(cubes, arrays):
         for columns, own, number, rest in _recordings(path, arrays, cubes):
             place = f"{part}#{number}" if part else str(number)
             both, notes = {**facts, **own}, _left_out(rest)
@@ -114,12 +114,15 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
 
 
 def _cubes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The arrays of three dimensions as ``[recording, row, element]``."""
+    """The arrays of three dimensions as ``[recording, row, element]``, of one number of recordings and rows."""
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
     if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
         cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
     turned = {cube.shape[::2] for key, cube in cubes.items() if _ends_in_recordings(key, cube, arrays)}
-    return {key: np.moveaxis(cube, 2, 0) if cube.shape[::2] in turned else cube for key, cube in cubes.items()}
+    cubes = {key: np.moveaxis(cube, 2, 0) if cube.shape[::2] in turned else cube for key, cube in cubes.items()}
+    shapes = {key: cube.shape[:2] for key, cube in cubes.items()}
+    chosen = _usual(shapes, lambda shape: _titles({key: cubes[key][0] for key in cubes if shapes[key] == shape}))
+    return {key: cube for key, cube in cubes.items() if shapes[key] == chosen}
 
 
 def _recordings(
@@ -127,35 +130,41 @@ def _recordings(
 ) -> Iterator[tuple[dict[str, NDArray[Any]], dict[str, str | float], int, tuple[str, ...]]]:
     """Columns, facts and number of each recording of arrays ``[recording, row, element]``, and what is left out."""
     count, rows = next(iter(cubes.values())).shape[:2]
-    usable = {key: array for key, array in arrays.items() if key not in cubes and _usable(array)}
-    shapes = ((), (count,), (rows,), (count, rows))
-    rest = [key for key, array in usable.items() if array.shape not in shapes and array.shape[:2] != (count, rows)]
-    shared = {key: array for key, array in arrays.items() if array.shape == (rows,) and rows != count}
-    each = {key: array for key, array in cubes.items() if array.shape[:2] == (count, rows)}
-    series = {key: array for key, array in usable.items() if array.shape == (count, rows)}
+    others = {key: array for key, array in arrays.items() if key not in cubes and array.ndim and _usable(array)}
+    each = {**cubes, **{key: array for key, array in others.items() if array.shape == (count, rows)}}
+    facts = {key: array for key, array in others.items() if array.shape == (count,)}
+    shared = {key: array for key, array in others.items() if array.shape == (rows,) and rows != count}
+    rest = tuple(key for key in others if key not in {*each, *facts, *shared})
     for number in range(count):
-        own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
+        own = {key: _fact(array[number]) for key, array in facts.items()}
         lengths = [fact for key, fact in own.items() if key.lower() in LENGTH_NAMES and isinstance(fact, float)]
         ends = [int(length) for length in lengths if length.is_integer() and 1 < length <= rows]
         cut = {key: array[number] for key, array in each.items()} | shared
-        cut |= {key: array[number] for key, array in series.items()}
         columns = _columns(path, {key: array[: ends[0]] if ends else array for key, array in cut.items()})
-        yield columns, own, number, tuple(rest)
+        yield columns, own, number, rest
 
 
 def _of_one_length(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
     """The arrays that are columns of one table, upright, and the names of the others; none without two rows."""
     vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
     flat = {key: _upright(array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
-    lengths = [len(array) for array in flat.values() if len(array) > 1]
-    if not lengths:
-        return {}, tuple(flat)
-    sampled = [length for length in set(lengths) if wrenches(_titles(flat, length))]
-    # An array of forces need not have the six columns of a wrench.
-    sampled = sampled or [len(array) for key, array in flat.items() if len(array) > 1 and _has_forces(key)]
-    rows = max(sampled or set(lengths), key=lambda length: (lengths.count(length), length))
+    lengths = {key: len(array) for key, array in flat.items() if len(array) > 1}
+    rows = _usual(lengths, lambda length: _titles({key: flat[key] for key in lengths if lengths[key] == length}))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
     return chosen, tuple(key for key in flat if key not in chosen)
+
+
+def _usual(lengths: Mapping[str, Any], titles: Callable[[Any], list[str]]) -> Any:
+    """The length of the arrays of a wrench, else of forces, which need not be six, else the most frequent; None = none.
+
+    Args:
+        lengths: of each array, or its numbers of recordings and rows.
+        titles: the names of the columns of that length.
+    """
+    every = list(lengths.values())
+    found = [length for length in set(every) if wrenches(titles(length))]
+    found = found or [length for key, length in lengths.items() if _has_forces(key)]
+    return max(found or every, key=lambda length: (every.count(length), length), default=None)
 
 
 def _has_forces(name: str) -> bool:
@@ -223,17 +232,20 @@ def _newest(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]]
     return found, windows
 
 
-def _titles(arrays: Mapping[str, NDArray[Any]], rows: int) -> list[str]:
-    """The names of the columns of numbers of that length."""
-    those = {key: array for key, array in arrays.items() if array.dtype.kind in "fiu" and array.shape[:1] == (rows,)}
+def _titles(arrays: Mapping[str, NDArray[Any]]) -> list[str]:
+    """The names of the columns of numbers."""
+    those = {key: array for key, array in arrays.items() if array.dtype.kind in "fiu"}
     wide = [f"{key}_{number}" for key, array in those.items() if array.ndim == 2 for number in range(array.shape[1])]
     return [key for key, array in those.items() if array.ndim == 1] + wide
 
 
-def _is_signal(arrays: Mapping[str, NDArray[Any]], rows: int) -> bool:
-    """Whether arrays of that length hold a wrench or a time, whose rows are samples and no recordings."""
-    titles = _titles(arrays, rows)
-    return bool(wrenches(titles)) or any(map(unit_of_time, titles))
+def _are_matrices(cubes: Mapping[str, NDArray[Any]], arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether cubes are a matrix for every sample, and no recordings: beside a wrench, or a time of their length."""
+    flat = {key: array for key, array in arrays.items() if array.ndim in (1, 2)}
+    own = _titles({key: array for key, array in flat.items() if len(array) == len(next(iter(cubes.values())))})
+    if wrenches(_titles({key: cube[0] for key, cube in cubes.items()})):
+        return bool(wrenches(own))  # a time may be that of each recording
+    return bool(wrenches(_titles(flat))) or any(map(unit_of_time, own))
 
 
 def _ends_in_recordings(key: str, cube: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
@@ -248,7 +260,9 @@ def _ends_in_recordings(key: str, cube: NDArray[Any], arrays: Mapping[str, NDArr
         return False
     timed = {len(array) for name, array in flat.items() if unit_of_time(name)}
     forces, others = (bool(wrenches(f"{key}_{number}" for number in range(count))) for count in (elements, last))
-    return elements not in timed and (forces > others or (rows in timed and (forces or elements != last)))
+    return elements not in timed and (
+        forces > others or (rows in timed and (forces or (elements != last and not others)))
+    )
 
 
 def _usable(array: NDArray[Any]) -> bool:

@@ -65,6 +65,35 @@ def test_matrices_beside_a_time_make_no_recordings(tmp_path: Path) -> None:
         read_source(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("beside", "left"),
+    [
+        ({"a_joints": (3, 50, 7)}, "a_joints"),
+        ({"a_image": (3, 8, 9), "b_image": (3, 8, 9)}, "a_image"),
+        ({"pose": (3, 4, 4)}, "pose"),
+        ({"time": (3,)}, ""),  # of the beginning of each
+    ],
+)
+@pytest.mark.parametrize("name", ["force", "wrench"])
+def test_of_arrays_of_recordings_those_of_a_wrench_are_read(
+    name: str, beside: dict[str, tuple[int, ...]], left: str, tmp_path: Path
+) -> None:
+    """The first array was read, and the wrench was left out without a word."""
+    random = np.random.default_rng(0)
+    wrench = random.normal(size=(3, 100, 6 if name == "wrench" else 3))
+    others = {key: random.normal(size=shape) for key, shape in beside.items()}
+    np.savez(tmp_path / "a.npz", **others, **{name: wrench}, dt=DT)
+    imported = read_source(tmp_path / "a.npz")
+    np.testing.assert_allclose(imported.recordings.wrench, wrench, rtol=1e-6)
+    assert any(f"left out: {left!r}" in remark for remark in imported.report.remarks) == bool(left)
+
+
+def test_an_array_of_recordings_beside_a_wrench_of_one_is_left_out(tmp_path: Path) -> None:
+    """Its first two dimensions became recordings, and the wrench was none."""
+    np.savez(tmp_path / "a.npz", features=np.random.default_rng(0).normal(size=(3, 50, 7)), wrench=WRENCH, dt=DT)
+    np.testing.assert_allclose(read_source(tmp_path / "a.npz").recordings.wrench[0], WRENCH, rtol=1e-6)
+
+
 def test_hdf5_tables_of_pandas_and_of_records_keep_the_names_of_columns(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     names = ["time", *AXES]
