@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import TIMES, base_and_unit, decoded
-from rcbht_jax.io.importing.names import GROUPS, column_name, group_base
+from rcbht_jax.io.importing.names import GROUPS, column_name, group_base, has_forces
 
 _NUMBERED = re.compile(r"^(.*?)(\d+)(?:[./](.+))?$")
 _BEFORE = re.compile(r"^((?:.*[\W_])?([^\W\d_]+)[_.\- ]?)(\d+)[_\- ](.+)$")  # run0_time
@@ -19,7 +19,7 @@ _LABELS = ("label", "text", "name", "description", "action", "skill")
 Arrays = Mapping[str, NDArray[Any]]
 
 
-def families(arrays: Arrays) -> dict[str, dict[str, NDArray[Any]]]:
+def families(arrays: Arrays, shared: Container[str] = ()) -> dict[str, dict[str, NDArray[Any]]]:
     """The arrays of each recording, by its number; none if the numbers separate columns, not recordings.
 
     Numbers of recordings are those of ``trial_0``, ``trial_1``, of ``trial0_time``, ``trial1_time``, of ``log.0.time``,
@@ -30,9 +30,13 @@ def families(arrays: Arrays) -> dict[str, dict[str, NDArray[Any]]]:
     >>> arrays = {"trial_0": np.zeros((9, 2)), "trial_1": np.zeros((7, 2)), "class": np.array(["a", "b"])}
     >>> {part: {name: array.shape for name, array in own.items()} for part, own in families(arrays).items()}
     {'0': {'class': (), 'values': (9, 2)}, '1': {'class': (), 'values': (7, 2)}}
+
+    Args:
+        arrays: by their names.
+        shared: those whose numbers separate no recordings.
     """
     heads: dict[str, dict[str, dict[str, NDArray[Any]]]] = {}
-    for key, array in arrays.items():
+    for key, array in ((key, array) for key, array in arrays.items() if key not in shared):
         if (before := _BEFORE.match(key)) and numbered(before[2]) in GROUPS:
             heads.setdefault(before[1], {}).setdefault(before[3], {})[before[4]] = array
         elif match := _NUMBERED.match(key):
@@ -41,7 +45,7 @@ def families(arrays: Arrays) -> dict[str, dict[str, NDArray[Any]]]:
     chosen = {head: parts for head, parts in several.items() if _recordings(head, parts)} or _described(several, arrays)
     if not chosen:
         return {}
-    count = max(map(len, chosen.values()))
+    count = len(max(chosen.items(), key=_worth)[1])
     chosen = {head: parts for head, parts in chosen.items() if len(parts) == count}
     numbers = sorted({number for parts in chosen.values() for number in parts}, key=int)
     taken = {id(array) for parts in chosen.values() for own in parts.values() for array in own.values()}
@@ -64,6 +68,13 @@ def _recordings(head: str, parts: Mapping[str, Arrays]) -> bool:
     signals = any(length and max(length) > 1 for length in lengths)
     timed = any(base_and_unit(name)[0] in TIMES for name in names)
     return signals and (numbered(head) in GROUPS or timed or any(len(length) > 1 for length in lengths))
+
+
+def _worth(family: tuple[str, Mapping[str, Arrays]]) -> tuple[bool, bool, int]:
+    """Whether a head is called like recordings, whether forces have its numbers, and how many there are."""
+    head, parts = family
+    names = {name for own in parts.values() for name in own}
+    return numbered(head) in GROUPS, any(map(has_forces, (head, *names))), len(parts)
 
 
 def _described(heads: Mapping[str, Mapping[str, Arrays]], arrays: Arrays) -> dict[str, Mapping[str, Arrays]]:

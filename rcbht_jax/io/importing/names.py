@@ -150,6 +150,15 @@ def is_axis(name: str) -> bool:
     return _axis_of(snake(split_unit(name)[0]), "") is not None
 
 
+def has_forces(name: str) -> bool:
+    """Whether a name is one of forces.
+
+    >>> has_forces("ft_wrench"), has_forces("object_pose")
+    (True, False)
+    """
+    return not set(OF_FORCES).isdisjoint(re.split(r"[\W_\d]+", snake(name)))
+
+
 def axis_name(name: str) -> str:
     """The axis that a column is by a name without anything else; "" = none, or a T that may be a translation.
 

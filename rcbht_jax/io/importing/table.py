@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from rcbht_jax._util.columns import decoded, snake, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import families, segments
-from rcbht_jax.io.importing.names import OF_FORCES, wrenches
+from rcbht_jax.io.importing.names import has_forces, wrenches
 
 RATE_NAMES = (
     "rate", "fs", "fps", "sr", "sampling_rate", "sample_rate", "samplerate", "frequency", "sampling_frequency",
@@ -50,7 +50,9 @@ class Table:
         return self.name.removesuffix(f"#{self.part}") if self.part else self.name
 
 
-def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: str = "") -> Iterator[Table]:
+def tables_of(
+    path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: str = "", shared: Container[str] = ()
+) -> Iterator[Table]:
     """Tables of named arrays, as array files hold them.
 
     Arrays ``[row]`` and ``[row, element]`` of one length are columns (elements are ``name_0``, ``name_1``, ...): that
@@ -71,22 +73,23 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
         name: relative to the source, with the part of the file.
         arrays: by their names.
         part: of the file that they are; "" = all of it.
+        shared: names of arrays of several parts, whose numbers separate none.
 
     Raises:
         InputError: no array has at least two rows, or there are too many columns.
     """
-    if several := families(arrays):
+    if several := families(arrays, shared):
         for which, those in several.items():
-            yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which)
+            yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which, arrays.keys())
         return
     if dated := [key for key, array in arrays.items() if array.dtype.kind in "mM"]:
         known = {key: _seconds(array) if key in dated else array for key, array in arrays.items()}
-        for table in tables_of(path, name, known, part):
+        for table in tables_of(path, name, known, part, shared):
             yield replace(table, units={**table.units, **{key: "s" for key in dated if key in table.columns}})
         return
     arrays, titles = titled(arrays)
     if titles:
-        for table in tables_of(path, name, arrays, part):
+        for table in tables_of(path, name, arrays, part, shared):
             yield replace(table, columns={titles.get(key, key): column for key, column in table.columns.items()})
         return
     intervals, arrays = segments(arrays)
@@ -116,8 +119,10 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
 def _cubes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """The arrays of three dimensions as ``[recording, row, element]``, of one number of recordings and rows."""
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
-    if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
-        cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
+    lying = {key for key, cube in cubes.items() if cube.shape[2] > 10 * cube.shape[1]}  # rows are time, as in _upright
+    upright = {cube.shape[:2] for key, cube in cubes.items() if key not in lying}
+    lying = {key for key in lying if cubes[key].shape[:2] not in upright}
+    cubes = {key: cube.swapaxes(1, 2) if key in lying else cube for key, cube in cubes.items()}
     turned = {cube.shape[::2] for key, cube in cubes.items() if _ends_in_recordings(key, cube, arrays)}
     cubes = {key: np.moveaxis(cube, 2, 0) if cube.shape[::2] in turned else cube for key, cube in cubes.items()}
     shapes = {key: cube.shape[:2] for key, cube in cubes.items()}
@@ -163,17 +168,8 @@ def _usual(lengths: Mapping[str, Any], titles: Callable[[Any], list[str]]) -> An
     """
     every = list(lengths.values())
     found = [length for length in set(every) if wrenches(titles(length))]
-    found = found or [length for key, length in lengths.items() if _has_forces(key)]
+    found = found or [length for key, length in lengths.items() if has_forces(key)]
     return max(found or every, key=lambda length: (every.count(length), length), default=None)
-
-
-def _has_forces(name: str) -> bool:
-    """Whether a name is one of forces.
-
-    >>> _has_forces("ft_wrench"), _has_forces("object_pose")
-    (True, False)
-    """
-    return not set(OF_FORCES).isdisjoint(re.split(r"[\W_\d]+", snake(name)))
 
 
 def _left_out(arrays: tuple[str, ...]) -> tuple[str, ...]:

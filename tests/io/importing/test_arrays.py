@@ -88,6 +88,26 @@ def test_of_arrays_of_recordings_those_of_a_wrench_are_read(
     assert any(f"left out: {left!r}" in remark for remark in imported.report.remarks) == bool(left)
 
 
+def test_rows_of_recordings_may_be_axes_beside_another_array(tmp_path: Path) -> None:
+    """Each sample was a recording of three."""
+    random = np.random.default_rng(0)
+    force = random.normal(size=(3, 3, 100))
+    np.savez(tmp_path / "a.npz", force=force, image=random.normal(size=(3, 8, 9)), dt=DT)
+    np.testing.assert_allclose(read_source(tmp_path / "a.npz").recordings.wrench, force.swapaxes(1, 2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("head", ["trial", "wrench"])
+def test_numbers_of_trials_or_of_forces_separate_recordings_rather_than_others(head: str, tmp_path: Path) -> None:
+    """Every trial was in the file five times, and twelve copies were reported."""
+    random = np.random.default_rng(0)
+    several = {f"{head}_{number}": random.normal(size=(100 - 10 * number, 6)) for number in range(3)}
+    others = {f"mask_{number}": random.normal(size=(7 + number, 2)) for number in range(5)}
+    np.savez(tmp_path / "a.npz", **others, **several, dt=DT)
+    imported = read_source(tmp_path / "a.npz")
+    assert imported.recordings.trial.tolist() == ["a-0", "a-1", "a-2"]
+    assert imported.report.duplicates == []
+
+
 def test_an_array_of_recordings_beside_a_wrench_of_one_is_left_out(tmp_path: Path) -> None:
     """Its first two dimensions became recordings, and the wrench was none."""
     np.savez(tmp_path / "a.npz", features=np.random.default_rng(0).normal(size=(3, 50, 7)), wrench=WRENCH, dt=DT)
