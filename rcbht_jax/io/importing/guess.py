@@ -17,8 +17,8 @@ from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.arms import words_between
+from rcbht_jax.io.importing.cells import two_meanings
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
-from rcbht_jax.io.importing.numerals import two_meanings
 from rcbht_jax.io.importing.record import check_columns, rows_of_recordings
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, unit_of_times, with_time

@@ -359,13 +359,12 @@ def _beside(
 def _attach(found: list[Record], tables: list[Table], names: marks.Names, report: ImportReport) -> None:
     """Give recordings the intervals of tables that name them, or that are named after them."""
     for table in tables:
-        own = "" if marks.is_naming(table.columns) else marks.named_after(table.name)
         try:
             rows = marks.intervals_of(table, Track("label", file=table.name))
         except InputError as error:
             report.warnings.append((table.name, str(error)))
             continue
-        of_each, twofold, unknown = marks.by_recording(rows, names, own)
+        of_each, twofold, unknown = marks.by_recording(rows, names, marks.named_after(table.name))
         for place, intervals in of_each.items():
             record = found[place]
             moved, doubts = from_start(intervals, record.origin, record.end, record.period)

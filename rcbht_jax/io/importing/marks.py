@@ -155,15 +155,6 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     return found
 
 
-def is_naming(columns: Iterable[str]) -> bool:
-    """Whether a table of annotations names the recording of each.
-
-    >>> is_naming(["Recording", "label", "start"])
-    True
-    """
-    return "recording" in _fields(columns)
-
-
 def ambiguous(word: str) -> str:
     """A warning about a word that means several recordings."""
     return f"{word!r} is the name of several recordings and is used for none; write it with its folder."
@@ -304,7 +295,7 @@ def _marks_in(path: Path, track: Track, names: Names, warnings: list[tuple[str, 
     if not is_intervals(table.columns):
         raise InputError(f"{path} has columns {', '.join(table.columns)}; expected label, start and end.")
     rows = intervals_of(with_words(table, path), track)
-    if not is_naming(table.columns):
+    if not any(word for word, _ in rows):
         return {ANY: [interval for _, interval in rows]}
     found, twofold, _ = by_recording(rows, names)
     ambiguities = [(path.name, ambiguous(word)) for word in twofold]

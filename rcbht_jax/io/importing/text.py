@@ -19,7 +19,6 @@ from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
-from rcbht_jax.io.importing.numerals import Numerals, shows, two_meanings
 from rcbht_jax.io.importing.preamble import END_OF_HEADER, stated, with_one_time
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, check_one_time
@@ -206,7 +205,7 @@ def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
             raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(columns)}. {hint}")
     if not columns[0].count:
         first = [row for _, row in lines[:PROBES]]
-        marks = [mark for mark in ".," if shows(first, mark)]
+        marks = [mark for mark in ".," if cells.shows(first, mark)]
         for column in columns if len(marks) == 1 else ():
             column.numerals.assume(marks[0])
     numbers = [number for number, _ in lines]
@@ -220,7 +219,7 @@ class _Column:
 
     def __init__(self, path: Path, name: str, delimiter: str, words: bool) -> None:
         self._path, self.name, self._where = path, name, f"{path}, column {name}"
-        self._delimiter, self.numerals = delimiter, Numerals(delimiter)
+        self._delimiter, self.numerals = delimiter, cells.Numerals(delimiter)
         self._parts: list[NDArray[np.generic]] = []
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
         self._words, self._cells = words, list[str]()  # as they stand, if numbers among them may be words
@@ -234,12 +233,12 @@ class _Column:
         try:
             row = self.numerals.read(plain) if self._kind != "U" else plain
         except ValueError as error:
-            raise InputError(f"{self._where} holds {str(error)!r}.{two_meanings(str(error))}") from None
+            raise InputError(f"{self._where} holds {str(error)!r}.{cells.two_meanings(str(error))}") from None
         if not self._kind:
             filled = [cell for cell in row if cell.lower() not in cells.NAN]
             # One stray word in a column of numbers is a mistake, not a label.
             texts = [cell for cell in filled if not cells.is_number(cell)]
-            of_text = 2 * len(texts) > len(filled) and not all(map(two_meanings, texts))
+            of_text = 2 * len(texts) > len(filled) and not all(map(cells.two_meanings, texts))
             self._kind = "" if not filled else "U" if of_text else "f"
         if self._kind == "U":
             row = ["" if cell in ("nan", "NaN") else cells.plain(cell, self._delimiter) for cell in written]
@@ -265,7 +264,7 @@ class _Column:
                 continue
             if not cells.is_number(cell):
                 where = f"{self._path}, line {lines[place]}, column {self.name}"
-                raise InputError(f"{where}: {cell[:30]!r} is not a number.{two_meanings(cell)}")
+                raise InputError(f"{where}: {cell[:30]!r} is not a number.{cells.two_meanings(cell)}")
             values[place] = np.nan if cell.lower() in cells.NAN else float(cell)
         return values
 
