@@ -15,7 +15,7 @@ from rcbht_jax._util.columns import decoded, snake, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import families, segments
-from rcbht_jax.io.importing.names import has_forces, wrenches
+from rcbht_jax.io.importing.names import has_axes, has_forces, wrenches
 
 RATE_NAMES = (
     "rate", "fs", "fps", "sr", "sampling_rate", "sample_rate", "samplerate", "frequency", "sampling_frequency",
@@ -119,7 +119,7 @@ def tables_of(
 def _cubes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """The arrays of three dimensions as ``[recording, row, element]``, of one number of recordings and rows."""
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
-    lying = {key for key, cube in cubes.items() if cube.shape[2] > 10 * cube.shape[1]}  # rows are time, as in _upright
+    lying = {key for key, cube in cubes.items() if _lies(key, cube, arrays)}
     upright = {cube.shape[:2] for key, cube in cubes.items() if key not in lying}
     lying = {key for key in lying if cubes[key].shape[:2] not in upright}
     cubes = {key: cube.swapaxes(1, 2) if key in lying else cube for key, cube in cubes.items()}
@@ -152,7 +152,9 @@ def _recordings(
 def _of_one_length(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
     """The arrays that are columns of one table, upright, and the names of the others; none without two rows."""
     vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
-    flat = {key: _upright(array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
+    flat = {
+        key: _upright(key, array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)
+    }
     lengths = {key: len(array) for key, array in flat.items() if len(array) > 1}
     rows = _usual(lengths, lambda length: _titles({key: flat[key] for key in lengths if lengths[key] == length}))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
@@ -244,10 +246,23 @@ def _are_matrices(cubes: Mapping[str, NDArray[Any]], arrays: Mapping[str, NDArra
     return bool(wrenches(_titles(flat))) or any(map(unit_of_time, own))
 
 
+def _lies(key: str, cube: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether an array is ``[recording, element, row]``: rows are many, or elements those of a wrench beside more rows
+    than recordings, of which there may be as many as facts."""
+    count, elements, rows = cube.shape
+    if not has_axes(key, elements) or has_axes(key, rows):
+        return rows > 10 * elements and not has_axes(key, rows)
+    timed = {array.size for name, array in arrays.items() if unit_of_time(name)}
+    facts = {array.size for name, array in arrays.items() if array.ndim == 1} - timed
+    return rows in timed or (count not in timed and rows not in facts and (rows > count or count in facts))
+
+
 def _ends_in_recordings(key: str, cube: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
     """Whether an array is ``[row, element, recording]``: facts are as many as its last dimension, or nothing else has
     its rows, and a time or the elements of a wrench show them."""
     rows, elements, last = cube.shape
+    if has_axes(key, last) and not has_axes(key, elements):
+        return False  # as many numbers may be a vector in space
     flat = {name: array for name, array in arrays.items() if array.ndim in (1, 2)}
     counts = {len(array) for name, array in flat.items() if array.ndim == 1 and not unit_of_time(name)}
     if last in counts and rows not in counts:
@@ -256,23 +271,23 @@ def _ends_in_recordings(key: str, cube: NDArray[Any], arrays: Mapping[str, NDArr
         return False
     timed = {len(array) for name, array in flat.items() if unit_of_time(name)}
     forces, others = (bool(wrenches(f"{key}_{number}" for number in range(count))) for count in (elements, last))
-    return elements not in timed and (
-        forces > others or (rows in timed and (forces or (elements != last and not others)))
-    )
+    return elements not in timed and (forces > others or (rows in timed and (forces or elements != last)))
 
 
 def _usable(array: NDArray[Any]) -> bool:
     return array.dtype.kind in "fiubUS"
 
 
-def _upright(array: NDArray[Any], vectors: set[int]) -> NDArray[Any]:
-    """Rows are time: as long as a vector is, or not ten times fewer than the axes."""
+def _upright(key: str, array: NDArray[Any], vectors: set[int]) -> NDArray[Any]:
+    """Rows are time: by the axes of a wrench, as long as a vector is, or not ten times fewer than the axes."""
     if array.ndim == 1:
         return array
     if 1 in array.shape:
         return array.ravel()
     rows, columns = array.shape
     lies = columns in vectors if (columns in vectors) != (rows in vectors) else columns > 10 * rows
+    if has_axes(key, rows) != has_axes(key, columns):
+        lies = has_axes(key, rows)
     return array.T if lies else array
 
 

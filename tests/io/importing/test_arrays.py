@@ -45,7 +45,7 @@ def test_npy_of_time_and_axes_and_of_recordings_whose_rows_are_axes(tmp_path: Pa
     ("beside", "shape", "count"),
     [({"time": np.arange(200) * DT}, (200, 6, 10), 10), ({"time": np.arange(200) * DT}, (200, 6, 6), 6),
      ({"rate": 200.0}, (200, 6, 10), 10), ({"rate": 200.0}, (10, 200, 6), 10), ({"rate": 200.0}, (7, 6, 6), 7),
-     ({"time": np.arange(6) * DT}, (20, 6, 10), 20), ({"rate": 200.0, "outcome": np.arange(20)}, (20, 6, 10), 20)],
+     ({"time": np.arange(6) * DT}, (20, 6, 10), 20), ({"rate": 200.0, "outcome": np.arange(20)}, (20, 8, 10), 20)],
 )  # fmt: skip
 @pytest.mark.parametrize("kind", ["npz", "mat"])
 def test_recordings_may_be_the_last_dimension_of_a_wrench(
@@ -94,6 +94,27 @@ def test_rows_of_recordings_may_be_axes_beside_another_array(tmp_path: Path) -> 
     force = random.normal(size=(3, 3, 100))
     np.savez(tmp_path / "a.npz", force=force, image=random.normal(size=(3, 8, 9)), dt=DT)
     np.testing.assert_allclose(read_source(tmp_path / "a.npz").recordings.wrench, force.swapaxes(1, 2), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "beside", [{}, {"gravity": np.arange(3.0)}, {"time": np.arange(80) * DT}, {"class": np.arange(5)}]
+)
+@pytest.mark.parametrize("axes", [(0, 1), (1, 0)])
+@pytest.mark.parametrize("count", [3, 6])
+def test_an_array_of_forces_lies_as_its_axes_do(
+    count: int, axes: tuple[int, int], beside: dict[str, Any], tmp_path: Path
+) -> None:
+    """Beside a vector in space, samples became axes: 30 samples of three were three of 30 channels."""
+    rate = {} if "time" in beside else {"dt": DT}
+    name = "force" if count == 3 else "wrench"
+    for rows in (30, 80):
+        wrench = np.random.default_rng(0).normal(size=(5, rows, count))
+        times = {key: array[:rows] for key, array in beside.items()}
+        np.savez(tmp_path / "one.npz", **{name: wrench[0].transpose(axes)}, **times, **rate)
+        np.testing.assert_allclose(read_source(tmp_path / "one.npz").recordings.wrench, wrench[:1], rtol=1e-6)
+        several = wrench.transpose(0, axes[0] + 1, axes[1] + 1)
+        np.savez(tmp_path / "five.npz", **{name: several}, **times, **rate)
+        np.testing.assert_allclose(read_source(tmp_path / "five.npz").recordings.wrench, wrench, rtol=1e-6)
 
 
 @pytest.mark.parametrize("head", ["trial", "wrench"])
