@@ -235,9 +235,9 @@ def _read(
                 check_inside(item.path, source)
             wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                named = marks.headed(table) if marks.named_after(table.name) else table
+                named = marks.headed(table)
                 if item.kind == "csv" and marks.is_intervals(named.columns):
-                    marked.append(marks.with_words(named, item.path) if named.columns is table.columns else named)
+                    marked.append(marks.with_words(named, item.path))
                     report.remarks += marks.unused(named)
                     continue
                 described = beside.described(table)

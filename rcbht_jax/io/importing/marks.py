@@ -108,7 +108,9 @@ def headed(table: Table) -> Table:
     ['start', 'end', 'label']
     """
     columns = list(table.columns.values())
-    if list(table.columns) != ["c0", "c1", "c2"] or [column.dtype.kind for column in columns] != ["f", "f", "U"]:
+    if not named_after(table.name) or list(table.columns) != ["c0", "c1", "c2"]:
+        return table
+    if [column.dtype.kind for column in columns] != ["f", "f", "U"]:
         return table
     if 2 * (columns[0] <= columns[1]).sum() < len(columns[0]) or len(np.unique(columns[2])) == 1 < len(columns[2]):
         return table
