@@ -34,7 +34,7 @@ UNITS = {
     "кгс": "kgf", "кгсм": "kgf m", "кгссм": "kgf cm",
     "s": "s", "sec": "s", "second": "s", "seconds": "s", "秒": "s", "ms": "ms", "msec": "ms", "millisecond": "ms",
     "milliseconds": "ms", "毫秒": "ms", "ミリ秒": "ms", "us": "us", "usec": "us", "µs": "us", "μs": "us",
-    "microseconds": "us",
+    "microseconds": "us", "microsecond": "us", "micros": "us", "millis": "ms",
     "ns": "ns", "nsec": "ns", "nanoseconds": "ns", "min": "min", "minutes": "min", "h": "h", "hr": "h", "hours": "h",
     "с": "s", "сек": "s", "мс": "ms", "мсек": "ms", "мкс": "us", "нс": "ns", "мин": "min", "ч": "h", "초": "s",
     "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "rpm": "rpm", "v": "V", "a": "A",
@@ -49,6 +49,8 @@ TIMES = (
 TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
     "zeit", "zeitstempel", "temps", "tiempo", "tempo", "czas", "tijd", "время", "时间", "時間", "시간",
 )  # fmt: skip
+
+_LONG_TIMES = ("time", "elapsed", "elapsed_time")  # that minutes or hours may follow: t_min may be the smallest
 
 _KINDS = {"U": "text", "M": "dates", "m": "durations"}  # of columns, but for numbers
 _EMPTY = {"text": "", "dates": np.datetime64("NaT"), "durations": np.timedelta64("NaT", "s")}
@@ -68,6 +70,7 @@ _TAILS = ("N", "Nm", "mN", "mNm", "Nmm", "Ncm", "kN", "kNm", "kgf", "lbf")  # th
 _AXIS = re.compile(r"(?:^|[\W_])(?:f|m|t|force|torque|moment|tau)[ _]?[xyz]$", re.IGNORECASE)  # before n, or nm
 _PRODUCT = re.compile(r"(?<=[^\W\d_])[ .*·⋅・･∙•×-](?=[^\W\d_])")  # N-m, N·mm, lbf in
 _AFTER = re.compile(r"^(.*?[^\s,/])(?:\s*[,/]\s*|\s+in\s+)([^\W\d_]+(?:[ .*·⋅-][^\W\d_]+)?)$")  # Fx/N, Fx, N; Fx in N
+_TIMED = re.compile(r"^(.*[^\W_])(?:[\s_-]+|(?<=[a-z])(?=[A-Z]))([^\W\d_]+)$")  # time_msec, time-ms, timeMs
 _SINCE = re.compile(r"\s+since\s.*$")  # ms since 2026-05-01 00:00:00
 _QUANTITY = re.compile(r"[NН]|кгс|kgf|lbf")  # in the unit of a force or a moment, after a comma or a slash
 _MEGA = re.compile(r"[MМ][NН]")  # no milli
@@ -85,6 +88,8 @@ def split_unit(name: str) -> tuple[str, str]:
     (('Fx', 'N'), ('时间', 'ms'))
     >>> split_unit("Fx/N"), split_unit("Moment x in Ncm"), split_unit("time, s"), split_unit("imu/a")
     (('Fx', 'N'), ('Moment x', 'Ncm'), ('time', 's'), ('imu/a', ''))
+    >>> split_unit("time_msec"), split_unit("timeMs"), split_unit("Time minutes"), split_unit("t_min")
+    (('time', 'ms'), ('time', 'ms'), ('Time', 'min'), ('t_min', ''))
     >>> split_unit("Время, мс"), split_unit("Mx [Н·м]"), split_unit("Tx (in-lb)"), split_unit("Fz [MN]")
     (('Время', 'ms'), ('Mx', 'Nm'), ('Tx', 'lbf in'), ('Fz [MN]', ''))
     """
@@ -96,6 +101,11 @@ def split_unit(name: str) -> tuple[str, str]:
     placed = after and (_QUANTITY.search(after[2]) or after[1].lower() in (*TIMES, *TIMES_ABROAD))
     if after and placed and (unit := _unit(after[2])):
         return after[1], unit
+    timed = _TIMED.match(name.strip())
+    if timed and timed[1].lower() in (*TIMES, *TIMES_ABROAD):  # "_nsec" may be a part of a time
+        unit = UNITS.get(timed[2].lower(), "")
+        if unit in ("s", "ms", "us") or (unit in ("min", "h") and timed[1].lower() in _LONG_TIMES):
+            return timed[1], unit
     head, _, tail = name.strip().rpartition("_")
     of_axis = tail in ("n", "nm") and _AXIS.search(head)
     if head and (tail in _TAILS or of_axis or tail.lower() in ("ms", "us", "ns", "sec", "s")):

@@ -1,10 +1,10 @@
-"""Lines of a table as text: its delimiter, its cells, and whether they are names, units or numbers."""
+"""Lines of a table as text: its delimiter, its cells, and numbers as people write them, with commas and thousands."""
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import split_unit
 from rcbht_jax._util.untrusted import MAX_RATIO, MAX_TEXT_BYTES
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.numerals import ungrouped
 
 COMMENT = re.compile(  # what begins one, but not the names that "rostopic echo -p" writes; a mark of UTF-8 aside
     rb"^(?:\xef\xbb\xbf)?(?!%time)(?:[#%]|//)(?:[#% ]|//)*"
@@ -29,6 +28,10 @@ _QUOTED = re.compile(r'"([^"]*)"|([^\s"]+)')  # between blanks
 _OF_DAY = re.compile(r"\d:\d\d,\d+$")  # the end of a time with a decimal comma
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 _FORTRAN = re.compile(r"[+-]?\d*\.\d*[dD][+-]\d{2,3}")  # a number of double precision; 1.2D3 may be a serial number
+_BETWEEN = ",.' \u00a0\u2009\u202f’"  # marks between thousands
+_GROUPED = re.compile(rf"^([+-]?\d{{1,3}})([{_BETWEEN}])(\d{{3}}(?:\2\d{{3}})*)(?:([,.])(\d*))?$")
+_DECIMAL = re.compile(r"^[+-]?(\d*)([,.])(\d+)(?:[eE][+-]?\d+)?$")
+_WHOLE = re.compile(r"^[+-]?[1-9]\d{0,2}$")
 _BETWEEN_BLANKS = re.compile(r"[+-]?\d+(?:,\d+(?:[eE][+-]?\d+)?)?")  # numbers, some with decimal commas
 
 
@@ -42,8 +45,8 @@ def delimiter_of(line: bytes) -> str:
     """
     for mark in ";\t|":
         if mark.encode() in line and b"," in line:
-            cells = _cells(line.decode("utf-8", "replace").strip("\r\n"), mark)
-            if all(_is_decimal(cell.strip(), mark) for cell in cells if "," in cell):
+            cells = [cell.strip() for cell in _cells(line.decode("utf-8", "replace").strip("\r\n"), mark)]
+            if all(is_number(plain(cell, mark)) or _OF_DAY.search(cell) for cell in cells if "," in cell):
                 return mark  # its commas are those of numbers and times
     words = line.decode("utf-8", "replace").split()
     if len(words) > 1 and b"," in line and all(map(_BETWEEN_BLANKS.fullmatch, words)):
@@ -61,7 +64,9 @@ def split(line: bytes, delimiter: str, encoding: str = "utf-8-sig") -> list[str]
     """
     text = line.decode(encoding, "replace").strip("\r\n")
     if delimiter == " ":
-        words = between_blanks(text) if '"' in text else _BLANKS.split(text.strip()) if text.strip() else []
+        words = between_blanks(text)
+        if '"' not in text and not all(word.startswith(("[", "(", "-")) for word in words):  # units alone
+            words = _BLANKS.split(text.strip())
         return [plain(cell, delimiter) for cell in words]
     return [plain(cell.strip(), ";") for cell in _cells(text, delimiter)]
 
@@ -73,11 +78,6 @@ def between_blanks(line: str) -> list[str]:
     (['0.5', 'free air', ''], ['0.5', 'free'])
     """
     return [quoted or word for quoted, word in _QUOTED.findall(line)] if '"' in line else line.split()
-
-
-def _is_decimal(cell: str, delimiter: str) -> bool:
-    """Whether the comma in a cell is that of a number or of a time."""
-    return is_number(plain(cell, delimiter)) or bool(_OF_DAY.search(cell))
 
 
 def _cells(text: str, delimiter: str) -> list[str]:
@@ -135,15 +135,6 @@ def is_word(cell: str) -> bool:
     return not re.match(r"[+-]?[.,]?\d", cell) and not is_number(cell)
 
 
-def is_comment(line: bytes) -> bool:
-    """Whether a line begins as a comment does, and not as the names that ``rostopic echo -p`` writes.
-
-    >>> is_comment(b"# rate: 100"), is_comment(b"%time,field.x")
-    (True, False)
-    """
-    return bool(COMMENT.match(line))
-
-
 def is_title(cells: list[str], below: list[str]) -> bool:
     """Whether a line holds the names of the columns, and is no row like the next one.
 
@@ -194,3 +185,109 @@ def check_texts(longest: int, letters: int, count: int, what: str) -> None:
     """
     if 4 * longest * count > max(MAX_TEXT_BYTES, MAX_RATIO * (letters + count)):
         raise InputError(f"{what} has a text of {longest} letters among {count}; labels are shorter.")
+
+
+def ungrouped(cell: str) -> str:
+    """A number without the marks between its thousands, where these can be nothing else; any other text as it is.
+
+    >>> ungrouped("1,234.5"), ungrouped("1.234,5"), ungrouped("1'234"), ungrouped("1,234,567"), ungrouped("1,234")
+    ('1234.5', '1234.5', '1234', '1234567', '1,234')
+    """
+    found = _GROUPED.match(cell)
+    if not found:
+        return cell
+    head, between, groups, mark, tail = found.groups()
+    sure = between not in ",." or (mark and mark != between) or (not mark and between == "," and len(groups) > 3)
+    if not sure or mark == between:
+        return cell
+    return head + groups.replace(between, "") + (f".{tail}" if tail else "")
+
+
+class Numerals:
+    """How the numbers of a column are written, as far as the cells show that were read."""
+
+    def __init__(self, delimiter: str) -> None:
+        """Take the mark between cells: between commas, a comma alone is a decimal one only if the table shows it."""
+        self._commas = delimiter != ","
+        self._points = delimiter == ","  # whether a point is a decimal one where nothing else shows it
+        self._marks: set[str] = set()  # decimal ones, without doubt
+
+    def assume(self, mark: str) -> None:
+        """Other columns of the table have that decimal mark, commas perhaps in quotes: this one has no other."""
+        self._points, self._commas = self._points or mark == ".", self._commas or mark == ","
+        if mark == "," or not self._commas:
+            self._marks.add(mark)
+
+    def read(self, cells: Sequence[str]) -> list[str]:
+        """The cells, numbers with a point for the decimals and without marks between thousands.
+
+        A mark before three digits stands between thousands if other numbers of the column show that it cannot be a
+        decimal one.
+
+        >>> Numerals(";").read(["999,5", "1.000", "push"]), Numerals(",").read(["999.5", "1,000"])
+        (['999.5', '1000', 'push'], ['999.5', '1000'])
+
+        Raises:
+            ValueError: a number may mean two; its message is that number.
+        """
+        whole = "".join(cells)
+        marks = _BETWEEN if not self._points else _BETWEEN.replace(".", "")
+        if not (self._marks - {"."}) and not any(mark in whole for mark in marks):
+            return list(cells)
+        self._marks |= {mark for cell in cells if (mark := self._mark(cell))}
+        whole_ones = any(map(_WHOLE.match, cells))
+        return [self._plain(cell, whole_ones) for cell in cells]
+
+    def _mark(self, cell: str) -> str:
+        """The decimal mark of a number; "" = it shows none, or one that may stand between thousands."""
+        if (found := _GROUPED.match(cell)) and ungrouped(cell) != cell:
+            return found[4] or (".,"[found[2] == "."] if found[2] in ",." else "")
+        decimal = _DECIMAL.match(cell)
+        if not decimal or (decimal[2] == "," and not self._commas) or _may_be_thousands(cell):
+            return ""
+        return decimal[2]
+
+    def _plain(self, cell: str, whole_ones: bool) -> str:
+        if _may_be_thousands(cell):
+            mark = "," if "," in cell else "."
+            if self._marks == {"." if mark == "," else ","}:
+                return cell.replace(mark, "")
+            unknown = self._commas if mark == "," else not self._points
+            if unknown and whole_ones and not self._marks:
+                raise ValueError(cell)  # 12,345 or 12.345 beside 998
+        cell = ungrouped(cell)
+        decimal = _DECIMAL.match(cell)
+        commas = self._commas or self._marks == {","}
+        return cell.replace(",", ".") if decimal and decimal[2] == "," and commas else cell
+
+
+def _may_be_thousands(cell: str) -> bool:
+    """Whether the only mark of a number may be a decimal one or one between thousands.
+
+    >>> [_may_be_thousands(cell) for cell in ("1,234", "0,234", "1,23", "1,234.5")]
+    [True, False, False, False]
+    """
+    found = _GROUPED.match(cell)
+    return bool(found and not found[4] and found[2] in ",." and len(found[3]) == 3 and found[1].lstrip("+-")[0] != "0")
+
+
+def shows(rows: Iterable[Sequence[str]], mark: str) -> bool:
+    """Whether a number in these rows has that decimal mark without doubt.
+
+    >>> shows([["1,000", "0.5"]], "."), shows([["1,000", "1.500"]], "."), shows([["1,000", "0,5"]], ",")
+    (True, False, True)
+    """
+    numbers = (cell for row in rows for cell in row if mark in cell and _DECIMAL.match(cell))
+    return any(not _may_be_thousands(cell) for cell in numbers)
+
+
+def two_meanings(cell: str) -> str:
+    """The end of a sentence about a number that may mean two; "" = it does not.
+
+    >>> two_meanings("12,345"), two_meanings("push")
+    (' It may mean 12345 or 12.345; write numbers without marks between thousands.', '')
+    """
+    if not _may_be_thousands(cell):
+        return ""
+    plain = re.sub("[,.]", "", cell), re.sub("[,.]", ".", cell)
+    return f" It may mean {plain[0]} or {plain[1]}; write numbers without marks between thousands."

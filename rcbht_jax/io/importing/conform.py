@@ -94,7 +94,7 @@ def _once(time: NDArray[Any], values: NDArray[Any], few: int) -> tuple[NDArray[A
     if fresh.all():
         return time, values, []
     repeats = int((~fresh).sum())
-    other = ~fresh[1:] & ~_equal(values[1:], values[:-1]).all(1)
+    other = ~fresh[1:] & ~np.isclose(values[1:], values[:-1], rtol=0, atol=0, equal_nan=True).all(1)
     if other.sum() > few:
         raise InputError(
             f"time stamps repeat {repeats} of {len(time)} times, with other values; if the table holds "
@@ -147,10 +147,6 @@ def from_each_start(time: Float[np.ndarray, " sample"], most: int) -> list[NDArr
     """
     starts = restarts(time)
     return np.split(np.arange(len(time)), starts if len(starts) < most else [])
-
-
-def _equal(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return (one == other) | (np.isnan(one) & np.isnan(other))
 
 
 def runs(mask: Bool[np.ndarray, " sample"]) -> NDArray[np.int64]:

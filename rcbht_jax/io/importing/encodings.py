@@ -7,12 +7,9 @@ import re
 from typing import BinaryIO
 
 BLOCK = 2**20  # bytes that are looked at together
-WORDS = {
-    "cp1252": "Windows-1252",
-    "cp932": "Shift-JIS",
-    "gb18030": "GB 18030",
-    "cp1251": "Windows-1251",
-}  # how people call them
+WORDS = {  # how people call them
+    "cp1252": "Windows-1252", "cp932": "Shift-JIS", "gb18030": "GB 18030", "cp1251": "Windows-1251",
+}  # fmt: skip
 _PAIRS = re.compile(rb"[\x81-\x9f\xe0-\xfc][\x40-\x7e\x80-\xfc]")
 _CYRILLIC = re.compile(rb"(?<![A-Za-z\x80-\xff])[\xc0-\xff\xa8\xb8]{2,}(?![A-Za-z\x80-\xff])")  # a word of its own
 _ACCENTED = re.compile(rb"[A-Za-z][\xc0-\xff]|[\xc0-\xff][A-Za-z]")

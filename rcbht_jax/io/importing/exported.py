@@ -319,13 +319,10 @@ def _episodes(folder: Path, about: Mapping[str, Any]) -> Columns:
     return {ours: table[theirs] for ours, theirs in places.items() if theirs in table} | known
 
 
-def _are_texts(names: Any) -> bool:
-    return isinstance(names, list) and all(isinstance(name, str) for name in names)
-
-
 def _annotations(folder: Path, about: Mapping[str, Any], count: int) -> Annotations:
     labels = about.get("annotations", {})
-    if not isinstance(labels, dict) or not all(_are_texts(names) for names in labels.values()):
+    lists = list(labels.values()) if isinstance(labels, dict) else [None]
+    if not all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in lists):
         raise InputError(f"{folder}/dataset.json: the labels of the annotations are no table of lists of texts.")
     table = _table(
         folder, "annotations", {"column_types": {"recording": "int32", "start": "float64", "end": "float64"}}

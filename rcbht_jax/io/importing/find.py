@@ -20,21 +20,8 @@ SUFFIXES = {
 }  # fmt: skip
 TEXTS = (".txt", ".dat", ".data", ".log", ".lvm", ".asc")  # where "csv" or "uci" is asked for
 KINDS = (
-    "auto",
-    "csv",
-    "parquet",
-    "npz",
-    "hdf5",
-    "matlab",
-    "mcap",
-    "bag",
-    "lerobot",
-    "ts",
-    "uci",
-    "jsonl",
-    "json",
-    "zarr",
-)
+    "auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot", "ts", "uci", "jsonl", "json", "zarr",
+)  # fmt: skip
 OWN = "rcbht-"  # beginning of the attribute "format" of what this program writes
 WORKBOOKS = (".xlsx", ".xlsm", ".xls", ".xlsb", ".ods", ".numbers")
 _OF_TEXT = ("csv", "uci", "ts", "jsonl", "json")  # which may be packed

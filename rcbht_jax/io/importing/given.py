@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from rcbht_jax._util.printable import plural
-from rcbht_jax.io.importing.clock import DAY
 from rcbht_jax.io.importing.table import Interval
 
 _NEAR = 1e-6  # s, by which a rounded time may lie before the first sample
@@ -33,11 +32,9 @@ def from_start(
         end: of the recording, s from its first sample.
         period: between two samples, s.
     """
-    dated = on_clock(intervals, origin, end)
-    starts = np.array([one[2] for one in intervals], np.float64)
-    stamps, ends = (np.array([one[place] for one in dated], np.float64) for place in (2, 3))
-    beyond, after = starts >= end, stamps >= origin - _NEAR
-    clocked = (after | (ends > origin)) & (stamps < origin + end)
+    starts, ends = (np.array([one[place] for one in intervals], np.float64) for place in (2, 3))
+    beyond, after = starts >= end, starts >= origin - _NEAR
+    clocked = (after | (ends > origin)) & (starts < origin + end)
     if (~after & (starts < end)).any() or not clocked.any():
         return list(intervals), []
     if not (beyond & clocked).any():
@@ -46,20 +43,7 @@ def from_start(
             'sample; if that is wrong, name their file in a map with clock = "stamps".'
         )
         return list(intervals), [doubt] if origin > 1.5 * period else []
-    return [_moved(one, origin) for one in dated], []
-
-
-def on_clock(intervals: Sequence[Interval], origin: float, end: float) -> list[Interval]:
-    """Annotations on a recording's clock, with a day more for a time of day after a midnight that lies within it.
-
-    >>> on_clock([("phase", "push", 0.5, 0.8)], 86399.0, 4.0)
-    [('phase', 'push', 86400.5, 86400.8)]
-    """
-    if not origin < DAY < origin + end:
-        return list(intervals)
-    days = [DAY * (start < origin - DAY / 2) for *_, start, _ in intervals]
-    pairs = zip(intervals, days, strict=True)
-    return [(track, label, start + day, stop + day) for (track, label, start, stop), day in pairs]
+    return [_moved(one, origin) for one in intervals], []
 
 
 def _moved(interval: Interval, begin: float) -> Interval:
@@ -67,6 +51,35 @@ def _moved(interval: Interval, begin: float) -> Interval:
     track, label, start, end = interval
     lasts = start >= begin - _NEAR or end > begin
     return track, label, max(start - begin, 0.0) if lasts else start - begin, end - begin
+
+
+def possible(intervals: Sequence[Interval], end: float) -> tuple[list[Interval], list[str]]:
+    """The possible ones of the annotations of a recording that lasts until ``end``, and what was wrong with others.
+
+    An interval that begins after the end, or whose start is missing, is left out; the others stay. An infinite end is
+    that of the recording. One of which most lies after the end is named, too.
+
+    >>> possible([("phase", "push", 1.0, np.inf), ("phase", "hold", 9.0, 9.5)], 4.0)[0]
+    [('phase', 'push', 1.0, 4.0)]
+    """
+    kept, problems = [], []
+    for track, label, start, stop in intervals:
+        if not np.isfinite(start):
+            problems.append(f"{track} {label!r} has no start; left out, the other annotations are kept.")
+        elif not -1e-9 <= start < end:
+            where = "before the beginning" if start < 0 else f"after the end ({end:.6g} s)"
+            problems.append(f"{track} {label!r} at {start:.6g} s is {where}; left out, the other annotations are kept.")
+        elif stop < start:
+            problems.append(
+                f"{track} {label!r} ends before it begins ({stop:.6g} < {start:.6g} s); its end is unknown."
+            )
+            kept.append((track, label, start, float("nan")))
+        else:
+            if end - start < stop - end < np.inf:  # most of it
+                how = f"ends at {stop:.6g} s, after the end ({end:.6g} s). Is the unit of its times right?"
+                problems.append(f"{track} {label!r} {how}")
+            kept.append((track, label, start, end if stop == np.inf else stop))
+    return kept, problems
 
 
 class Given:

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,8 @@ from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.arms import words_between
+from rcbht_jax.io.importing.cells import two_meanings
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
-from rcbht_jax.io.importing.numerals import two_meanings
 from rcbht_jax.io.importing.record import check_columns, rows_of_recordings
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, unit_of_times, with_time
@@ -100,7 +101,9 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     if not base.group:
         mapping = replace(mapping, group=_group(table, mapping.time, free))
         free = [name for name in free if name != mapping.group]
-    if arm := _arm(table, mapping.group, free):
+    # A column of arms separates recordings: the group, or one of text beside it.
+    beside = [name for name in free if mapping.group and table.columns[name].dtype.kind == "U"]
+    if arm := next((name for name in (mapping.group, *beside) if base_and_unit(name)[0] == "arm"), ""):
         mapping = replace(mapping, columns={"arm": Value(arm), **mapping.columns})
         free = [name for name in free if name != arm]
     _check_axes(table, free)
@@ -136,12 +139,6 @@ def _group(table: Table, time: str, free: list[str]) -> str:
                 return name
     arm = bases.get("arm", "")
     return arm if arm and table.columns[arm].dtype.kind == "U" and len(_distinct(table.columns[arm])) > 1 else ""
-
-
-def _arm(table: Table, group: str, free: list[str]) -> str:
-    """The column of arms that separates recordings: the group, or one of text beside it; "" = none."""
-    beside = (name for name in free if group and table.columns[name].dtype.kind == "U")
-    return next((name for name in (group, *beside) if base_and_unit(name)[0] == "arm"), "")
 
 
 def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
@@ -327,6 +324,27 @@ def nameless(table: Table, mapping: Mapping) -> str:
         "Columns have no names, so nothing says which are axes of a wrench: write the mapping with --write-map, give "
         "its channels the names Fx ... Mz and their units, and import again with --map."
     )
+
+
+def one_hot(table: Table) -> list[str]:
+    """A remark on each run of columns of 0 and 1 of which just one is 1 in every row: a label for each.
+
+    >>> columns = {"t": np.arange(4.0), "free": np.array([1.0, 1, 0, 0]), "push": np.array([0.0, 0, 1, 1])}
+    >>> one_hot(Table("a.csv", columns))[0][:57]
+    "'free', 'push' look like labels, of which one is 1 in eac"
+    """
+    flags = {name for name, one in table.columns.items() if one.dtype.kind != "U" and ((one == 0) | (one == 1)).all()}
+    found = []
+    for are_flags, run in groupby(table.columns, flags.__contains__):
+        listed = list(run)
+        if are_flags and len(listed) > 1 and (np.sum([table.columns[name] for name in listed], 0) == 1).all():
+            first = next((name for name in listed if 0 < table.columns[name].sum() < len(table.columns[name])), "")
+            how = (
+                f'[[annotations]] with track = "label", column = "{first}", words = {{"1" = "{first}"}}, ignore = ["0"]'
+            )
+            text = f"{some(listed)} look like labels, of which one is 1 in each row; a map reads each column by {how}."
+            found += [text] if first else []
+    return found
 
 
 def some(texts: Iterable[str]) -> str:

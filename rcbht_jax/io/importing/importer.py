@@ -25,31 +25,36 @@ from rcbht_jax.io import store
 from rcbht_jax.io.importing import arrays, columnar, listing, marks
 from rcbht_jax.io.importing.arms import PLACE, tables_of_arms
 from rcbht_jax.io.importing.assemble import assemble
-from rcbht_jax.io.importing.blocks import read_blocks
-from rcbht_jax.io.importing.bounds import bounded
+from rcbht_jax.io.importing.cases import read_blocks, read_ts
 from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
 from rcbht_jax.io.importing.exported import attrs_of_export, not_read, read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
-from rcbht_jax.io.importing.given import from_start, on_clock
-from rcbht_jax.io.importing.guess import Understood, guess, interleaved, more_wrenches, nameless, some, stated_words
+from rcbht_jax.io.importing.given import from_start, possible
+from rcbht_jax.io.importing.guess import (
+    Understood,
+    guess,
+    interleaved,
+    more_wrenches,
+    nameless,
+    one_hot,
+    some,
+    stated_words,
+)
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
-from rcbht_jax.io.importing.label_studio import unfolded
 from rcbht_jax.io.importing.lacks import Lacks
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.matlab import read_matlab
 from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.one_hot import one_hot
 from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
-from rcbht_jax.io.importing.stand_ins import stand_ins
-from rcbht_jax.io.importing.table import Interval, Table
+from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
-from rcbht_jax.io.importing.ts import read_ts
+from rcbht_jax.io.importing.topics import stand_ins
 from rcbht_jax.io.importing.unpacked import plain_name
 from rcbht_jax.io.importing.words import text
 from rcbht_jax.io.importing.zarr_groups import read_zarr
@@ -117,7 +122,9 @@ def read_source(
     names = marks.Names(((record.file, record.part) for record in found), [record.arm for record in found])
     _beside(source, read, [track for track in base.annotations if not track.column], names, report)
     _attach(found, tables, names, report)
-    found = [_bounded(record, report) for record in found]
+    for record in found:
+        record.intervals[:], problems = possible(record.intervals, record.end)
+        report.warnings += [(record.name, problem) for problem in problems]
     found = most_common(without_copies(found, report, keep_copies), report)
     if not found:
         raise InputError(f"{source} holds no usable recording.{report.first_reason}")
@@ -228,9 +235,9 @@ def _read(
                 check_inside(item.path, source)
             wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                named = unfolded(marks.headed(table) if marks.named_after(table.name) else table)
+                named = marks.headed(table)
                 if item.kind == "csv" and marks.is_intervals(named.columns):
-                    marked.append(marks.with_words(named, item.path) if named.columns is table.columns else named)
+                    marked.append(marks.with_words(named, item.path))
                     report.remarks += marks.unused(named)
                     continue
                 described = beside.described(table)
@@ -346,44 +353,31 @@ def _beside(
                 report.warnings.append((record.name, _reason(error, source)))
                 continue
             shift = record.origin if track.clock == "stamps" else 0.0
-            intervals = on_clock(intervals, shift, record.end)
             record.intervals.extend((name, label, start - shift, end - shift) for name, label, start, end in intervals)
 
 
 def _attach(found: list[Record], tables: list[Table], names: marks.Names, report: ImportReport) -> None:
     """Give recordings the intervals of tables that name them, or that are named after them."""
     for table in tables:
-        own = marks.named_after(table.name)
         try:
             rows = marks.intervals_of(table, Track("label", file=table.name))
         except InputError as error:
             report.warnings.append((table.name, str(error)))
             continue
-        meant = {word: names.meant(word if marks.is_naming(table.columns) else own) for word, _ in rows}
-        own_rows: dict[int, list[Interval]] = {}
-        for word, interval in rows:
-            for place in meant[word] if names.of_one_trial(meant[word]) else ():
-                own_rows.setdefault(place, []).append(interval)
-        for place, intervals in own_rows.items():
+        of_each, twofold, unknown = marks.by_recording(rows, names, marks.named_after(table.name))
+        for place, intervals in of_each.items():
             record = found[place]
             moved, doubts = from_start(intervals, record.origin, record.end, record.period)
             record.intervals.extend(moved)
             report.warnings += [(record.name, f"{doubt[:-1]} ({table.name}).") for doubt in doubts]
-        twofold = [word or own for word, places in meant.items() if places and not names.of_one_trial(places)]
         report.warnings += [(table.name, marks.ambiguous(word)) for word in twofold]
-        if not any(meant.values()):
+        if not of_each and not twofold:
             report.warnings.append(
                 (table.name, "is a table of annotations, and no recording is named in it or like it.")
             )
-        elif unknown := [word for word, places in meant.items() if word and not places]:
-            count = plural(sum(word in unknown for word, _ in rows), "annotation is", "annotations are")
-            report.warnings.append((table.name, f"{count} of no recording here, and left out: {some(unknown)}."))
-
-
-def _bounded(record: Record, report: ImportReport) -> Record:
-    record, problems = bounded(record)
-    report.warnings += [(record.name, problem) for problem in problems]
-    return record
+        elif lost := list(filter(None, unknown)):
+            count = plural(sum(word in lost for word, _ in rows), "annotation is", "annotations are")
+            report.warnings.append((table.name, f"{count} of no recording here, and left out: {some(lost)}."))
 
 
 def _digest(source: Path, items: Iterable[Item]) -> str:

@@ -62,12 +62,9 @@ class Lacks:
 
     def remarks(self) -> list[str]:
         """Remarks on words and arms of the mapping that no table has."""
-        listed = {column: ", ".join(map(repr, sorted(words))) for column, words in self._unmatched.items() if words}
-        found = [
-            f"These words of the map are no values of column {column!r}: {words}." for column, words in listed.items()
-        ]
-        for name, words in ((name, words) for name, words in self._strange.items() if words):
-            several = ", ".join(map(repr, sorted(words)))
-            found.append(f"These words of the map for column {name} are no folders: {several}.")
+        wrong = {f"are no values of column {column!r}": words for column, words in self._unmatched.items()}
+        wrong |= {f"for column {name} are no folders": words for name, words in self._strange.items()}
+        pairs = ((what, ", ".join(map(repr, sorted(words)))) for what, words in wrong.items() if words)
+        found = [f"These words of the map {what}: {several}." for what, several in pairs]
         arms = ", ".join(map(repr, self._arms.values()))
         return [*found, *([f"No column names these arms of the map: {arms}."] if arms else [])]

@@ -35,15 +35,10 @@ def widened(table: Table, mapping: Mapping) -> Table:
     if mapping.channels and all(channel.column in table.columns for channel in mapping.channels):
         return table
     for name, values in table.columns.items():
-        if values.dtype.kind == "U" and _names_axes(values) and (found := _widened(table, name)):
+        some = np.concatenate([values[:PROBES], values[:: max(len(values) // PROBES, 1)]])  # from everywhere
+        if values.dtype.kind == "U" and wrenches(np.unique(some).tolist()) and (found := _widened(table, name)):
             return found
     return table
-
-
-def _names_axes(values: NDArray[np.str_]) -> bool:
-    """Whether cells from the beginning and from everywhere name the axes of a wrench."""
-    some = np.concatenate([values[:PROBES], values[:: max(len(values) // PROBES, 1)]])
-    return bool(wrenches(np.unique(some).tolist()))
 
 
 def _widened(table: Table, name: str) -> Table | None:
@@ -53,7 +48,11 @@ def _widened(table: Table, name: str) -> Table | None:
     if len({len(one) for one in rows}) > 1:
         return _joined(table, name, channels, rows)
     others = {key: [values[one] for one in rows] for key, values in table.columns.items() if key != name}
-    shared = {key: parts[0] for key, parts in others.items() if all(_equal(parts[0], part) for part in parts)}
+    shared = {
+        key: parts[0]
+        for key, parts in others.items()
+        if all(np.array_equal(parts[0], part, equal_nan=part.dtype.kind == "f") for part in parts)
+    }
     own = {key: parts for key, parts in others.items() if key not in shared}
     units = {key: parts for key, parts in own.items() if key.lower() in UNITS}
     # A number for each channel, such as that of a series, says nothing about the samples.
@@ -93,7 +92,3 @@ def _joined(table: Table, name: str, channels: NDArray[np.str_], rows: list[NDAr
         columns[str(channel)] = np.full(places.shape[1], np.nan)
         columns[str(channel)][row.ravel()[own]] = table.columns[value][own]
     return replace(table, columns=columns, units=_units(table, channels, rows))
-
-
-def _equal(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
-    return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")

@@ -237,35 +237,20 @@ def _entry(kind: Any, row: Any, where: str) -> Any:
 
 def _typed(kind: str, value: Any) -> Any:
     """A value as the field of that type holds it."""
-    if kind == "str":
-        if not isinstance(value, str):
-            raise TypeError
-        return value
-    if kind == "bool":
-        if not isinstance(value, bool):
-            raise TypeError
-        return value
-    if kind == "int":
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise TypeError
-        return value
+    expected = {"str": str, "bool": bool, "int": int}.get(kind)
+    if expected and type(value) is not expected:  # a bool is no int
+        raise TypeError
     if kind.startswith("float"):
-        return _float(value)
-    if kind == "tuple[str, ...]":
-        return tuple(_typed("str", text) for text in value)
-    if kind == "tuple[float, ...]":
-        return tuple(map(_float, value))
-    if kind == "tuple[tuple[float, ...], ...]":
-        return tuple(tuple(map(_float, row)) for row in value)
+        if type(value) not in (int, float) or not np.isfinite(value):
+            raise TypeError
+        return float(value)
+    if kind.startswith("tuple["):
+        if not isinstance(value, list | tuple):  # a text has letters
+            raise TypeError
+        return tuple(_typed(kind.removeprefix("tuple[").removesuffix(", ...]"), one) for one in value)
     if kind == "AnyMapping[str, str]":
         return {str(key): _typed("str", text) for key, text in value.items()}
     return value
-
-
-def _float(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise TypeError
-    return float(value)
 
 
 def check(mapping: Mapping) -> Mapping:

@@ -13,7 +13,7 @@ from rcbht_jax._util.columns import SECONDS, base_and_unit
 from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, read_bytes
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.clock import DAY, since_epoch
+from rcbht_jax.io.importing.clock import since_epoch
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Track
@@ -25,7 +25,8 @@ from rcbht_jax.io.importing.timing import unit_by_size
 from rcbht_jax.io.importing.unpacked import plain_name
 from rcbht_jax.io.importing.words import of_numbers, text
 
-Marks = dict[int | None, list[Interval]]  # of one file, by recording; None = of any
+Marks = dict[int, list[Interval]]  # of one file, by recording; ANY = of any
+ANY = -1
 _NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
 _LABELS = ("label", "text", "description", *LABELS)
 _STARTS = (
@@ -36,7 +37,8 @@ _ENDS = (
     "end", "end_time", "stop", "stop_time", "offset", "t_end", "time_end", "endtime", "tmax", "to", "finish",
     "finish_time", "ende",
 )  # fmt: skip
-_ELAN = re.compile(r"\s+-\s+(ss\.msec|hh:mm:ss\.ms|msec)$")  # units of times, as that program names them
+_OF_ELAN = {"ss.msec": " [s]", "hh:mm:ss.ms": " [s]", "msec": " [ms]"}  # units of times, as that program names them
+_ELAN = re.compile(rf"\s+-\s+({'|'.join(map(re.escape, _OF_ELAN))})$")
 _DURATIONS = ("duration", "dur", "length")
 _FILES = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
 
@@ -55,7 +57,7 @@ def is_intervals(columns: Iterable[str]) -> bool:
 
 def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
     """Label, start, end, duration, track and recording of annotations -> its column, and s per unit of a time."""
-    pairs = ((name, *base_and_unit(_ELAN.sub(_in_brackets, name))) for name in columns)
+    pairs = ((name, *base_and_unit(_ELAN.sub(lambda unit: _OF_ELAN[unit[1]], name))) for name in columns)
     parsed = {base.replace(" ", "_"): (name, SECONDS.get(unit, 0.0)) for name, base, unit in pairs}
     kinds = {
         "label": _LABELS, "start": _STARTS, "end": _ENDS, "duration": _DURATIONS, "track": ("track", "tier"),
@@ -98,11 +100,6 @@ def named_after(name: str) -> str:
     return next((stem.removesuffix(ending) for ending in _FILES if stem.endswith(ending)), "")
 
 
-def _in_brackets(match: re.Match[str]) -> str:
-    """The unit of a time as ELAN names it, in brackets."""
-    return " [ms]" if match[1] == "msec" else " [s]"
-
-
 def headed(table: Table) -> Table:
     """The table with names for its columns if it is a list of a start, an end and a label, as Audacity writes it.
 
@@ -111,7 +108,9 @@ def headed(table: Table) -> Table:
     ['start', 'end', 'label']
     """
     columns = list(table.columns.values())
-    if list(table.columns) != ["c0", "c1", "c2"] or [column.dtype.kind for column in columns] != ["f", "f", "U"]:
+    if not named_after(table.name) or list(table.columns) != ["c0", "c1", "c2"]:
+        return table
+    if [column.dtype.kind for column in columns] != ["f", "f", "U"]:
         return table
     if 2 * (columns[0] <= columns[1]).sum() < len(columns[0]) or len(np.unique(columns[2])) == 1 < len(columns[2]):
         return table
@@ -132,7 +131,6 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
     columns = {kind: table.columns[name] for kind, (name, _) in fields.items()}
     count = len(columns["label"])
     track = track if columns["label"].dtype.kind == "U" else of_numbers(track)
-    texts = columns["start"].dtype.kind == "U"
     unit = 1.0  # s, of the start
     for key in (key for key in ("start", "end", "duration") if key in columns):
         name, seconds = fields[key]
@@ -147,7 +145,6 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
             columns[key] = columns[key] * seconds
             unit = seconds if key == "start" else unit
     ends = columns.get("end", columns["start"] + columns.get("duration", np.nan))
-    ends = np.where(texts & (ends < columns["start"] - DAY / 2), ends + DAY, ends)  # times of day around midnight
     tracks = columns.get("track", np.full(count, track.track))
     names = columns.get("recording", np.full(count, ""))
     found = []
@@ -158,15 +155,6 @@ def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
             interval = text(tracks[row]), label, float(columns["start"][row]), float(ends[row])
             found.append((text(names[row]), interval))
     return found
-
-
-def is_naming(columns: Iterable[str]) -> bool:
-    """Whether a table of annotations names the recording of each.
-
-    >>> is_naming(["Recording", "label", "start"])
-    True
-    """
-    return "recording" in _fields(columns)
 
 
 def ambiguous(word: str) -> str:
@@ -264,7 +252,7 @@ def track_intervals(
     names: Names,
     place: int,
     warnings: list[tuple[str, str]],
-    read: dict[Path, Marks] | None = None,
+    read: dict[Path, Marks],
 ) -> list[Interval]:
     """The intervals of a track that a file beside a recording holds.
 
@@ -282,10 +270,9 @@ def track_intervals(
     """
     if track.file:
         path = beside(source, file, track.file)
-        read = {} if read is None else read
         if path not in read:  # a file of all recordings is read once
             read[path] = _marks_in(path, track, names, warnings)
-        return list(read[path].get(place, read[path].get(None, ())))
+        return list(read[path].get(place, read[path].get(ANY, ())))
     if track.starts:
         return _successive(beside(source, file, track.starts), track)
     ends, ids = (_lines(beside(source, file, pattern)) for pattern in (track.ends, track.ids))
@@ -310,17 +297,31 @@ def _marks_in(path: Path, track: Track, names: Names, warnings: list[tuple[str, 
     if not is_intervals(table.columns):
         raise InputError(f"{path} has columns {', '.join(table.columns)}; expected label, start and end.")
     rows = intervals_of(with_words(table, path), track)
-    if not is_naming(table.columns):
-        return {None: [interval for _, interval in rows]}
-    meant = {word: names.meant(word) for word in dict.fromkeys(word for word, _ in rows)}
-    twofold = {word: ambiguous(word) for word, places in meant.items() if places and not names.of_one_trial(places)}
-    ambiguities = [(path.name, sentence) for sentence in twofold.values()]
+    if not any(word for word, _ in rows):
+        return {ANY: [interval for _, interval in rows]}
+    found, twofold, _ = by_recording(rows, names)
+    ambiguities = [(path.name, ambiguous(word)) for word in twofold]
     warnings += [row for row in ambiguities if row not in warnings]  # of another track, or another call
+    return found
+
+
+def by_recording(
+    rows: Sequence[tuple[str, Interval]], names: Names, own: str = ""
+) -> tuple[Marks, list[str], list[str]]:
+    """The intervals of each recording, the words that mean several recordings, and those that mean none.
+
+    Args:
+        rows: the name of a recording, "" = that of all, and an interval.
+        names: of all recordings.
+        own: the name of the recording of rows without one.
+    """
+    meant = {word: names.meant(word or own) for word, _ in rows}
     found: Marks = {}
     for word, interval in rows:
-        for place in meant[word] if word not in twofold else ():
+        for place in meant[word] if names.of_one_trial(meant[word]) else ():
             found.setdefault(place, []).append(interval)
-    return found
+    twofold = [word or own for word, places in meant.items() if places and not names.of_one_trial(places)]
+    return found, twofold, [word for word, places in meant.items() if not places]
 
 
 def _successive(path: Path, track: Track) -> list[Interval]:

@@ -150,6 +150,24 @@ def is_axis(name: str) -> bool:
     return _axis_of(snake(split_unit(name)[0]), "") is not None
 
 
+def has_forces(name: str) -> bool:
+    """Whether a name is one of forces.
+
+    >>> has_forces("ft_wrench"), has_forces("object_pose")
+    (True, False)
+    """
+    return not set(OF_FORCES).isdisjoint(re.split(r"[\W_\d]+", snake(name)))
+
+
+def has_axes(name: str, count: int) -> bool:
+    """Whether so many elements of an array of that name may be the axes of forces, of torques or of both.
+
+    >>> has_axes("tcp_force", 3), has_axes("torque", 200), has_axes("joints", 6)
+    (True, False, False)
+    """
+    return count in (3, 6) and not set(WHOLE).isdisjoint(re.split(r"[\W_\d]+", snake(name)))
+
+
 def axis_name(name: str) -> str:
     """The axis that a column is by a name without anything else; "" = none, or a T that may be a translation.
 

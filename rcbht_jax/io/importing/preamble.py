@@ -1,4 +1,4 @@
-"""Lines that data loggers write before the names of the columns, and what they state about these."""
+"""Lines that data loggers and LabVIEW (.lvm) write before the names of the columns, and what they state about these."""
 
 from __future__ import annotations
 
@@ -6,11 +6,18 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import FORCES, MOMENTS, split_unit
-from rcbht_jax.io.importing import cells, labview
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.names import wrenches
 
+END_OF_HEADER = b"***End_of_Header***"  # of LabVIEW
 LINES = 5  # of names and units at most
 _RATES = (
     "sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency", "abtastrate",
@@ -42,7 +49,7 @@ def line_of_names(lines: list[bytes]) -> int:
     2
     """
     filled = [number for number, line in enumerate(lines) if line.strip()]
-    if after := labview.end_of_header(lines):
+    if after := _end_of_header(lines):
         return after
     if lines and _SEPARATOR.match(lines[0]):
         return 1 + line_of_names(lines[1:])
@@ -55,7 +62,7 @@ def line_of_names(lines: list[bytes]) -> int:
     delimiter = cells.delimiter_of(lines[filled[-1]])
     rows = [cells.split(lines[number], delimiter) for number in filled]
     width = len(rows[-1])
-    kept = [len(row) == width or not cells.is_comment(lines[at]) for row, at in zip(rows, filled, strict=True)]
+    kept = [len(row) == width or not cells.COMMENT.match(lines[at]) for row, at in zip(rows, filled, strict=True)]
     rows, filled = list(compress(rows, kept)), list(compress(filled, kept))
     first = max((at + 1 for at, row in enumerate(rows) if len(row) != width), default=0)
     if not 0 < first < len(rows) - 1 or any(len(row) > width for row in rows[:first]):
@@ -63,8 +70,9 @@ def line_of_names(lines: list[bytes]) -> int:
     while first < len(rows) - 2 and cells.count_numbers(rows[first]):
         first += 1  # a line about every column, such as its date or its number of samples
     below = row_of_numbers(rows[first + 1 :]) or []
-    named = not cells.count_numbers(rows[first]) and 2 * cells.count_numbers(below) >= width
-    return filled[first] if named else 0
+    timed = bool(below) and not cells.is_word(below[0])  # with a time
+    sampled = timed or 2 * cells.count_numbers(below) >= width
+    return filled[first] if sampled and not cells.count_numbers(rows[first]) else 0
 
 
 def row_of_numbers(rows: Sequence[list[str]]) -> list[str] | None:
@@ -87,7 +95,7 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
     said = dict(pair for line in lines for pair in _pairs(line))
     rates = [number(text) for key, text in said.items() if key.endswith(_RATES) or key in _RATE]
     rates += [1 / period for key, text in said.items() if key in _PERIOD and (period := number(text)) > 0]
-    rates += [1 / period] if (period := labview.period_in(lines)) > 0 else []
+    rates += [1 / period] if (period := _period_in(lines)) > 0 else []
     counts: dict[str, float] = {}
     units: dict[str, str] = {}
     both = [
@@ -101,7 +109,7 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
         unit = split_unit(f"x [{said.get(f'{quantity} units', '')}]")[1]
         unit = unit or next((one for one in both if one in {"F": FORCES, "M": MOMENTS}[letter]), "")
         units |= dict.fromkeys(those, unit) if unit else {}
-    units |= labview.units_in(lines, names)
+    units |= _units_in(lines, names)
     return Stated(next((rate for rate in rates if rate > 0), None), counts, units)
 
 
@@ -146,3 +154,43 @@ def number(text: str) -> float:
     """
     match = re.match(r"\s*(\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*" + _UNIT + r"?\s*$", text, re.IGNORECASE)
     return float(match[1].replace(",", ".")) * _IN[(match[2] or "").lower()] if match else 0.0
+
+
+def _end_of_header(lines: Sequence[bytes]) -> int:
+    """Number of the line of names after the first mark that such a line follows, else after the last; 0 = no mark."""
+    ends = [number for number, line in enumerate(lines) if line.startswith(END_OF_HEADER)]
+    after = [next((k for k in range(end + 1, len(lines)) if lines[k].strip()), 0) for end in ends]
+    return next((number for number in after if lines[number].startswith(b"X_Value")), after[-1] if after else 0)
+
+
+def _units_in(lines: Iterable[bytes], names: Sequence[str]) -> dict[str, str]:
+    """The units of columns that LabVIEW states; the first column is that of the time, and a comment has no unit."""
+    rows = (cells.split(line, cells.delimiter_of(line)) for line in lines if line.startswith(b"Y_Unit_Label"))
+    pairs = (pair for row in rows for pair in zip(names[1:], row[1:], strict=False))
+    return {name: unit for name, cell in pairs if (unit := split_unit(f"x [{cell}]")[1])}
+
+
+def _period_in(lines: Iterable[bytes]) -> float:
+    """Seconds between samples that LabVIEW states, the same for every column; 0 = none."""
+    rows = (cells.split(line, cells.delimiter_of(line))[1:] for line in lines if line.startswith(b"Delta_X"))
+    stated = {float(cell) for row in rows for cell in row if cell and cells.is_number(cell)}
+    return stated.pop() if len(stated) == 1 else 0.0
+
+
+def with_one_time(path: Path, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The columns without the times that LabVIEW writes before every signal, where they are the same.
+
+    >>> times = np.arange(3.0)
+    >>> list(with_one_time(Path("a.lvm"), {"X_Value": times, "Fx": times, "X_Value.2": times, "Fz": times}))
+    ['X_Value', 'Fx', 'Fz']
+
+    Raises:
+        InputError: a signal has times of its own.
+    """
+    more = [name for name in columns if name.startswith("X_Value.")]
+    for name in more:
+        if not np.array_equal(columns[name], columns["X_Value"]):
+            raise InputError(
+                f"{path}: the times in column {name} are not those in X_Value; save the signals one by one."
+            )
+    return {name: column for name, column in columns.items() if name not in more}

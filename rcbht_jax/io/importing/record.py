@@ -105,7 +105,7 @@ def records(
     parts: dict[str, NDArray[Any]] = {"": np.arange(count)}
     stamps: NDArray[np.float64] | None = None
     if mapping.group:
-        parts, again = groups_of(table, mapping)
+        parts, again = _groups(table, mapping)
         table = replace(table, notes=(*table.notes, f"again:{again}")) if again else table
         sides = column_of_arms(table, mapping, parts)
         for name in filter(None, (mapping.group, sides)):
@@ -159,16 +159,8 @@ def _given(table: Table, mapping: Mapping, parts: dict[str, NDArray[Any]]) -> Gi
     return Given(table.intervals, (origin, float(np.ptp(known)) + period, period))
 
 
-def groups_of(table: Table, mapping: Mapping) -> tuple[dict[str, NDArray[Any]], int]:
-    """The rows of each recording of a table with a group, by its name; how often a value of it comes again as one.
-
-    >>> table = Table("a.csv", {"t": np.arange(4.0), "id": np.array([1.0, 1, 2, 2])})
-    >>> groups_of(table, Mapping(time="t", group="id"))
-    ({'1': array([0, 1]), '2': array([2, 3])}, 0)
-
-    Raises:
-        InputError: the column has more values than files hold recordings.
-    """
+def _groups(table: Table, mapping: Mapping) -> tuple[dict[str, NDArray[Any]], int]:
+    """The rows of each recording of a table with a group, by its name; how often a value of it comes again as one."""
     every = np.arange(len(table.columns[mapping.group]))
     arms = mapping.columns.get("arm", Value()).column == mapping.group  # whose blocks may take turns
     return rows_of_groups(table, mapping.group, None if arms else lambda: _readable_stamps(table, mapping, every))
@@ -182,10 +174,10 @@ def rows_of_recordings(table: Table, mapping: Mapping) -> list[NDArray[Any]]:
     [0, 20]
 
     Raises:
-        InputError: as :func:`groups_of`.
+        InputError: the column of the group has more values than files hold recordings.
     """
     if mapping.group:
-        return list(groups_of(table, mapping)[0].values())
+        return list(_groups(table, mapping)[0].values())
     every = np.arange(len(next(iter(table.columns.values()))))
     numbers = mapping.time in table.columns and table.columns[mapping.time].dtype.kind != "U"
     stamps = _readable_stamps(table, mapping, every) if numbers else None

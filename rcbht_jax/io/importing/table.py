@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,24 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import snake, unit_of_time
+from rcbht_jax._util.columns import decoded, snake, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.families import families
-from rcbht_jax.io.importing.names import OF_FORCES, wrenches
-from rcbht_jax.io.importing.segments import segments
+from rcbht_jax.io.importing.families import families, segments
+from rcbht_jax.io.importing.names import has_axes, has_forces, wrenches
 
 RATE_NAMES = (
-    "rate",
-    "fs",
-    "fps",
-    "sr",
-    "sampling_rate",
-    "sample_rate",
-    "samplerate",
-    "frequency",
-    "sampling_frequency",
-)
+    "rate", "fs", "fps", "sr", "sampling_rate", "sample_rate", "samplerate", "frequency", "sampling_frequency",
+)  # fmt: skip
 LONGEST_TEXT = 100_000  # characters of a fact in which a rate is looked for
 _CONTROL = re.compile(r'"control_freq(?:uency)?"\s*:\s*(\d+(?:\.\d+)?)\s*[,}]')
 PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")
@@ -59,7 +50,9 @@ class Table:
         return self.name.removesuffix(f"#{self.part}") if self.part else self.name
 
 
-def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: str = "") -> Iterator[Table]:
+def tables_of(
+    path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: str = "", shared: Container[str] = ()
+) -> Iterator[Table]:
     """Tables of named arrays, as array files hold them.
 
     Arrays ``[row]`` and ``[row, element]`` of one length are columns (elements are ``name_0``, ``name_1``, ...): that
@@ -68,7 +61,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     Beside a wrench or a time ``[row, element]`` of its length, it is a matrix for every row, and left out.
     Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own.
     Scalars called dt or rate state the sampling, other scalars are facts, but for those of numbered groups of
-    annotations (:func:`~rcbht_jax.io.importing.segments.segments`). Of windows of the last samples,
+    annotations (:func:`~rcbht_jax.io.importing.families.segments`). Of windows of the last samples,
     ``[row, sample, element]``, each of which is the one before and a new sample, the newest sample is a row.
 
     >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.array(0.01)})
@@ -80,22 +73,23 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
         name: relative to the source, with the part of the file.
         arrays: by their names.
         part: of the file that they are; "" = all of it.
+        shared: names of arrays of several parts, whose numbers separate none.
 
     Raises:
         InputError: no array has at least two rows, or there are too many columns.
     """
-    if several := families(arrays):
+    if several := families(arrays, shared):
         for which, those in several.items():
-            yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which)
+            yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which, arrays.keys())
         return
     if dated := [key for key, array in arrays.items() if array.dtype.kind in "mM"]:
         known = {key: _seconds(array) if key in dated else array for key, array in arrays.items()}
-        for table in tables_of(path, name, known, part):
+        for table in tables_of(path, name, known, part, shared):
             yield replace(table, units={**table.units, **{key: "s" for key in dated if key in table.columns}})
         return
     arrays, titles = titled(arrays)
     if titles:
-        for table in tables_of(path, name, arrays, part):
+        for table in tables_of(path, name, arrays, part, shared):
             yield replace(table, columns={titles.get(key, key): column for key, column in table.columns.items()})
         return
     intervals, arrays = segments(arrays)
@@ -103,7 +97,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     rate, facts = scalars_of({key: array for key, array in arrays.items() if array.ndim == 0})
     arrays, windows = _newest(arrays)
     cubes = _cubes(arrays)
-    if cubes and not _is_signal(arrays, len(next(iter(cubes.values())))):
+    if cubes and not _are_matrices(cubes, arrays):
         for columns, own, number, rest in _recordings(path, arrays, cubes):
             place = f"{part}#{number}" if part else str(number)
             both, notes = {**facts, **own}, _left_out(rest)
@@ -123,12 +117,17 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
 
 
 def _cubes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The arrays of three dimensions as ``[recording, row, element]``."""
+    """The arrays of three dimensions as ``[recording, row, element]``, of one number of recordings and rows."""
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
-    if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
-        cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
+    lying = {key for key, cube in cubes.items() if _lies(key, cube, arrays)}
+    upright = {cube.shape[:2] for key, cube in cubes.items() if key not in lying}
+    lying = {key for key in lying if cubes[key].shape[:2] not in upright}
+    cubes = {key: cube.swapaxes(1, 2) if key in lying else cube for key, cube in cubes.items()}
     turned = {cube.shape[::2] for key, cube in cubes.items() if _ends_in_recordings(key, cube, arrays)}
-    return {key: np.moveaxis(cube, 2, 0) if cube.shape[::2] in turned else cube for key, cube in cubes.items()}
+    cubes = {key: np.moveaxis(cube, 2, 0) if cube.shape[::2] in turned else cube for key, cube in cubes.items()}
+    shapes = {key: cube.shape[:2] for key, cube in cubes.items()}
+    chosen = _usual(shapes, lambda shape: _titles({key: cubes[key][0] for key in cubes if shapes[key] == shape}))
+    return {key: cube for key, cube in cubes.items() if shapes[key] == chosen}
 
 
 def _recordings(
@@ -136,43 +135,43 @@ def _recordings(
 ) -> Iterator[tuple[dict[str, NDArray[Any]], dict[str, str | float], int, tuple[str, ...]]]:
     """Columns, facts and number of each recording of arrays ``[recording, row, element]``, and what is left out."""
     count, rows = next(iter(cubes.values())).shape[:2]
-    usable = {key: array for key, array in arrays.items() if key not in cubes and _usable(array)}
-    shapes = ((), (count,), (rows,), (count, rows))
-    rest = [key for key, array in usable.items() if array.shape not in shapes and array.shape[:2] != (count, rows)]
-    shared = {key: array for key, array in arrays.items() if array.shape == (rows,) and rows != count}
-    each = {key: array for key, array in cubes.items() if array.shape[:2] == (count, rows)}
-    series = {key: array for key, array in usable.items() if array.shape == (count, rows)}
+    others = {key: array for key, array in arrays.items() if key not in cubes and array.ndim and _usable(array)}
+    each = {**cubes, **{key: array for key, array in others.items() if array.shape == (count, rows)}}
+    facts = {key: array for key, array in others.items() if array.shape == (count,)}
+    shared = {key: array for key, array in others.items() if array.shape == (rows,) and rows != count}
+    rest = tuple(key for key in others if key not in {*each, *facts, *shared})
     for number in range(count):
-        own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
-        ends = [int(own[key]) for key in own if key.lower() in LENGTH_NAMES and 1 < _number(own[key]) <= rows]
+        own = {key: _fact(array[number]) for key, array in facts.items()}
+        lengths = [fact for key, fact in own.items() if key.lower() in LENGTH_NAMES and isinstance(fact, float)]
+        ends = [int(length) for length in lengths if length.is_integer() and 1 < length <= rows]
         cut = {key: array[number] for key, array in each.items()} | shared
-        cut |= {key: array[number] for key, array in series.items()}
         columns = _columns(path, {key: array[: ends[0]] if ends else array for key, array in cut.items()})
-        yield columns, own, number, tuple(rest)
+        yield columns, own, number, rest
 
 
 def _of_one_length(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
     """The arrays that are columns of one table, upright, and the names of the others; none without two rows."""
     vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
-    flat = {key: _upright(array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
-    lengths = [len(array) for array in flat.values() if len(array) > 1]
-    if not lengths:
-        return {}, tuple(flat)
-    sampled = [length for length in set(lengths) if wrenches(_titles(flat, length))]
-    # An array of forces need not have the six columns of a wrench.
-    sampled = sampled or [len(array) for key, array in flat.items() if len(array) > 1 and _has_forces(key)]
-    rows = max(sampled or set(lengths), key=lambda length: (lengths.count(length), length))
+    flat = {
+        key: _upright(key, array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)
+    }
+    lengths = {key: len(array) for key, array in flat.items() if len(array) > 1}
+    rows = _usual(lengths, lambda length: _titles({key: flat[key] for key in lengths if lengths[key] == length}))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
     return chosen, tuple(key for key in flat if key not in chosen)
 
 
-def _has_forces(name: str) -> bool:
-    """Whether a name is one of forces.
+def _usual(lengths: Mapping[str, Any], titles: Callable[[Any], list[str]]) -> Any:
+    """The length of the arrays of a wrench, else of forces, which need not be six, else the most frequent; None = none.
 
-    >>> _has_forces("ft_wrench"), _has_forces("object_pose")
-    (True, False)
+    Args:
+        lengths: of each array, or its numbers of recordings and rows.
+        titles: the names of the columns of that length.
     """
-    return not set(OF_FORCES).isdisjoint(re.split(r"[\W_\d]+", snake(name)))
+    every = list(lengths.values())
+    found = [length for length in set(every) if wrenches(titles(length))]
+    found = found or [length for key, length in lengths.items() if has_forces(key)]
+    return max(found or every, key=lambda length: (every.count(length), length), default=None)
 
 
 def _left_out(arrays: tuple[str, ...]) -> tuple[str, ...]:
@@ -231,23 +230,39 @@ def _newest(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]]
     return found, windows
 
 
-def _titles(arrays: Mapping[str, NDArray[Any]], rows: int) -> list[str]:
-    """The names of the columns of numbers of that length."""
-    those = {key: array for key, array in arrays.items() if array.dtype.kind in "fiu" and array.shape[:1] == (rows,)}
+def _titles(arrays: Mapping[str, NDArray[Any]]) -> list[str]:
+    """The names of the columns of numbers."""
+    those = {key: array for key, array in arrays.items() if array.dtype.kind in "fiu"}
     wide = [f"{key}_{number}" for key, array in those.items() if array.ndim == 2 for number in range(array.shape[1])]
     return [key for key, array in those.items() if array.ndim == 1] + wide
 
 
-def _is_signal(arrays: Mapping[str, NDArray[Any]], rows: int) -> bool:
-    """Whether arrays of that length hold a wrench or a time, whose rows are samples and no recordings."""
-    titles = _titles(arrays, rows)
-    return bool(wrenches(titles)) or any(map(unit_of_time, titles))
+def _are_matrices(cubes: Mapping[str, NDArray[Any]], arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether cubes are a matrix for every sample, and no recordings: beside a wrench, or a time of their length."""
+    flat = {key: array for key, array in arrays.items() if array.ndim in (1, 2)}
+    own = _titles({key: array for key, array in flat.items() if len(array) == len(next(iter(cubes.values())))})
+    if wrenches(_titles({key: cube[0] for key, cube in cubes.items()})):
+        return bool(wrenches(own))  # a time may be that of each recording
+    return bool(wrenches(_titles(flat))) or any(map(unit_of_time, own))
+
+
+def _lies(key: str, cube: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether an array is ``[recording, element, row]``: rows are many, or elements those of a wrench beside more rows
+    than recordings, of which there may be as many as facts."""
+    count, elements, rows = cube.shape
+    if not has_axes(key, elements) or has_axes(key, rows):
+        return rows > 10 * elements and not has_axes(key, rows)
+    timed = {array.size for name, array in arrays.items() if unit_of_time(name)}
+    facts = {array.size for name, array in arrays.items() if array.ndim == 1} - timed
+    return rows in timed or (count not in timed and rows not in facts and (rows > count or count in facts))
 
 
 def _ends_in_recordings(key: str, cube: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
     """Whether an array is ``[row, element, recording]``: facts are as many as its last dimension, or nothing else has
     its rows, and a time or the elements of a wrench show them."""
     rows, elements, last = cube.shape
+    if has_axes(key, last) and not has_axes(key, elements):
+        return False  # as many numbers may be a vector in space
     flat = {name: array for name, array in arrays.items() if array.ndim in (1, 2)}
     counts = {len(array) for name, array in flat.items() if array.ndim == 1 and not unit_of_time(name)}
     if last in counts and rows not in counts:
@@ -263,14 +278,16 @@ def _usable(array: NDArray[Any]) -> bool:
     return array.dtype.kind in "fiubUS"
 
 
-def _upright(array: NDArray[Any], vectors: set[int]) -> NDArray[Any]:
-    """Rows are time: as long as a vector is, or not ten times fewer than the axes."""
+def _upright(key: str, array: NDArray[Any], vectors: set[int]) -> NDArray[Any]:
+    """Rows are time: by the axes of a wrench, as long as a vector is, or not ten times fewer than the axes."""
     if array.ndim == 1:
         return array
     if 1 in array.shape:
         return array.ravel()
     rows, columns = array.shape
     lies = columns in vectors if (columns in vectors) != (rows in vectors) else columns > 10 * rows
+    if has_axes(key, rows) != has_axes(key, columns):
+        lies = has_axes(key, rows)
     return array.T if lies else array
 
 
@@ -292,7 +309,7 @@ def plain(array: NDArray[Any]) -> NDArray[Any]:
     if array.dtype.kind in "fiu":
         return array.astype(np.float64)
     if array.dtype.kind == "S":
-        return np.array([text.decode("utf-8", "replace") for text in array.tolist()], np.str_)
+        return np.array([decoded(text) for text in array.tolist()], np.str_)
     return array.astype(np.str_)
 
 
@@ -340,11 +357,5 @@ def _without_unit(key: str) -> tuple[str, float]:
     return (match[1], unit) if match and (of_rate or of_time) else (short, 1.0)
 
 
-def _number(fact: str | float) -> float:
-    return fact if isinstance(fact, float) and fact.is_integer() else 0.0
-
-
 def _fact(value: Any) -> str | float:
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    return str(value) if isinstance(value, str) else float(value)
+    return str(decoded(value)) if isinstance(value, str | bytes) else float(value)

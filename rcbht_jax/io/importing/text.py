@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import cells, labview
-from rcbht_jax.io.importing.between import Between, Line
+from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
-from rcbht_jax.io.importing.numerals import Numerals, shows_commas, shows_points, two_meanings
-from rcbht_jax.io.importing.preamble import stated
+from rcbht_jax.io.importing.preamble import END_OF_HEADER, stated, with_one_time
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, check_one_time
 from rcbht_jax.io.importing.titles import Titles, read_titles
@@ -33,6 +31,10 @@ PROBES = 100  # rows that show how numbers are written
 _NO_NUMBER = re.compile(r"0\d+|\d+[eE]\d+|\d{16,}")  # but a name, or a serial number
 _POINT = re.compile(rb"(?<!\d)0?\.\d|\.\d{1,2}(?!\d)|\.\d{4}|\d{4}\.\d")  # is a decimal one without doubt
 _PLAIN = b"0123456789+-.eE,;\t \r\n"
+HELD, SUMS = 64, 16  # lines below the last row at most, and those of them with as many cells as a row
+LISTED, LETTERS = 16, 40  # of what was left out
+_HALF = re.compile(r"[+-]?\d*\.\d*[eE][+-]?")  # a number that ends within its exponent
+Line = tuple[int, list[str]]  # its number and its cells
 
 
 def read_csv(path: Path, name: str, words: bool = False) -> Iterator[Table]:
@@ -79,7 +81,8 @@ def read_csv(path: Path, name: str, words: bool = False) -> Iterator[Table]:
         if columns[column].dtype.kind == "f":
             columns[column] = columns[column].astype(np.float64) / counts
     notes += ("counts",) if about.counts else ()
-    columns = labview.with_one_time(path, columns) if any(map(labview.ends_header, titles.before)) else columns
+    if any(line.startswith(END_OF_HEADER) for line in titles.before):
+        columns = with_one_time(path, columns)
     check_one_time(path, columns)
     yield Table(
         name, columns, about.rate, about.units, notes=notes, lines=tuple(between.left), faults=tuple(sorted(faults))
@@ -140,7 +143,7 @@ def _slow(
     columns = [_Column(path, name, titles.delimiter, words) for name in titles.names]
     rows: list[Line] = []
     for number, row, ended in _rows(path, file, titles.delimiter, before, encoding):
-        if labview.ends_header(row[0].encode()):
+        if row[0].encode().startswith(END_OF_HEADER):
             raise InputError(
                 f"{path}, line {number} ends a further header: it holds several segments (Multi_Headings in LabVIEW); "
                 "save it with one header only."
@@ -151,9 +154,8 @@ def _slow(
         if len(rows) >= CHUNK:
             _flush(path, columns, rows)
     _flush(path, columns, rows + (between.end(of_words=True) if between.too_many() else []))
-    if columns:
-        _flush(path, columns, between.end(columns[0].is_of_words()))
-    if not columns or not columns[0].count:
+    _flush(path, columns, between.end(columns[0].is_of_words()))
+    if not columns[0].count:
         raise InputError(f"{path} has no rows; expected a table.")
     faults.update(*(column.faults for column in columns))
     return [column.array() for column in columns]
@@ -196,16 +198,16 @@ def _flush(path: Path, columns: list[_Column], lines: list[Line]) -> None:
         if len(row) != len(columns):
             blocks = len(columns) == 1 and len(row) == 6  # rows of a wrench below a word
             hint = "Read the blocks of a UCI file with: rcbht import uci." if blocks else "Is the line cut off?"
-            if len(row) == len(columns) + 1 > 1 and not columns[0].count and number == lines[0][0]:
+            if len(row) == len(columns) + 1 and not columns[0].count and number == lines[0][0]:
                 hint = "Are these the names of rows, which R writes without a name above? Write row.names = FALSE."
             if [column.name for column in columns] == ["header:"]:
                 hint = "Messages that ros2 topic echo prints are no table; print them with --csv, or record a bag."
             raise InputError(f"{path}, line {number}: {len(row)} cells; expected {len(columns)}. {hint}")
-    if columns and not columns[0].count:
+    if not columns[0].count:
         first = [row for _, row in lines[:PROBES]]
-        points, commas = shows_points(first), shows_commas(first)
-        for column in columns if points != commas else ():
-            (column.numerals.assume_points if points else column.numerals.assume_commas)()
+        marks = [mark for mark in ".," if cells.shows(first, mark)]
+        for column in columns if len(marks) == 1 else ():
+            column.numerals.assume(marks[0])
     numbers = [number for number, _ in lines]
     for column, some in zip(columns, zip(*(row for _, row in lines), strict=True), strict=False):
         column.add(some, numbers)
@@ -217,7 +219,7 @@ class _Column:
 
     def __init__(self, path: Path, name: str, delimiter: str, words: bool) -> None:
         self._path, self.name, self._where = path, name, f"{path}, column {name}"
-        self._delimiter, self.numerals = delimiter, Numerals(delimiter)
+        self._delimiter, self.numerals = delimiter, cells.Numerals(delimiter)
         self._parts: list[NDArray[np.generic]] = []
         self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
         self._words, self._cells = words, list[str]()  # as they stand, if numbers among them may be words
@@ -231,12 +233,12 @@ class _Column:
         try:
             row = self.numerals.read(plain) if self._kind != "U" else plain
         except ValueError as error:
-            raise InputError(f"{self._where} holds {str(error)!r}.{two_meanings(str(error))}") from None
+            raise InputError(f"{self._where} holds {str(error)!r}.{cells.two_meanings(str(error))}") from None
         if not self._kind:
             filled = [cell for cell in row if cell.lower() not in cells.NAN]
             # One stray word in a column of numbers is a mistake, not a label.
             texts = [cell for cell in filled if not cells.is_number(cell)]
-            of_text = 2 * len(texts) > len(filled) and not all(map(two_meanings, texts))
+            of_text = 2 * len(texts) > len(filled) and not all(map(cells.two_meanings, texts))
             self._kind = "" if not filled else "U" if of_text else "f"
         if self._kind == "U":
             row = ["" if cell in ("nan", "NaN") else cells.plain(cell, self._delimiter) for cell in written]
@@ -262,7 +264,7 @@ class _Column:
                 continue
             if not cells.is_number(cell):
                 where = f"{self._path}, line {lines[place]}, column {self.name}"
-                raise InputError(f"{where}: {cell[:30]!r} is not a number.{two_meanings(cell)}")
+                raise InputError(f"{where}: {cell[:30]!r} is not a number.{cells.two_meanings(cell)}")
             values[place] = np.nan if cell.lower() in cells.NAN else float(cell)
         return values
 
@@ -280,3 +282,76 @@ class _Column:
         longest = max(part.dtype.itemsize // 4 for part in parts)
         cells.check_texts(longest, sum(int(np.char.str_len(part).sum()) for part in parts), self.count, self._where)
         return np.concatenate(parts)
+
+
+class Between:
+    """Tells the rows of a table from the lines between and below them.
+
+    Where rows begin with numbers or dates, words at the beginning of the last lines are no samples.
+
+    >>> lines = Between([["t", "Fz"]], 2)
+    >>> lines.samples(2, ["0.0", "1.5"]), lines.samples(3, ["t", "Fz"]), lines.samples(4, ["mean", "1.5"])
+    ([(2, ['0.0', '1.5'])], [], [])
+    >>> lines.end(of_words=False), lines.left
+    ([], ['t', 'mean'])
+    """
+
+    def __init__(self, heads: Sequence[list[str]], width: int) -> None:
+        """Take the lines of names, and the number of columns."""
+        self._heads, self._width = heads, width
+        self._words: bool | None = None  # whether rows begin with words; None = not known yet
+        self._held: list[Line] = []
+        self._samples = 0
+        self.left: list[str] = []  # how the first lines begin that were left out
+        self.count = 0
+
+    def samples(self, number: int, row: list[str], ended: bool = True) -> list[Line]:
+        """The rows that are known to be samples now that one more was read.
+
+        One without the end of a line was cut off while the log was written if it has too few cells, or half an
+        exponent in the last: it is no sample.
+        """
+        if row in self._heads or (row[0].startswith(("#", "%", "//")) and len(row) != self._width):
+            self._leave(row[0][:LETTERS])
+            return []
+        if self._words is None and row[0]:
+            self._words = cells.is_word(row[0])
+        if self._words is False and len(self._held) < HELD and cells.is_word(row[0]):
+            self._held.append((number, row))
+            return []
+        cut = len(row) < self._width or bool(_HALF.fullmatch(row[-1]))
+        if not ended and self._samples and cut and not any("\n" in cell for cell in row):
+            self._leave(cut_off(f"{row[0][:LETTERS]},"))
+            return []
+        found = [*self._held, (number, row)]
+        self._held = []
+        self._samples += len(found)
+        return found
+
+    def too_many(self) -> bool:
+        """Whether the last rows are too many to be no samples, most of all where they have a cell for each column."""
+        whole = sum(len(row) == self._width for _, row in self._held)
+        return 2 * len(self._held) > self._samples or whole > SUMS
+
+    def end(self, of_words: bool) -> list[Line]:
+        """The last rows, if the first column is one of words; else they are left out."""
+        held, self._held = self._held, []
+        if of_words:
+            return held
+        for _, row in held:
+            self._leave(row[0][:LETTERS])
+        return []
+
+    def _leave(self, text: str) -> None:
+        self.count += 1
+        if len(self.left) < LISTED:
+            self.left.append(text)
+
+
+def cut_off(text: str) -> str:
+    """How the report quotes a last line that was cut off while the log was written, from how it begins.
+
+    >>> cut_off("12.5,")
+    '12.5, ... (the last line, which is cut off)'
+    """
+    return f"{text} ... (the last line, which is cut off)"

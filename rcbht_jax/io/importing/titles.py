@@ -10,7 +10,7 @@ from typing import BinaryIO
 from rcbht_jax._util.columns import split_unit
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import cells, labview
+from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.names import wrenches
 from rcbht_jax.io.importing.preamble import line_of_names, row_of_numbers
 
@@ -59,7 +59,8 @@ def read_titles(file: BinaryIO, path: Path, encoding: str) -> Titles:
     following = _following(file, delimiter, encoding)
     # a delimiter at the end of every row makes an empty cell more than there are names
     below = [row[:-1] if len(row) == len(titles) + 1 and not row[-1] else row for row, _ in following]
-    titles = labview.without_comment(titles, below[0] if below else []) if before else titles
+    if before and below and titles[-1] == "Comment" and len(titles) == len(below[0]) + 1:
+        del titles[-1]  # which LabVIEW writes whether or not rows have one
     if not (comment or cells.is_title(titles, below[0] if below else [])):
         names = _checked([f"c{number}" for number in range(len(titles))], path)
         return Titles(names, delimiter, start - len(head), (), before, comments)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from collections.abc import Mapping as AnyMapping
 from dataclasses import replace
@@ -68,13 +69,5 @@ def in_order(name: str) -> list[tuple[int, int, str]]:
     >>> sorted(["run10", "run2"], key=in_order)
     ['run2', 'run10']
     """
-    parts, number = list[tuple[int, int, str]](), ""
-    for letter in [*name, ""]:
-        if letter.isdecimal() and letter.isascii():
-            number += letter
-            continue
-        if number:
-            parts.append((0, int(number[:18]), number))
-            number = ""
-        parts.append((1, 0, letter))
-    return parts
+    parts = re.findall(r"\d+|\D|\Z", name, re.ASCII)
+    return [(0, int(part[:18]), part) if part.isascii() and part.isdecimal() else (1, 0, part) for part in parts]

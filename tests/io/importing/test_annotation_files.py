@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from pathlib import Path
 from typing import Any
@@ -14,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rcbht_jax.io.importing.importer import Imported, read_source
-from rcbht_jax.io.importing.label_studio import regions_in, unfolded
-from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.sidecars import regions_in
 
 N = 40
 LABELS = [("push", 0.1, 0.2), ("pull", 0.2, 0.35)]
@@ -38,14 +35,6 @@ def marks(dated: bool = False) -> list[dict[str, Any]]:
     ]
 
 
-def table_of(regions: object, file: str, column: str) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text)
-    writer.writerow(["csv", "id", column, "annotator", "annotation_id", "created_at", "lead_time"])
-    writer.writerow([file, 1, json.dumps(regions), 1, 5, "2026-05-01T12:00:00.0Z", 12.5])
-    return text.getvalue()
-
-
 def found(imported: Imported, tracks: list[str]) -> list[tuple[str, float, float]]:
     recordings, annotations = imported.recordings, imported.recordings.annotations
     assert set(recordings.trial[annotations.recording].tolist()) == {"run2"}
@@ -53,15 +42,6 @@ def found(imported: Imported, tracks: list[str]) -> list[tuple[str, float, float
     assert sorted(set(np.array(annotations.tracks)[annotations.track].tolist())) == tracks
     rows = zip(annotations.names().tolist(), annotations.start, annotations.end, strict=True)
     return [(name, round(start, 6), round(end, 6)) for name, start, end in rows]
-
-
-@pytest.mark.parametrize("dated", [False, True])
-@pytest.mark.parametrize("column", ["label", "phases"])
-def test_label_studio_as_csv(column: str, dated: bool, tmp_path: Path) -> None:
-    write(tmp_path, DATED if dated else None)
-    text = table_of(marks(dated), "/data/upload/1/0a1b2c3d-run2.csv", column)
-    (tmp_path / "project-1-at-2026-05-01.csv").write_text(text)
-    assert found(read_source(tmp_path), ["label"]) == LABELS
 
 
 @pytest.mark.parametrize("file", ["s3://bucket/runs/run2.csv?versionId=1.2", "/data/local-files/?d=runs/run2.csv"])
@@ -157,10 +137,6 @@ anything = st.recursive(
 def test_other_json_is_no_export_or_has_whole_rows(tasks: list[Any]) -> None:
     for row in regions_in(tasks):
         assert set(row) == {"file", "track", "label", "start", "end"}
-    cells = np.array(['[{"labels": [' + json.dumps(tasks), json.dumps(tasks)])
-    table = Table("a.csv", {"csv": np.array(["a.csv", "b.csv"]), "label": cells})
-    found = unfolded(table)
-    assert found is table or set(found.columns) == {"file", "track", "label", "start", "end"}
 
 
 def test_a_region_whose_label_is_none_has_none() -> None:

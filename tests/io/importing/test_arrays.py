@@ -45,7 +45,7 @@ def test_npy_of_time_and_axes_and_of_recordings_whose_rows_are_axes(tmp_path: Pa
     ("beside", "shape", "count"),
     [({"time": np.arange(200) * DT}, (200, 6, 10), 10), ({"time": np.arange(200) * DT}, (200, 6, 6), 6),
      ({"rate": 200.0}, (200, 6, 10), 10), ({"rate": 200.0}, (10, 200, 6), 10), ({"rate": 200.0}, (7, 6, 6), 7),
-     ({"time": np.arange(6) * DT}, (20, 6, 10), 20), ({"rate": 200.0, "outcome": np.arange(20)}, (20, 6, 10), 20)],
+     ({"time": np.arange(6) * DT}, (20, 6, 10), 20), ({"rate": 200.0, "outcome": np.arange(20)}, (20, 8, 10), 20)],
 )  # fmt: skip
 @pytest.mark.parametrize("kind", ["npz", "mat"])
 def test_recordings_may_be_the_last_dimension_of_a_wrench(
@@ -63,6 +63,76 @@ def test_matrices_beside_a_time_make_no_recordings(tmp_path: Path) -> None:
     np.savez(tmp_path / "run.npz", time=np.arange(200) * DT, pose=np.random.default_rng(0).normal(size=(200, 4, 4)))
     with pytest.raises(InputError, match="no column of numbers"):
         read_source(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("beside", "left"),
+    [
+        ({"a_joints": (3, 50, 7)}, "a_joints"),
+        ({"a_image": (3, 8, 9), "b_image": (3, 8, 9)}, "a_image"),
+        ({"pose": (3, 4, 4)}, "pose"),
+        ({"time": (3,)}, ""),  # of the beginning of each
+    ],
+)
+@pytest.mark.parametrize("name", ["force", "wrench"])
+def test_of_arrays_of_recordings_those_of_a_wrench_are_read(
+    name: str, beside: dict[str, tuple[int, ...]], left: str, tmp_path: Path
+) -> None:
+    """The first array was read, and the wrench was left out without a word."""
+    random = np.random.default_rng(0)
+    wrench = random.normal(size=(3, 100, 6 if name == "wrench" else 3))
+    others = {key: random.normal(size=shape) for key, shape in beside.items()}
+    np.savez(tmp_path / "a.npz", **others, **{name: wrench}, dt=DT)
+    imported = read_source(tmp_path / "a.npz")
+    np.testing.assert_allclose(imported.recordings.wrench, wrench, rtol=1e-6)
+    assert any(f"left out: {left!r}" in remark for remark in imported.report.remarks) == bool(left)
+
+
+def test_rows_of_recordings_may_be_axes_beside_another_array(tmp_path: Path) -> None:
+    """Each sample was a recording of three."""
+    random = np.random.default_rng(0)
+    force = random.normal(size=(3, 3, 100))
+    np.savez(tmp_path / "a.npz", force=force, image=random.normal(size=(3, 8, 9)), dt=DT)
+    np.testing.assert_allclose(read_source(tmp_path / "a.npz").recordings.wrench, force.swapaxes(1, 2), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "beside", [{}, {"gravity": np.arange(3.0)}, {"time": np.arange(80) * DT}, {"class": np.arange(5)}]
+)
+@pytest.mark.parametrize("axes", [(0, 1), (1, 0)])
+@pytest.mark.parametrize("count", [3, 6])
+def test_an_array_of_forces_lies_as_its_axes_do(
+    count: int, axes: tuple[int, int], beside: dict[str, Any], tmp_path: Path
+) -> None:
+    """Beside a vector in space, samples became axes: 30 samples of three were three of 30 channels."""
+    rate = {} if "time" in beside else {"dt": DT}
+    name = "force" if count == 3 else "wrench"
+    for rows in (30, 80):
+        wrench = np.random.default_rng(0).normal(size=(5, rows, count))
+        times = {key: array[:rows] for key, array in beside.items()}
+        np.savez(tmp_path / "one.npz", **{name: wrench[0].transpose(axes)}, **times, **rate)
+        np.testing.assert_allclose(read_source(tmp_path / "one.npz").recordings.wrench, wrench[:1], rtol=1e-6)
+        several = wrench.transpose(0, axes[0] + 1, axes[1] + 1)
+        np.savez(tmp_path / "five.npz", **{name: several}, **times, **rate)
+        np.testing.assert_allclose(read_source(tmp_path / "five.npz").recordings.wrench, wrench, rtol=1e-6)
+
+
+@pytest.mark.parametrize("head", ["trial", "wrench"])
+def test_numbers_of_trials_or_of_forces_separate_recordings_rather_than_others(head: str, tmp_path: Path) -> None:
+    """Every trial was in the file five times, and twelve copies were reported."""
+    random = np.random.default_rng(0)
+    several = {f"{head}_{number}": random.normal(size=(100 - 10 * number, 6)) for number in range(3)}
+    others = {f"mask_{number}": random.normal(size=(7 + number, 2)) for number in range(5)}
+    np.savez(tmp_path / "a.npz", **others, **several, dt=DT)
+    imported = read_source(tmp_path / "a.npz")
+    assert imported.recordings.trial.tolist() == ["a-0", "a-1", "a-2"]
+    assert imported.report.duplicates == []
+
+
+def test_an_array_of_recordings_beside_a_wrench_of_one_is_left_out(tmp_path: Path) -> None:
+    """Its first two dimensions became recordings, and the wrench was none."""
+    np.savez(tmp_path / "a.npz", features=np.random.default_rng(0).normal(size=(3, 50, 7)), wrench=WRENCH, dt=DT)
+    np.testing.assert_allclose(read_source(tmp_path / "a.npz").recordings.wrench[0], WRENCH, rtol=1e-6)
 
 
 def test_hdf5_tables_of_pandas_and_of_records_keep_the_names_of_columns(tmp_path: Path) -> None:

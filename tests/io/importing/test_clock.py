@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rcbht_jax._util.columns import SECONDS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.clock import seconds_of, since_epoch
 from rcbht_jax.io.importing.importer import read_source
@@ -76,3 +77,32 @@ def test_a_time_that_is_none_is_named(tmp_path: Path) -> None:
     how = "write 2026-05-01T12:00:00.5 or numbers, or give --source-rate, which replaces them"
     with pytest.raises(InputError, match=f"column 'time' holds 'noon', which is not a time; {how}"):
         read_source(tmp_path / "run.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        *((name, "ms") for name in ("time_msec", "t_millis", "timeMs", "Time ms", "time-ms", "timestamp_milliseconds")),
+        ("time_micros", "us"), ("time_min", "min"), ("elapsed_minutes", "min"), ("Time hours", "h"),
+    ],
+)  # fmt: skip
+def test_a_time_and_a_unit_in_words_are_a_time_in_it(name: str, unit: str, tmp_path: Path) -> None:
+    """A log at 4 kHz in time_msec was read as one at 4 Hz, one in minutes 60 times too fast, whole ms as no time."""
+    for rate in (1000, 4000):
+        rows = (f"{k / rate / SECONDS[unit]:.9g},{k % 7}" for k in range(100))
+        (tmp_path / "a.csv").write_text("\n".join([f"{name},Fz", *rows]))
+        imported = read_source(tmp_path / "a.csv")
+        assert (imported.mapping.time, imported.mapping.time_unit) == (name, unit)
+        assert 1 / imported.recordings.dt == pytest.approx(rate)
+
+
+@pytest.mark.parametrize("names", [("time_nsec", "time_sec"), ("time_sec", "time_nsec"), ("time_sec", "time_usec")])
+def test_seconds_and_their_rest_stay_one_time(names: tuple[str, str], tmp_path: Path) -> None:
+    scale = {
+        "time_sec": lambda k: k // 100,
+        "time_nsec": lambda k: k % 100 * 10**7,
+        "time_usec": lambda k: k % 100 * 10**4,
+    }
+    rows = (",".join(str(scale[name](k)) for name in names) + f",{k % 7}" for k in range(250))
+    (tmp_path / "a.csv").write_text("\n".join([",".join(names) + ",Fz", *rows]))
+    assert read_source(tmp_path / "a.csv").recordings.dt == pytest.approx(0.01)

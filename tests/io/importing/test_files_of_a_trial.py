@@ -13,7 +13,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import marks as marks_module
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Mapping, Track, read_mapping, to_toml
-from rcbht_jax.io.importing.marks import Names, ambiguous, intervals_of, track_intervals
+from rcbht_jax.io.importing.marks import Names, ambiguous, track_intervals
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.store import read_recordings
@@ -66,18 +66,11 @@ def test_only_words_that_mean_several_recordings_are_told_and_used_for_none(tmp_
     names = Names([("a.csv", ""), ("mon/run.csv", ""), ("tue/run.csv", "")])
     warnings: list[tuple[str, str]] = []
     found = [
-        track_intervals(tmp_path, Path(file), Track("phase", file="marks.csv"), names, place, warnings)
+        track_intervals(tmp_path, Path(file), Track("phase", file="marks.csv"), names, place, warnings, {})
         for place, file in enumerate(("a.csv", "mon/run.csv", "tue/run.csv"))
     ]
     assert found == [[("phase", "push", 0.0, 1.0)], [], []]
     assert warnings == [("marks.csv", ambiguous("run"))]
-
-
-def test_an_interval_across_midnight_ends_on_the_next_day() -> None:
-    texts = {"label": ["push", "pull"], "start": ["23:59:50", "10:00:00"], "end": ["00:00:10", "09:00:00"]}
-    table = Table("a.csv", {name: np.array(column) for name, column in texts.items()})
-    spans = [interval[1:] for _, interval in intervals_of(table, Track("phase", file="a.csv"))]
-    assert spans == [("push", 86390.0, 86410.0), ("pull", 36000.0, 32400.0)]  # an hour back is a mistake, not a day
 
 
 def test_a_pattern_chooses_files(tmp_path: Path) -> None:

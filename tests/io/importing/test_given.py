@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.io.importing.importer import Imported, read_source
-from rcbht_jax.io.importing.mapping import Mapping, Track
+from rcbht_jax.io.importing.mapping import Mapping
 
 SPANS = [("a", 3.5, 10.0), ("b", 10.0, 21.0), ("c", 21.0, 23.0), ("d", 23.0, 23.15)]
 
@@ -109,26 +109,6 @@ def test_rows_without_times_go_on_from_one_recording_to_the_next(tmp_path: Path)
     (tmp_path / "a.json").write_text(json.dumps({"phases": PHASES}))
     imported = read_source(tmp_path, mapping=Mapping(group="run", source_rate=100.0))
     assert found(imported) == [("a-1", "push", 0.5, 0.8), ("a-2", "pull", 0.1, 0.2)]
-
-
-@pytest.mark.parametrize(
-    ("clock", "spans", "expected"),
-    [
-        ("", [("push", "23:59:59.6", "23:59:59.8"), ("hold", "00:00:00.2", "00:00:00.6")], [(0.1, 0.3), (0.7, 1.1)]),
-        ("", [("hold", "00:00:00.2", "00:00:00.6")], [(0.2, 0.6)]),  # it may be in s from the start, and this is said
-        ("stamps", [("hold", "00:00:00.2", "00:00:00.6")], [(0.7, 1.1)]),
-    ],
-)
-def test_times_of_day_after_midnight_are_of_the_next_day(
-    clock: str, spans: list[tuple[str, str, str]], expected: list[tuple[float, float]], tmp_path: Path
-) -> None:
-    times = [f"23:59:{59.5 + k / 100:06.3f}" if k < 50 else f"00:00:{(k - 50) / 100:06.3f}" for k in range(200)]
-    (tmp_path / "a.csv").write_text("\n".join(["t,Fz", *(f"{time},{k % 7}" for k, time in enumerate(times))]))
-    (tmp_path / "a_labels.csv").write_text("label,start,end\n" + "".join(",".join(span) + "\n" for span in spans))
-    tracks = (Track("phase", file="{stem}_labels.csv", clock=clock),) if clock else ()
-    imported = read_source(tmp_path, mapping=Mapping(annotations=tracks, files=("a.csv",) if clock else ()))
-    assert [row[2:] for row in found(imported)] == expected
-    assert ["fit its clock" in text for _, text in imported.report.warnings] == [True] * (not clock and len(spans) == 1)
 
 
 @pytest.mark.parametrize("gap", [0.0, 300.0])

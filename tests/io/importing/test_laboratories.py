@@ -111,15 +111,6 @@ def test_times_of_annotations_as_programs_write_them(head: str, form: str, tmp_p
     labelled(tmp_path, head + rows, stamps)
 
 
-def test_an_annotation_around_midnight_ends_after_it_begins(tmp_path: Path) -> None:
-    times = [f"23:59:59.{round(1000 * (time + 0.8)):03}" if time < 0.2 else f"00:00:00.{round(1000 * (time - 0.2)):03}"
-             for time in TIME.tolist()]  # fmt: skip
-    write(tmp_path / "run.csv", times)
-    (tmp_path / "run_labels.csv").write_text("label,start,end\npush,23:59:59.900,00:00:00.100\n")
-    annotations = read_source(tmp_path).recordings.annotations
-    np.testing.assert_allclose([*annotations.start, *annotations.end], [0.1, 0.3])
-
-
 def test_annotations_in_nanoseconds_since_1970(tmp_path: Path) -> None:
     def stamp(seconds: float) -> str:
         return str(1_700_000_000_000_000_000 + round(seconds * 1e9))

@@ -296,3 +296,22 @@ def test_numbers_may_have_the_exponents_of_fortran(head: str, tmp_path: Path) ->
     mark = "," if "," in head else " "
     rows = (mark.join(f"{value:.8E}" for value in (t, *row)) for t, row in zip(TIME, WRENCH, strict=True))
     same(read(tmp_path, head + "\n".join(rows).replace("E", "D") + "\n"))
+
+
+@pytest.mark.parametrize("units", ["[s] [N] [N] [N] [Nm] [Nm] [Nm] -", "(s) (N) (N) (N) (Nm) (Nm) (Nm) -"])
+def test_units_between_blanks_below_the_names_are_cells(units: str, tmp_path: Path) -> None:
+    """Each was read as the end of the cell before it, and the file was refused."""
+    rows = "".join(f"{line} free\n" for line in ROWS.replace(",", " ").splitlines())
+    imported = read(tmp_path, f"{HEAD.replace(',', ' ').strip()} operator\n{units}\n{rows}")
+    same(imported)
+    assert imported.recordings.units == UNITS[1:]
+
+
+@pytest.mark.parametrize("clock", ["12:00:{:09.6f}", "2026-05-01 12:00:{:09.6f}", "{:.2f}"])
+def test_words_may_be_most_of_a_row_below_a_preamble(clock: str, tmp_path: Path) -> None:
+    """The lines before the names were taken for these: "line 2: 1 cells; expected 2. Is the line cut off?"."""
+    rows = [f"{clock.format(time)};{row[2]};free;true;A" for time, row in zip(TIME, WRENCH, strict=True)]
+    lines = ["Operator: Ann", "Device;XY1", "time;Fz;phase;success;part", *rows]
+    imported = read(tmp_path, "\n".join(lines))
+    assert (imported.recordings.axes, imported.recordings.note.tolist()) == (("Fz",), ["preamble:2"])
+    np.testing.assert_allclose(imported.recordings.wrench[0, :, 0], WRENCH[:, 2], rtol=1e-6)

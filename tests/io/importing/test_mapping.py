@@ -63,6 +63,7 @@ def test_a_mapping_comes_back_equal(
         ("time_unit = 'weeks'", "unit of time is 'weeks'"),
         ("rate = -1", "rate is -1"),
         ("rate = true", "wrong value among rate"),
+        ("files = '*_ft.csv'", "wrong value among files"),
         ("rate = inf", "wrong value among rate"),
         ("channels = 3", "channels is not a list"),
         ("[[channels]]\nname = 'Fz'", "missing or wrong value among name"),
