@@ -42,12 +42,12 @@ from experiments._lib.benchmarks import (
     rounded,
 )
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import at_least, with_width
+from experiments._lib.intervals import of_splits
 from experiments.classification.table1_published import FIXED, NESTED
 from rcbht_jax.features import FeatureSpec, longest
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
-from rcbht_jax.learning.metrics import corrected_interval, equal_items
+from rcbht_jax.learning.metrics import equal_items
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.reference.dataset import encode_dataset
@@ -150,11 +150,8 @@ def score(
         y, trial = items.y[rows], items.trial[rows] if grouped else np.arange(len(rows))
         runs.append(validation.cross_validate(learn(rows), y, [grouped_folds(y, trial, FOLDS, one)], one).accuracy)
     scores = np.concatenate(runs)
-    mean, low, high = corrected_interval(scores, 1 / (FOLDS - 1))
-    accuracy = at_least(
-        with_width({"mean": mean, "low": low, "high": high}, len(np.unique(items.trial))),
-        independent(items, balanced, repeats, seed),
-    )
+    trials, count = len(np.unique(items.trial)), independent(items, balanced, repeats, seed)
+    accuracy = of_splits(scores, 1 / (FOLDS - 1), trials, count)
     folds = [float(f(scores, axis=1).mean()) for f in (np.min, np.mean, np.max)]
     return {"accuracy": accuracy, "fold_min_mean_max": folds}
 

@@ -29,7 +29,7 @@ from sklearn.metrics import r2_score
 from experiments._lib import frozen
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import at_least, by_trial, drawn, sums, with_width
+from experiments._lib.intervals import at_least, drawn, of_splits, sums
 from experiments._lib.tasks import states
 from experiments.online.detected_starts import detected_beginnings, with_beginnings
 from experiments.online.table2 import SETS, halves
@@ -220,15 +220,9 @@ def row(stream: Callable[[], Stream], sessions: tuple[str, ...], seeds: range) -
     sentences = int(np.any(outside, axis=0).sum())  # those that some split tests, each right or wrong at its end
     out: dict[str, Any] = {"trials tested": tested, "splits": len(runs), "method": stream_.method.sha256}
     for name in runs[0]:
-        out[name] = {measure: with_ends([run[name][measure] for run in runs], tested) for measure in MEASURES}
+        out[name] = {measure: of_splits([run[name][measure] for run in runs], 1.0, tested) for measure in MEASURES}
         out[name][MEASURES[1]] = at_least(out[name][MEASURES[1]], sentences)
     return rounded(out)
-
-
-def with_ends(scores: list[float], tested: int) -> dict[str, Any]:
-    """Mean of half-splits with its corrected interval; of one split, or without a mistake, Wilson's by trial."""
-    mean, low, high = metrics.corrected_interval(np.array(scores), 1.0) if len(scores) > 1 else (scores[0],) * 3
-    return with_width({"mean": mean, "low": low, "high": high}, tested) if high > low else by_trial(mean, tested)
 
 
 def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
