@@ -12,7 +12,6 @@ Every finished row is kept; run it again to go on where it was interrupted. Read
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -24,18 +23,17 @@ from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.streams import described
 from experiments._lib.tasks import failure_types
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import RICHER, TRIAL
-from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.introspection.training import (
     TRIAL_GRID,
     Snapshots,
     learn,
     regular_snapshots,
-    snapshot_features,
     training_snapshots,
 )
 from rcbht_jax.learning import metrics
@@ -96,8 +94,8 @@ def streamed(
     """A classifier of all trials but ``test``, and its beliefs ``[snapshot, class]`` about those, NaN elsewhere."""
     tested = np.isin(snapshots.interval, test)
     rows = np.flatnonzero(~tested & training)
-    described = FeatureSpec(families=method.families)
-    machine = learn(x[rows], snapshots.take(rows), items, described, method.grid, ENDS, seed)
+    spec = FeatureSpec(families=method.families)
+    machine = learn(x[rows], snapshots.take(rows), items, spec, method.grid, ENDS, seed)
     p = np.full((len(tested), len(items.classes)), np.nan)
     p[tested] = machine.probability(x[tested])
     return machine, p
@@ -147,11 +145,8 @@ def watched(recordings: Recordings, snapshots: Snapshots, method: Method) -> Flo
     """Features of all snapshots."""
     config = EncoderConfig(window=method.window, dt=recordings.dt)
     limits = GradientThresholds(np.asarray(preset().limits) * method.scale)
-    with tqdm(total=len(snapshots), desc="snapshots", file=sys.stderr, disable=None) as bar:
-        x = snapshot_features(
-            recordings, snapshots, FeatureView(FeatureSpec(families=method.families)), config, limits, bar.update
-        )
-    return x.astype(np.float64)
+    spec = FeatureSpec(families=method.families)
+    return described(recordings, snapshots, spec, (config, limits), "snapshots").astype(np.float64)
 
 
 def that_train(items: LabelledIntervals, snapshots: Snapshots, dt: float) -> NDArray[np.bool_]:

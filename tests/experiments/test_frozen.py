@@ -16,7 +16,7 @@ from experiments._lib import frozen, intervals
 from experiments._lib.results_io import COMMITTED, committed
 from experiments.classification import frozen_choice, headline
 from experiments.classification.frozen_choice import CLOSE, OPTIONS, option_name
-from experiments.online import causal, frozen_stream_choice
+from experiments.online import causal, detected_starts, frozen_stream_choice
 from experiments.tables.headline import SHORT
 from rcbht_jax import StateClassifier
 from rcbht_jax.errors import InputError
@@ -233,6 +233,13 @@ def test_a_stream_trains_on_one_side_and_is_scored_on_the_other(stream: Spoilt) 
     beliefs = causal.unaided(stream, False, stream.inside, SEED)
     assert set(beliefs) == {"phase", "filter", "state"}
     assert beliefs["phase"]["macro step accuracy"] > 0.6
+
+
+def test_detected_beginnings_are_scored_on_the_half_that_is_streamed(stream: Spoilt) -> None:
+    result = detected_starts.repeat(stream, SEED)
+    assert len(result["errors"]) == TRIALS / 2
+    assert result["macro step accuracy, given"] > 0.8
+    assert result["macro step accuracy, phase alone"] > 0.6
 
 
 def test_counting_told_beginnings_is_enough_and_time_alone_is_not(stream: Spoilt) -> None:
