@@ -7,20 +7,18 @@ Thresholds are chosen on the training side of every split; results are added tas
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
 
-from experiments._lib.benchmarks import FAILURES, REAL, SIM1, of_sources, rounded
-from experiments._lib.intervals import of_folds
+from experiments._lib.benchmarks import FAILURES, REAL, SIM1, Benchmark, of_sources
 from experiments._lib.results_io import record_of, write_result
 from experiments._lib.tasks import failure_types, states
-from experiments._lib.thresholds import trained_thresholds
 from rcbht_jax.calibration import contextual
-from rcbht_jax.calibration.dataset import calibration_data
+from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
+from rcbht_jax.calibration.gradient import GradientOptions, calibrate
 from rcbht_jax.calibration.nested import CalibratedSvm, CandidateBank, Choose, fixed
 from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace
@@ -30,13 +28,14 @@ from rcbht_jax.features import FeatureSpec, recipes
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.types import Recordings
 
 WORDS, FULL = FeatureSpec(families=recipes.PLAIN), FeatureSpec(families=recipes.FULL)
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,))
 TOP = 6
 SCALES = 2.0 ** (np.arange(-4, 5) / 2)
+TRAINING = GradientOptions(steps=60, rate=0.1, temperature=(0.7, 0.1))
 SEED = 0
 
 
@@ -50,6 +49,11 @@ def candidates(count: int) -> GradientThresholds:
 def joined(*parts: GradientThresholds) -> GradientThresholds:
     """``[n, 6, 4]`` of parts of any number."""
     return GradientThresholds(np.concatenate([np.asarray(part.limits).reshape(-1, 6, 4) for part in parts]))
+
+
+def trained_thresholds(data: CalibrationData, config: EncoderConfig) -> GradientThresholds:
+    """Trained from the preset."""
+    return calibrate(data, config, preset(), TRAINING).thresholds
 
 
 def methods(recordings: Recordings, items: LabelledIntervals, config: EncoderConfig, count: int) -> dict[str, Choose]:
@@ -91,54 +95,38 @@ def remembered(choose: Choose) -> Choose:
     return once
 
 
-def compare(
-    recordings: Recordings,
-    spec: TaskSpec,
-    measure: Callable[[validation.Estimator, LabelledIntervals], dict[str, Any]],
-    count: int,
-) -> dict[str, Any]:
-    items = labelled_intervals(recordings, spec)
+def compare(store: Recordings, benchmark: Benchmark, count: int, repeats: int = 1) -> dict[str, Any]:
+    recordings = of_sources(store, benchmark.task.sources)
+    items = labelled_intervals(recordings, benchmark.task)
     config = EncoderConfig(5, recordings.dt)
     result: dict[str, Any] = {
         "classes": list(items.classes),
         "trials": len(np.unique(items.trial)),
-        "duration alone": measure(validation.forest(items.seconds, items.y), items),
+        "duration alone": accuracies(benchmark, validation.forest(items.seconds, items.y), items, repeats),
     }
     for name, choose in methods(recordings, items, config, count).items():
         for title, features in (("words", WORDS), ("words, duration and offset", FULL)):
             start = time.perf_counter()
             learner = CalibratedSvm(recordings, items, config, choose, GRID, features).learner()
-            scores = measure(learner, items)
+            scores = accuracies(benchmark, learner, items, repeats)
             result.setdefault(name, {})[title] = scores
             print(name, "|", title, "|", scores, f"{time.perf_counter() - start:.0f} s", flush=True)
     return result
 
 
-def folds(repeats: int) -> Callable[[validation.Estimator, LabelledIntervals], dict[str, Any]]:
-    def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
-        splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
-        scores = validation.cross_validate(learner, items.y, splits, SEED)
-        found = of_folds(scores, len(np.unique(items.trial)))
-        return {key: rounded(found[key]) for key in ("accuracy", "balanced_accuracy")}
-
-    return measure
-
-
-def across(train_on: tuple[str, ...], test_on: tuple[str, ...]) -> Callable[..., dict[str, Any]]:
-    def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
-        split = tuple(np.flatnonzero(np.isin(items.session, side)) for side in (train_on, test_on))
-        scores = validation.holdout_score(learner, items.y, items.trial, (split[0], split[1]), SEED)
-        return {key: rounded(value) for key, value in scores.summary().items()}
-
-    return measure
+def accuracies(
+    benchmark: Benchmark, learner: validation.Estimator, items: LabelledIntervals, repeats: int
+) -> dict[str, Any]:
+    """Both accuracies, without the time that they took."""
+    found = benchmark.score(learner, items, repeats, SEED)
+    return {key: found[key] for key in ("accuracy", "balanced_accuracy")}
 
 
 def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any]:
     if task == "sim1":
-        return compare(of_sources(store, (SIM1,)), states(), folds(repeats), count)
+        return compare(store, Benchmark(states(sources=(SIM1,))), count, repeats)
     if task == "failure-type":
-        spec = failure_types()
-        return compare(of_sources(store, (FAILURES,)), spec, folds(1), count)
+        return compare(store, Benchmark(failure_types(sources=(FAILURES,))), count)
     result = {}
     sources, pairs = {
         "real-transfer": ((REAL,), ((("A",), ("B",)), (("B",), ("A",)))),
@@ -148,8 +136,8 @@ def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any
         for train_on, test_on in pairs:
             name = f"{'+'.join(train_on)} -> {'+'.join(test_on)}, {boundaries}"
             print(name, flush=True)
-            spec = states(boundaries=boundaries)
-            result[name] = compare(of_sources(store, sources), spec, across(train_on, test_on), count)
+            benchmark = Benchmark(states(boundaries=boundaries, sources=sources), train_on, test_on)
+            result[name] = compare(store, benchmark, count)
     return result
 
 

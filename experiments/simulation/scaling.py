@@ -29,8 +29,8 @@ import tyro
 from jax.experimental.layout import Format, Layout
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from experiments._lib.random_walks import SAMPLES, recordings
 from experiments._lib.results_io import machine, write_result
+from experiments._lib.timing import SAMPLES, recordings
 from experiments.simulation.simulate_gpu import COMMAND, PRESET
 from rcbht_jax._util.ratios import interleaved
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data

@@ -18,9 +18,8 @@ import jax.numpy as jnp
 import tyro
 from jax.experimental.layout import Format, Layout
 
-from experiments._lib.random_walks import AXES, SAMPLES, recordings
 from experiments._lib.results_io import write_result
-from experiments._lib.timing import seconds_of, timed
+from experiments._lib.timing import AXES, SAMPLES, recordings, seconds_of, timed
 from rcbht_jax.encoding import encoder, gpu
 from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
