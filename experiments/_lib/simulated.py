@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.io.store import read_recordings
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
 
@@ -31,3 +33,22 @@ def kept_arrays(path: Path, make: Callable[[], dict[str, NDArray[Any]]]) -> dict
             np.savez(draft, **make())  # type: ignore[arg-type]
     with np.load(path) as kept:
         return dict(kept)
+
+
+def assembled(
+    wrench: NDArray[np.floating], length: NDArray[np.integer], onset: NDArray[np.floating], source: str, **known: Any
+) -> Recordings:
+    """Simulated trials as recordings, of the right arm and without a deviation unless it is ``known``.
+
+    Args:
+        wrench: ``[trial, time, 6]``.
+        length: samples.
+        onset: s, of the four states.
+        source: also the session.
+        known: columns of :func:`rcbht_jax.robots.snap_assembly.snap_recordings` with something in them.
+    """
+    count = len(length)
+    texts = {"arm": "R", "source": source, "session": source, "failure_type": "", "note": ""}
+    columns = {name: np.full(count, text) for name, text in texts.items()}
+    columns |= {"deviation": np.zeros((count, 3)), "onset_harmonised": onset} | known
+    return snap_recordings(wrench, length, CONTROL_PERIOD, onset=onset, **columns)

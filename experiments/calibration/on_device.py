@@ -23,6 +23,7 @@ import jax
 import numpy as np
 
 from experiments._lib.results_io import write_result
+from experiments._lib.simulated import assembled
 from experiments._lib.tasks import task
 from experiments._lib.timing import seconds_of
 from rcbht_jax.calibration import contextual, gradient
@@ -39,7 +40,7 @@ from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import extract_features, labelled_intervals
-from rcbht_jax.robots.snap_assembly import FAILURE_TYPES, STATES, snap_recordings
+from rcbht_jax.robots.snap_assembly import FAILURE_TYPES, STATES
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.task import CONTROL_PERIOD
@@ -230,14 +231,12 @@ def _recordings(data: CalibrationData, name: str) -> Recordings:
     onset = np.full((count, 4), np.nan)
     onset[:, : edges.shape[1] - 1] = edges[:, :-1] * CONTROL_PERIOD
 
-    def text(value: str) -> np.ndarray:
-        return np.full(count, value)
-
-    return snap_recordings(
-        wrench, edges[:, -1], CONTROL_PERIOD, onset=onset, onset_harmonised=onset,
-        failure_type=np.array(data.classes)[y[:, 0]] if failed else text(""), deviation=np.full((count, 3), np.nan),
-        trial=np.array([f"sim-{name}-{i:06d}" for i in range(count)]), arm=text("R"), source=text(f"SIM_MJX_{name}"),
-        session=text(f"sim-{name}"), outcome=text("failure" if failed else "success"), note=text(""),
+    outcome = "failure" if failed else "success"
+    return assembled(
+        wrench, edges[:, -1], onset, f"SIM_MJX_{name}", outcome=np.full(count, outcome),
+        failure_type=np.array(data.classes)[y[:, 0]] if failed else np.full(count, ""),
+        deviation=np.full((count, 3), np.nan), session=np.full(count, f"sim-{name}"),
+        trial=np.array([f"sim-{name}-{i:06d}" for i in range(count)]),
     )  # fmt: skip
 
 

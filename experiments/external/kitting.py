@@ -203,16 +203,15 @@ def alarms(skills: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def main(seed: int = 0, skill: tuple[str, ...] = (), show: bool = True) -> None:
+def main(seed: int = 0) -> None:
     recordings = read_executions()
-    skill = skill or skills(recordings)
-    executions = {name: of_skill(recordings, name) for name in skill}
+    executions = {skill: of_skill(recordings, skill) for skill in skills(recordings)}
     rng, rows = np.random.default_rng(seed), {}
     sets = {name: [CHANNELS.index(channel) for channel in channels] for name, channels in SETS.items()}
     sets["words"] = list(range(2 * len(WORDS)))
     for name, columns in tqdm(sets.items(), file=sys.stderr, disable=None):
         inputs = in_words(recordings) if name == "words" else recordings
-        of = {number: of_skill(inputs, number) for number in skill}
+        of = {skill: of_skill(inputs, skill) for skill in executions}
         rows[name] = {
             method: measure(monitor.set_params(random_state=seed), of, columns, rng)
             for method, monitor in methods(1 / recordings.dt, name).items()
@@ -230,7 +229,7 @@ def main(seed: int = 0, skill: tuple[str, ...] = (), show: bool = True) -> None:
         },
         "rows": rows,
     }  # fmt: skip
-    write_result("kitting", "python -m experiments.external.kitting", result, seed, show)
+    write_result("kitting", "python -m experiments.external.kitting", result, seed)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ Run: python -m experiments.simulation.driven_fit --engine warp
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -224,15 +223,13 @@ def main(
     generations: int = 80,
     spread: float = 0.12,
     seed: int = 0,
-    fitted: Path | None = None,
     checkpoint: Path = Path("driven_fit_search.json"),
 ) -> None:
     """See the module.
 
     Args:
         engine: that simulates. of_a: trials of session A that are seen. iterations, step: of Gauss-Newton.
-        population, generations, spread, seed: of CMA-ES.
-        fitted: an earlier result, whose Gauss-Newton is kept. checkpoint: of CMA-ES.
+        population, generations, spread, seed, checkpoint: of CMA-ES.
     """
     begun = time.perf_counter()
     data = trials(recorded(), DATA, of_a)
@@ -243,14 +240,9 @@ def main(
     command += (
         f" --step {step:g} --population {population} --generations {generations} --spread {spread:g} --seed {seed}"
     )
-    if fitted is None:
-        result = by_gauss_newton(data, objective, how, iterations, step, begun)
-        write_result("driven_fit", command, result, seed=seed, show=False)  # a search that is cut off leaves this much
-    else:
-        result = json.loads(fitted.read_text())["result"]
-    if result.get("alone") is None:
-        result["alone"] = alone(data, scene, engine, iterations, begun)
-        write_result("driven_fit", command, result, seed=seed, show=False)
+    result = by_gauss_newton(data, objective, how, iterations, step, begun)
+    result["alone"] = alone(data, scene, engine, iterations, begun)
+    write_result("driven_fit", command, result, seed=seed, show=False)  # a search that is cut off leaves this much
     result["traces"] = traces(data, scene, how.start, result["gauss_newton"]["values"])
     target = result["gauss_newton"]["loss"]
     result["cma_es"] = by_search(objective, how, target, checkpoint, begun) if generations else None

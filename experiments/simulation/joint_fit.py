@@ -20,7 +20,6 @@ from jaxtyping import Int
 
 from experiments._lib.benchmarks import recorded
 from experiments._lib.results_io import write_result
-from rcbht_jax.io.store import read_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import HOOKED
 from sim_mjx.randomization import overrides
@@ -127,14 +126,11 @@ def main(
     generations: int = 40,
     spread: float = 0.12,
     seed: int = 0,
-    store: Path | None = None,
     first: Path | None = None,
     checkpoint: Path = Path("joint_fit.json"),
-    max_seconds: float = np.inf,
     stands: bool = False,
 ) -> None:
-    recordings = recorded() if store is None else read_recordings(store)
-    seen = shares(recordings, session)
+    seen = shares(recorded(), session)
     start = time.perf_counter()
 
     def progress(generation: Generation, best: Fit) -> None:
@@ -144,8 +140,6 @@ def main(
             f"step {generation.step:.3f}, best of all {best.loss:.3f}",
             flush=True,
         )
-        if took > max_seconds:
-            raise SystemExit(f"stopped after {took:.0f} s; the same command resumes from {checkpoint}")
 
     values = None if first is None else json.loads(first.read_text())["result"]["start"]
     how = search(tuple(seen), population, generations, spread, seed, values, stands)
