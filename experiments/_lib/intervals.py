@@ -82,6 +82,13 @@ def by_trial(mean: float, trials: float) -> dict[str, Any]:
     return {"mean": mean, "low": low, "high": high, "interval by": "Wilson, by trial"}
 
 
+def seated_share(seated: Bool[np.ndarray, " trial"]) -> dict[str, Any]:
+    """How many simulated trials seat, and their share with Wilson's interval."""
+    good, count = int(seated.sum()), seated.size
+    ends = np.round(wilson(good, count), 4).tolist()
+    return {"seated": good, "trials": count, "share": good / count, "share_95_percent": ends}
+
+
 def of_auc(area: float, kinds: Sequence[int]) -> tuple[float, float]:
     """Wilson's interval of an area under the ROC curve, of as many trials as the fewer of the two kinds has."""
     fewer = min(kinds)

@@ -29,6 +29,7 @@ from sklearn.metrics import log_loss
 
 from experiments._lib.benchmarks import SIM1, of_sources
 from experiments._lib.checkpointed_rows import ALL_ROWS, Rows
+from experiments._lib.results_io import defaults_of, given
 from experiments._lib.tasks import states
 from experiments.calibration.speed import numpy_rate
 from rcbht_jax.calibration import gradient
@@ -190,6 +191,7 @@ def main(
     steps: int = 80,
     asked: Annotated[int, tyro.conf.arg(help="Candidates that Optuna asks for.")] = 200,
 ) -> None:
+    options = given(locals() | {"methods": ()}, defaults_of(main))  # these only choose rows
     recordings = of_sources(read_recordings(store), (SIM1,))
     config = EncoderConfig(5, recordings.dt)
     data = calibration_data(recordings, labelled_intervals(recordings, states()), config)
@@ -209,7 +211,7 @@ def main(
         "task": "SIM1 states, harmonised; a quarter of the trials held out per seed",
         "candidates": candidates, "steps": steps, "asked": asked, "trials": len(data),
     }  # fmt: skip
-    rows = Rows("calibration_curves", "python -m experiments.calibration.curves STORE.zarr", about, seed=0)
+    rows = Rows("calibration_curves", f"python -m experiments.calibration.curves STORE.zarr{options}", about, seed=0)
     rows.fill(wanted, [f"{method} | seed" for method in methods] or ALL_ROWS)
 
 

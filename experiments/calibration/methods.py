@@ -1,7 +1,7 @@
 """Accuracy with thresholds from each calibration method: preset, context, search and gradient, with nested SVMs.
 
 Run: python -m experiments.calibration.methods STORE.zarr [--tasks sim1 real-transfer sim1-to-real failure-type]
-Thresholds are chosen on the training side of every split; results are added task by task.
+Thresholds are chosen on the training side of every split; results are added task by task, to those of the same options.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import FAILURES, REAL, SIM1, Benchmark, of_sources
-from experiments._lib.results_io import record_of, write_result
+from experiments._lib.results_io import defaults_of, given, parts_of, write_result
 from experiments._lib.tasks import failure_types, states
 from rcbht_jax.calibration import contextual
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
@@ -33,6 +33,7 @@ from rcbht_jax.types import Recordings
 
 WORDS, FULL = FeatureSpec(families=recipes.PLAIN), FeatureSpec(families=recipes.FULL)
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,))
+TASKS = ("sim1", "real-transfer", "sim1-to-real", "failure-type")
 TOP = 6
 SCALES = 2.0 ** (np.arange(-4, 5) / 2)
 TRAINING = GradientOptions(steps=60, rate=0.1, temperature=(0.7, 0.1))
@@ -143,15 +144,17 @@ def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any
 
 def main(
     store: tyro.conf.Positional[Path],
-    tasks: tuple[str, ...] = ("sim1", "real-transfer", "sim1-to-real", "failure-type"),
+    tasks: tuple[str, ...] = TASKS,
     candidates: int = 1024,
     repeats: int = 3,
 ) -> None:
+    sizes = {"candidates": candidates, "repeats": repeats}
+    command = "python -m experiments.calibration.methods STORE.zarr"
+    command += given(sizes, {name: default for name, default in defaults_of(main).items() if name in sizes})
     recordings = read_recordings(store)
     for task in tasks:
-        known = record_of("calibration").get("result", {})
+        known = parts_of("calibration", command, TASKS)
         scores = run(task, recordings, candidates, repeats)
-        command = "python -m experiments.calibration.methods STORE.zarr"
         write_result("calibration", command, known | {task: scores}, seed=SEED)
 
 

@@ -22,6 +22,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from experiments._lib.results_io import given as stated
 from experiments._lib.results_io import write_result
 from experiments._lib.simulated import assembled
 from experiments._lib.tasks import task
@@ -294,7 +295,7 @@ def main() -> None:
     parser.add_argument("--store", type=Path, default=None, help="keep the labelled trials there")
     given = parser.parse_args()
     run = Run(given, {"engine": given.engine, "task": given.task, "preset": given.preset})
-    options = f"--engine {given.engine} --task {given.task} --preset {given.preset} --trials {given.trials}"
+    options = stated(vars(given), vars(parser.parse_args(["--engine", "mjx"])) | {"engine": None})
     name_of_result = f"calibration_device_{given.engine}_{given.task}_{given.preset}".replace("-", "_").lower()
     for name, part in PARTS.items():
         start = time.perf_counter()
@@ -303,7 +304,7 @@ def main() -> None:
         except Exception:  # on a rented machine the other parts should still run
             run.result[name] = {"failed": traceback.format_exc()[-1500:]}
         run.result[name]["seconds of this part"] = round(time.perf_counter() - start, 1)
-        write_result(name_of_result, f"python -m experiments.calibration.on_device {options}", run.result, seed=SEED)
+        write_result(name_of_result, f"python -m experiments.calibration.on_device{options}", run.result, seed=SEED)
 
 
 if __name__ == "__main__":

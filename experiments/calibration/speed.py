@@ -15,7 +15,7 @@ import jax
 import numpy as np
 import tyro
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from experiments._lib.tasks import states
 from rcbht_jax import reference
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
@@ -82,7 +82,8 @@ def measure(data: CalibrationData, candidates: int) -> dict[str, Any]:
 def main(store: tyro.conf.Positional[Path], candidates: int = 4096) -> None:
     result = measure(from_store(store), candidates)
     backend = jax.default_backend()
-    write_result(f"calibration_speed_{backend}", "python -m experiments.calibration.speed STORE.zarr", result, SEED)
+    command = "python -m experiments.calibration.speed STORE.zarr" + given(locals(), defaults_of(main))
+    write_result(f"calibration_speed_{backend}", command, result, SEED)
 
 
 if __name__ == "__main__":

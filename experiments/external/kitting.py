@@ -32,7 +32,7 @@ from tqdm import tqdm
 
 from experiments._lib.intervals import of_auc, of_sums
 from experiments._lib.other_robots import KITTING, of_other_robot
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from rcbht_jax import labels
 from rcbht_jax._util.cells import number_of
 from rcbht_jax.calibration.rest import auto_thresholds
@@ -204,6 +204,7 @@ def alarms(skills: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main(seed: int = 0) -> None:
+    command = "python -m experiments.external.kitting" + given(locals(), defaults_of(main))
     recordings = read_executions()
     executions = {skill: of_skill(recordings, skill) for skill in skills(recordings)}
     rng, rows = np.random.default_rng(seed), {}
@@ -229,7 +230,7 @@ def main(seed: int = 0) -> None:
         },
         "rows": rows,
     }  # fmt: skip
-    write_result("kitting", "python -m experiments.external.kitting", result, seed)
+    write_result("kitting", command, result, seed)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -147,16 +148,19 @@ def by_search(objective: DrivenObjective, how: Search, target: float, checkpoint
     }
 
 
+def progress(begun: float, at: Iteration, values: Values) -> None:
+    """Print how far Gauss-Newton is."""
+    took = time.perf_counter() - begun
+    print(f"{took:.0f} s, {at.candidates} candidates: {at.loss:.4f}, step {at.step:g}", flush=True)
+
+
 def by_gauss_newton(
     data: Trials, objective: DrivenObjective, how: Search, iterations: int, step: float, begun: float
 ) -> dict[str, Any]:
     """The fit, the identifiability of its parameters, and the explained variance of presets and fit."""
-
-    def progress(at: Iteration, values: Values) -> None:
-        took = time.perf_counter() - begun
-        print(f"{took:.0f} s, {at.candidates} candidates: {at.loss:.4f}, step {at.step:g}", flush=True)
-
-    found: LeastSquares = gauss_newton.fit(objective, how, iterations=iterations, step=step, progress=progress)
+    found: LeastSquares = gauss_newton.fit(
+        objective, how, iterations=iterations, step=step, progress=partial(progress, begun)
+    )
     windows = sum((len(t.path) - t.begin) // driven_fit.WINDOW for t in data.seen)
     identifiable = gauss_newton.identifiability(found.jacobian, list(how.bounds), found.loss, 6.0 * windows)
     return {
@@ -180,11 +184,7 @@ def alone(data: Trials, scene: Scene, engine: str, iterations: int, begun: float
         seen = tuple(trial for trial in data.seen if trial.session == name)
         objective = DrivenObjective(scene, {name: HOOKED[name]}, seen, engine)
         how = search((name,))
-
-        def progress(at: Iteration, values: Values) -> None:
-            print(f"{time.perf_counter() - begun:.0f} s, {at.candidates} candidates: {at.loss:.4f}", flush=True)
-
-        found = gauss_newton.fit(objective, how, iterations=iterations, progress=progress)
+        found = gauss_newton.fit(objective, how, iterations=iterations, progress=partial(progress, begun))
         unseen = DrivenObjective(scene, objective.presets, data.held[held], engine)
         out[name] = {
             "loss": found.loss, "candidates": found.candidates, "values": found.values, "at_bound": found.at_bound,

@@ -19,7 +19,7 @@ import tyro
 from jaxtyping import Int
 
 from experiments._lib.benchmarks import recorded
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import HOOKED
 from sim_mjx.randomization import overrides
@@ -130,6 +130,7 @@ def main(
     checkpoint: Path = Path("joint_fit.json"),
     stands: bool = False,
 ) -> None:
+    options = given(locals(), {name: one for name, one in defaults_of(main).items() if name != "checkpoint"})
     seen = shares(recorded(), session)
     start = time.perf_counter()
 
@@ -158,10 +159,8 @@ def main(
         "simulations": len(best.generations) * population * sum(share.trials for share in seen.values()),
         "loss_by_generation": [round(generation.best, 4) for generation in best.generations],
     }  # fmt: skip
-    command = f"python -m experiments.simulation.joint_fit {'--stands ' * stands}--session {' '.join(session)}"
-    command += f" --engine {engine} --population {population} --generations {generations} --spread {spread:g}"
     name = "joint_fit_stands" if stands else "joint_fit"
-    write_result(name, f"{command} --seed {seed}", result, seed=seed, show=False)
+    write_result(name, f"python -m experiments.simulation.joint_fit{options}", result, seed=seed, show=False)
 
 
 if __name__ == "__main__":

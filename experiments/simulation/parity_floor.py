@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from experiments.simulation.engines import PRESET, SEED, trials_of
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import Scene
@@ -49,14 +49,14 @@ def rounded(scene: Scene, params: TrialParams) -> Rollouts:
 
 
 def main(trials: int = 64, longest: Annotated[float, tyro.conf.arg(help="s, cuts every trial")] = 15.0) -> None:
+    options = given(locals(), defaults_of(main))
     scene, params = get_scenario(PRESET).scene(), trials_of(trials, longest)
     expected, contact = reference(scene, params)
     rows = {f"part moved by {metres:g} m": shifted(scene, params, metres) for metres in SHIFTS}
     rows["state rounded to single precision every 5 ms"] = rounded(scene, params)
     result = {name: asdict(parity(expected, contact, found)) for name, found in rows.items()}
-    write_result(
-        "parity_floor", "python -m experiments.simulation.parity_floor", {"preset": PRESET, "rows": result}, seed=SEED
-    )
+    command = f"python -m experiments.simulation.parity_floor{options}"
+    write_result("parity_floor", command, {"preset": PRESET, "rows": result}, seed=SEED)
 
 
 if __name__ == "__main__":

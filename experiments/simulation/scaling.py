@@ -29,7 +29,7 @@ import tyro
 from jax.experimental.layout import Format, Layout
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from experiments._lib.results_io import machine, write_result
+from experiments._lib.results_io import defaults_of, given, machine, write_result
 from experiments._lib.timing import SAMPLES, recordings
 from experiments.simulation.simulate_gpu import COMMAND, PRESET
 from rcbht_jax._util.ratios import interleaved
@@ -269,7 +269,8 @@ def main(
             result["labels"] += made(*size)
             print(json.dumps(result["labels"]), flush=True)
     print(machine())
-    write_result("scaling", "python -m experiments.simulation.scaling FOLDER", result, SEED)
+    command = "python -m experiments.simulation.scaling FOLDER" + given(locals(), defaults_of(main))
+    write_result("scaling", command, result, SEED)
 
 
 if __name__ == "__main__":

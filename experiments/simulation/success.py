@@ -18,9 +18,9 @@ import tyro
 from matplotlib.figure import Figure
 
 from experiments._lib.catalogue import DATA
+from experiments._lib.intervals import seated_share
 from experiments._lib.results_io import pictures, record_of, write_result
 from rcbht_jax.io.hiro.importer import read_hiro
-from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 from sim_mjx.assembly.rollout import stack
@@ -48,12 +48,8 @@ def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
         seated.append(run.seated)
         diverged += int(run.diverged.sum())
     tabs = np.concatenate(seated)
-    good = int(tabs.all(1).sum())
     return {
-        "trials": trials,
-        "seated": good,
-        "share": good / trials,
-        "share_95_percent": np.round(wilson(good, trials), 4).tolist(),
+        **seated_share(tabs.all(1)),
         "tabs": {name: float(share) for name, share in zip(("FR", "FL", "RR", "RL"), tabs.mean(0), strict=True)},
         "diverged": diverged,
         "seconds": round(time.perf_counter() - start, 1),

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import tyro
 from jax.experimental.layout import Format, Layout
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from experiments._lib.timing import AXES, SAMPLES, recordings, seconds_of, timed
 from rcbht_jax.encoding import encoder, gpu
 from rcbht_jax.encoding.batch import encode_on_device
@@ -87,7 +87,7 @@ def main(
             }
             if count == SCANNED:
                 mine[str(count)]["scan"] = speed(partial(scan, config), wrench, False, 3)
-    command = "python -m experiments.words.encoder_speed"
+    command = "python -m experiments.words.encoder_speed" + given(locals(), defaults_of(main))
     write_result(
         "encoder_speed", command, {"samples": SAMPLES, "axes": AXES, "repeats": repeats, "windows": rows}, seed=SEED
     )
