@@ -210,7 +210,7 @@ def stored(run: Run) -> dict[str, Any]:
         summary = {"trials": found.trials.tolist(), "seconds": round(spent, 2)}
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        path = run.given.store or Path(folder) / "simulated.zarr"
+        path = Path(folder) / "simulated.zarr"
         write_recordings(path, run.recordings, {"simulated": {"engine": run.given.engine, "seed": SEED}})
         for name, limits in run.limits.items():
             tracks = jax.device_get(encode_on_device(CONFIG, limits, run.data.wrench, run.data.windows.length))
@@ -292,7 +292,6 @@ def main() -> None:
     parser.add_argument("--svm-trials", type=int, default=1024, help="on each side")
     parser.add_argument("--agreement", type=int, default=64, help="candidates compared between devices")
     parser.add_argument("--agreement-trials", type=int, default=2048, help="for them")
-    parser.add_argument("--store", type=Path, default=None, help="keep the labelled trials there")
     given = parser.parse_args()
     run = Run(given, {"engine": given.engine, "task": given.task, "preset": given.preset})
     options = stated(vars(given), vars(parser.parse_args(["--engine", "mjx"])) | {"engine": None})
