@@ -15,7 +15,7 @@ import jax
 import numpy as np
 import tyro
 
-from experiments._lib.results_io import defaults_of, given, write_result
+from experiments._lib.results_io import write_result
 from experiments._lib.tasks import states
 from rcbht_jax import reference
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
@@ -28,6 +28,7 @@ from rcbht_jax.learning.tasks import labelled_intervals
 SOURCES = ("SIM_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_SUCCESS")
 DT = 0.005
 SEED = 0
+CANDIDATES = 4096
 NUMPY_TRIALS = 6  # of the data, which the NumPy taxonomy encodes
 
 
@@ -48,8 +49,8 @@ def numpy_rate(data: CalibrationData, clock: Callable[[], float] = time.perf_cou
     return samples / (clock() - start)
 
 
-def measure(data: CalibrationData, candidates: int) -> dict[str, Any]:
-    config, options = EncoderConfig(5, DT), SearchOptions(candidates=candidates, space=SearchSpace(), seed=SEED)
+def measure(data: CalibrationData) -> dict[str, Any]:
+    config, options = EncoderConfig(5, DT), SearchOptions(candidates=CANDIDATES, space=SearchSpace(), seed=SEED)
     limits = np.asarray(options.space.thresholds(options.points()).limits)
     once = len(limits) if jax.default_backend() != "cpu" else 128  # compiles what the timed call needs
     warm = time.perf_counter()
@@ -65,25 +66,23 @@ def measure(data: CalibrationData, candidates: int) -> dict[str, Any]:
     best = int(value.round(6).argmax())
     return {
         "trials": len(data),
-        "candidates": candidates,
+        "candidates": CANDIDATES,
         "seconds": round(seconds, 2),
         "processor seconds": round(used, 1),
         "seconds of the first call, compilation included": round(warm, 1),
-        "candidates per second": round(candidates / seconds, 2),
-        "million samples per second": round(candidates * samples / seconds / 1e6, 1),
+        "candidates per second": round(CANDIDATES / seconds, 2),
+        "million samples per second": round(CANDIDATES * samples / seconds / 1e6, 1),
         "NumPy loop, million samples per second (before and after)": round(numpy / 1e6, 3),
-        "ratio to the NumPy loop": round(candidates * samples / seconds / numpy, 1),
+        "ratio to the NumPy loop": round(CANDIDATES * samples / seconds / numpy, 1),
         "chosen": best,
         "scores of the chosen": dict(zip(SCORES, np.round(scores[best].astype(float), 5).tolist(), strict=True)),
         "sum of all scores": np.round(scores.astype(np.float64).sum(0), 4).tolist(),
     }
 
 
-def main(store: tyro.conf.Positional[Path], candidates: int = 4096) -> None:
-    result = measure(from_store(store), candidates)
-    backend = jax.default_backend()
-    command = "python -m experiments.calibration.speed STORE.zarr" + given(locals(), defaults_of(main))
-    write_result(f"calibration_speed_{backend}", command, result, SEED)
+def main(store: tyro.conf.Positional[Path]) -> None:
+    result, backend = measure(from_store(store)), jax.default_backend()
+    write_result(f"calibration_speed_{backend}", "python -m experiments.calibration.speed STORE.zarr", result, SEED)
 
 
 if __name__ == "__main__":
