@@ -171,7 +171,7 @@ def main(
         wanted[f"{spec} | SIM1 | {method}"] = partial(experiment.sim1, spec, method)
         wanted[f"{spec} | REAL A -> B | {method}"] = partial(experiment.transfer, "A", "B", spec, method)
         wanted[f"{spec} | REAL B -> A | {method}"] = partial(experiment.transfer, "B", "A", spec, method)
-    command = "python -m experiments.calibration.bank STORE.zarr" + given({"repeats": repeats}, defaults_of(main))
+    command = "python -m experiments.calibration.bank STORE.zarr" + given(locals(), defaults_of(main))
     Rows("calibration_bank", command, experiment.about, SEED).fill(wanted)
 
 

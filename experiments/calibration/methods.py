@@ -16,9 +16,9 @@ import tyro
 from experiments._lib.benchmarks import FAILURES, REAL, SIM1, Benchmark, of_sources
 from experiments._lib.results_io import defaults_of, given, parts_of, write_result
 from experiments._lib.tasks import failure_types, states
+from experiments._lib.thresholds import trained_thresholds
 from rcbht_jax.calibration import contextual
-from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
-from rcbht_jax.calibration.gradient import GradientOptions, calibrate
+from rcbht_jax.calibration.dataset import calibration_data
 from rcbht_jax.calibration.nested import CalibratedSvm, CandidateBank, Choose, fixed
 from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace
@@ -36,7 +36,6 @@ GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(
 TASKS = ("sim1", "real-transfer", "sim1-to-real", "failure-type")
 TOP = 6
 SCALES = 2.0 ** (np.arange(-4, 5) / 2)
-TRAINING = GradientOptions(steps=60, rate=0.1, temperature=(0.7, 0.1))
 SEED = 0
 
 
@@ -50,11 +49,6 @@ def candidates(count: int) -> GradientThresholds:
 def joined(*parts: GradientThresholds) -> GradientThresholds:
     """``[n, 6, 4]`` of parts of any number."""
     return GradientThresholds(np.concatenate([np.asarray(part.limits).reshape(-1, 6, 4) for part in parts]))
-
-
-def trained_thresholds(data: CalibrationData, config: EncoderConfig) -> GradientThresholds:
-    """Trained from the preset."""
-    return calibrate(data, config, preset(), TRAINING).thresholds
 
 
 def methods(recordings: Recordings, items: LabelledIntervals, config: EncoderConfig, count: int) -> dict[str, Choose]:
@@ -148,9 +142,8 @@ def main(
     candidates: int = 1024,
     repeats: int = 3,
 ) -> None:
-    sizes = {"candidates": candidates, "repeats": repeats}
-    command = "python -m experiments.calibration.methods STORE.zarr"
-    command += given(sizes, {name: default for name, default in defaults_of(main).items() if name in sizes})
+    options = given(locals() | {"tasks": TASKS}, defaults_of(main))
+    command = f"python -m experiments.calibration.methods STORE.zarr{options}"
     recordings = read_recordings(store)
     for task in tasks:
         known = parts_of("calibration", command, TASKS)

@@ -31,8 +31,8 @@ from experiments._lib.benchmarks import mistakes, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import learned_tolerance
 from experiments._lib.tasks import states
+from experiments._lib.thresholds import trained_thresholds
 from experiments._lib.zero_shot_set import TARE_SECONDS
-from experiments.calibration.methods import trained_thresholds
 from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
 from experiments.classification.sim_to_real_sets import PRESETS, SETS, Labelling, Sets
 from experiments.classification.sim_to_real_sets import SEED as SEED_OF_SETS
