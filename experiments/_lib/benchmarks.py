@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from experiments._lib.catalogue import DATA
-from experiments._lib.intervals import at_least, of_folds, with_width
+from experiments._lib.intervals import of_folds, of_splits
 from experiments._lib.tasks import failure_types, states
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.io.hiro.importer import read_hiro
-from rcbht_jax.learning import metrics, validation
+from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid, Split
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
@@ -162,16 +162,10 @@ def items_of(recordings: Recordings, benchmark: Benchmark) -> LabelledIntervals:
 def with_interval(
     scores: ArrayLike, test_to_train: float = 1.0, places: int = 3, trials: float = 0, items: float = 0
 ) -> dict[str, Any]:
-    """Mean of the scores of repeated splits and its corrected 95 % interval, rounded.
-
-    Where all are the same, it is Wilson's for so many ``trials``; 0 = there is none, as nothing varies. It is no
-    narrower than Wilson's of so many independent ``items``; 0 = what is scored is not right or wrong.
-    """
-    mean, low, high = metrics.corrected_interval(np.asarray(scores), test_to_train)
-    score = with_width({"mean": mean, "low": low, "high": high}, trials)
-    score = at_least(score, items) if items else score
+    """What :func:`intervals.of_splits` gives, rounded, with the ends as a pair."""
+    score = of_splits(scores, test_to_train, trials, items)
     ends = {"interval": [round(score["low"], places), round(score["high"], places)]} if "low" in score else {}
-    return {"mean": round(mean, places), **ends}
+    return {"mean": round(score["mean"], places), **ends}
 
 
 def rounded(value: Any) -> Any:

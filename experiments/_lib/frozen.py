@@ -61,7 +61,7 @@ class FrozenMethod:
         """The same without families that an offset or a duration changes; what becomes equal is left once."""
         left: dict[str, FeatureSpec] = {}
         for name, spec in self.specs.items():
-            narrower = _relative(spec)
+            narrower = relative_of(spec)
             if narrower not in left.values():
                 left[name] = narrower
         return left
@@ -80,7 +80,7 @@ class FrozenMethod:
         """Features of the head "state" (of a sub-task) or "phase" (of the trial so far)."""
         one = self.streamed[head]
         spec = FeatureSpec(tuple(one["families"]), balance=one["balance"])
-        return _relative(spec) if relative else spec
+        return relative_of(spec) if relative else spec
 
     def stream_learning(self, head: str) -> tuple[Grid, int]:
         """Grid of a head, and the snapshots that a complete interval counts for."""
@@ -136,7 +136,7 @@ def _grid(fields: Mapping[str, Any]) -> Grid:
     return Grid(**{key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()})
 
 
-def _relative(spec: FeatureSpec) -> FeatureSpec:
+def relative_of(spec: FeatureSpec) -> FeatureSpec:
     """Without families that an offset or a duration changes."""
     return replace(spec, families=tuple(family for family in spec.families if family not in (*ABSOLUTE, *TIMED)))
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from rcbht_jax.learning.metrics import has_width, percentile_interval, wilson
+from rcbht_jax.learning.metrics import corrected_interval, has_width, percentile_interval, wilson
 from rcbht_jax.learning.validation import CrossValidation
 
 RESAMPLES = 2000
@@ -61,10 +61,32 @@ def of_folds(run: CrossValidation, trials: int) -> dict[str, Any]:
     }
 
 
+def of_splits(scores: ArrayLike, test_to_train: float, trials: float, items: float = 0) -> dict[str, Any]:
+    """Mean of the scores of repeated splits with its corrected interval, ``with_width``; of one split, Wilson's.
+
+    Args:
+        scores: of any shape, one per split.
+        test_to_train: ratio of the sizes of their sides.
+        trials: as of :func:`with_width`.
+        items: for :func:`at_least`; 0 = what is scored is not right or wrong.
+    """
+    found = np.asarray(scores, float)
+    ends = corrected_interval(found, test_to_train) if found.size > 1 else (float(found.mean()),) * 3
+    score = with_width(dict(zip(("mean", "low", "high"), ends, strict=True)), trials)
+    return at_least(score, items) if items else score
+
+
 def by_trial(mean: float, trials: float) -> dict[str, Any]:
     """A share of items right with Wilson's interval, each trial counting once: items of a trial are not independent."""
     low, high = wilson(mean * trials, trials)
     return {"mean": mean, "low": low, "high": high, "interval by": "Wilson, by trial"}
+
+
+def seated_share(seated: Bool[np.ndarray, " trial"]) -> dict[str, Any]:
+    """How many simulated trials seat, and their share with Wilson's interval."""
+    good, count = int(seated.sum()), seated.size
+    ends = np.round(wilson(good, count), 4).tolist()
+    return {"seated": good, "trials": count, "share": good / count, "share_95_percent": ends}
 
 
 def of_auc(area: float, kinds: Sequence[int]) -> tuple[float, float]:

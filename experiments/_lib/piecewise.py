@@ -84,11 +84,6 @@ def lines(y: Floats, breaks: Ints) -> Approximation:
     return Approximation(mean[word] + slope[word] * (np.arange(len(y)) - ((start + stop - 1) / 2)[word]), len(start))
 
 
-def equal_windows(y: Floats, samples: int) -> Ints:
-    """Breaks of pieces that all have as many samples; the last may have fewer."""
-    return np.arange(samples, len(y), samples)
-
-
 def bottom_up(y: Floats) -> Ints:
     """Breaks in the order in which merging gives them up: the last k - 1 of them leave k pieces.
 

@@ -107,16 +107,6 @@ def first_second(segments: Segments, items: LabelledIntervals) -> Estimator:
     return forest(statistics([segment[:samples] for segment in segments]), items.y)
 
 
-def mini_rocket(segments: Segments, items: LabelledIntervals) -> Estimator:
-    """MiniRocket with a ridge classifier."""
-    return of_aeon("MiniRocketClassifier", resampled(segments), items.y)
-
-
-def multi_rocket_hydra(segments: Segments, items: LabelledIntervals) -> Estimator:
-    """MultiRocket and Hydra together with a ridge classifier."""
-    return of_aeon("MultiRocketHydraClassifier", resampled(segments), items.y)
-
-
 def of_aeon(name: str, x: Floats, y: NDArray[np.int64]) -> Estimator:
     """A classifier of the library aeon, by its name."""
     try:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import os
 import platform
+import shlex
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -40,6 +42,26 @@ def parts_of(name: str, command: str, parts: Iterable[str]) -> dict[str, Any]:
     record = record_of(name)
     result = record["result"] if record.get("command") == command else {}
     return {part: result[part] for part in parts if part in result}
+
+
+def given(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
+    """The options of a command that are not the defaults, as they are written; ``FOLDER`` stands for a path.
+
+    >>> given({"trials": 3, "only": ("a", "b c"), "seed": 0}, {"trials": 6, "only": (), "seed": 0})
+    " --trials 3 --only a 'b c'"
+    """
+    words: list[str] = []
+    for name, default in defaults.items():
+        if (value := values[name]) != default:
+            each = value if isinstance(value, tuple | list) else [] if value is True else [value]
+            words += [f"--{name.replace('_', '-')}", *("FOLDER" if isinstance(one, Path) else str(one) for one in each)]
+    return "".join(f" {shlex.quote(word)}" for word in words)
+
+
+def defaults_of(main: Callable[..., None]) -> dict[str, Any]:
+    """Names and defaults of the options of a program."""
+    parameters = inspect.signature(main).parameters.values()
+    return {one.name: one.default for one in parameters if one.default is not one.empty}
 
 
 def machine() -> str:

@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from experiments._lib.benchmarks import recorded
-from rcbht_jax.io.store import read_recordings
+from experiments._lib.simulated import simulated
 from rcbht_jax.io.tare import tare
 from rcbht_jax.types import Recordings
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
 
 TARE_SECONDS = 1.0  # of free space at the beginning of every trial
@@ -42,11 +41,8 @@ SPEC = replace(WIDE, mating=(0.5, 30.0), sensor=WORN, physical=SENSOR)
 
 def simulated_and_recorded(folder: Path, seed: int = SEED) -> Recordings:
     """The trials of session "simulated", kept in the folder and made if they are missing, then those of A and B."""
-    target = folder / f"zero-shot-{TRIALS}.zarr"
-    if not target.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        pipeline.synthesise(target, SynthesisConfig(PRESET, TRIALS, seed, shard=64, spec=SPEC))
-    known, made = recorded(), read_recordings(target)
+    job = SynthesisConfig(PRESET, TRIALS, seed, shard=64, spec=SPEC)
+    known, made = recorded(), simulated(folder / f"zero-shot-{TRIALS}.zarr", job)
     real = known.take(np.isin(known.session, SESSIONS))
     made = replace(made, session=np.full(len(made), SIMULATED))
     return tare(Recordings.join([made, real]), round(TARE_SECONDS / real.dt))

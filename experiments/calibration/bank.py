@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.intervals import of_folds, with_width
+from experiments._lib.results_io import defaults_of, given
 from experiments._lib.tasks import states
 from experiments.calibration.near_preset import Near, between
 from rcbht_jax.features import Features, FeatureSpec
@@ -170,7 +171,7 @@ def main(
         wanted[f"{spec} | SIM1 | {method}"] = partial(experiment.sim1, spec, method)
         wanted[f"{spec} | REAL A -> B | {method}"] = partial(experiment.transfer, "A", "B", spec, method)
         wanted[f"{spec} | REAL B -> A | {method}"] = partial(experiment.transfer, "B", "A", spec, method)
-    command = "python -m experiments.calibration.bank STORE.zarr"
+    command = "python -m experiments.calibration.bank STORE.zarr" + given(locals(), defaults_of(main))
     Rows("calibration_bank", command, experiment.about, SEED).fill(wanted)
 
 

@@ -42,6 +42,7 @@ from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning.tasks import labelled_intervals
 
 SPREAD = 0.3  # standard deviation of the logarithm of the preset's steps, from which training starts
+CANDIDATES, STEPS, ASKED = 2048, 80, 200  # of the searches, of training, and those that Optuna asks for
 SPACE = SearchSpace()  # all 24 numbers
 WEIGHTS = Objective().weights()
 
@@ -101,22 +102,22 @@ def row(side: Side, seconds: np.ndarray, values: np.ndarray, limits: np.ndarray)
     }
 
 
-def random_search(side: Side, seed: int, count: int) -> dict[str, Any]:
+def random_search(side: Side, seed: int) -> dict[str, Any]:
     """Sobol points, the preset among them, a chunk at a time."""
-    options = SearchOptions(space=SPACE, candidates=count, seed=seed)
+    options = SearchOptions(space=SPACE, candidates=CANDIDATES, seed=seed)
     limits, chunk = np.asarray(SPACE.thresholds(options.points()).limits), 128
     side.values(limits[:chunk])  # compiles
     seconds, values, start = [], [], time.process_time()
-    for first in range(0, count, chunk):
+    for first in range(0, CANDIDATES, chunk):
         made = side.values(limits[first : first + chunk])
         values.append(made)
         seconds.append(np.full(len(made), time.process_time() - start))
     return row(side, np.concatenate(seconds), np.concatenate(values), limits)
 
 
-def halving(side: Side, seed: int, count: int) -> dict[str, Any]:
+def halving(side: Side, seed: int) -> dict[str, Any]:
     """Successive halving over the trials, then CMA-ES around the best, replayed from the record of the search."""
-    options = SearchOptions(space=SPACE, candidates=count, rungs=(0.25, 1.0), generations=16, seed=seed)
+    options = SearchOptions(space=SPACE, candidates=CANDIDATES // 2, rungs=(0.25, 1.0), generations=16, seed=seed)
     side.values(np.asarray(SPACE.thresholds(options.points()[:128]).limits))
     search(side.inside, side.config, SearchOptions(space=SPACE, candidates=128, rungs=(0.25, 1.0), generations=1))
     notes: list[float] = []
@@ -133,9 +134,9 @@ def halving(side: Side, seed: int, count: int) -> dict[str, Any]:
     }
 
 
-def by_gradient(side: Side, seed: int, steps: int, loss: Literal["logistic", "fit"]) -> dict[str, Any]:
+def by_gradient(side: Side, seed: int, loss: Literal["logistic", "fit"]) -> dict[str, Any]:
     """Training from a start of its own; the objective on hard labels is computed afterwards, outside the timing."""
-    options = gradient.GradientOptions(steps=steps, rate=0.1, temperature=(0.7, 0.1), seed=seed, loss=loss)
+    options = gradient.GradientOptions(steps=STEPS, rate=0.1, temperature=(0.7, 0.1), seed=seed, loss=loss)
     start = start_of(seed)
     gradient.calibrate(side.inside, side.config, start, replace(options, steps=1))
     clock: list[float] = []
@@ -155,7 +156,7 @@ def by_gradient(side: Side, seed: int, steps: int, loss: Literal["logistic", "fi
     }
 
 
-def tpe(side: Side, seed: int, count: int) -> dict[str, Any]:
+def tpe(side: Side, seed: int) -> dict[str, Any]:
     """Optuna's sampler over the same space, one candidate at a time."""
     import optuna  # type: ignore[import-not-found,unused-ignore]
 
@@ -165,7 +166,7 @@ def tpe(side: Side, seed: int, count: int) -> dict[str, Any]:
     study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=seed))
     study.enqueue_trial({f"x{k}": float(v) for k, v in enumerate(SPACE.point(SPACE.base))})
     seconds, values, tried, own = [], [], [], 0.0
-    for _ in range(count):
+    for _ in range(ASKED):
         start = time.process_time()
         trial = study.ask()
         point = np.array([trial.suggest_float(f"x{k}", 0, 1) for k in range(SPACE.dimensions)])
@@ -185,20 +186,16 @@ def tpe(side: Side, seed: int, count: int) -> dict[str, Any]:
 def main(
     store: tyro.conf.Positional[Path],
     methods: Annotated[tuple[str, ...], tyro.conf.arg(help="Some of them; default all.")] = (),
-    seeds: Annotated[int, tyro.conf.arg(help="Of the searches; training has ten.")] = 3,
-    candidates: int = 2048,
-    steps: int = 80,
-    asked: Annotated[int, tyro.conf.arg(help="Candidates that Optuna asks for.")] = 200,
 ) -> None:
     recordings = of_sources(read_recordings(store), (SIM1,))
     config = EncoderConfig(5, recordings.dt)
     data = calibration_data(recordings, labelled_intervals(recordings, states()), config)
     ways: dict[str, tuple[int, Callable[[Side, int], dict[str, Any]]]] = {
-        "gradient": (10, partial(by_gradient, steps=steps, loss="logistic")),
-        "gradient of the fit": (10, partial(by_gradient, steps=steps, loss="fit")),
-        "random": (seeds, partial(random_search, count=candidates)),
-        "halving": (seeds, partial(halving, count=candidates // 2)),
-        "optuna": (seeds, partial(tpe, count=asked)),
+        "gradient": (10, partial(by_gradient, loss="logistic")),
+        "gradient of the fit": (10, partial(by_gradient, loss="fit")),
+        "random": (3, random_search),
+        "halving": (3, halving),
+        "optuna": (3, tpe),
     }
     wanted: dict[str, Callable[[], Any]] = {
         f"{name} | seed {seed}": partial(lambda way, seed: way(side_of(data, config, seed), seed), way, seed)
@@ -207,7 +204,7 @@ def main(
     }
     about = {
         "task": "SIM1 states, harmonised; a quarter of the trials held out per seed",
-        "candidates": candidates, "steps": steps, "asked": asked, "trials": len(data),
+        "candidates": CANDIDATES, "steps": STEPS, "asked": ASKED, "trials": len(data),
     }  # fmt: skip
     rows = Rows("calibration_curves", "python -m experiments.calibration.curves STORE.zarr", about, seed=0)
     rows.fill(wanted, [f"{method} | seed" for method in methods] or ALL_ROWS)

@@ -1,22 +1,20 @@
 """Accuracy with thresholds from each calibration method: preset, context, search and gradient, with nested SVMs.
 
 Run: python -m experiments.calibration.methods STORE.zarr [--tasks sim1 real-transfer sim1-to-real failure-type]
-Thresholds are chosen on the training side of every split; results are added task by task.
+Thresholds are chosen on the training side of every split; results are added task by task, to those of the same options.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
 
-from experiments._lib.benchmarks import FAILURES, REAL, SIM1, of_sources, rounded
-from experiments._lib.intervals import of_folds
-from experiments._lib.results_io import record_of, write_result
+from experiments._lib.benchmarks import FAILURES, REAL, SIM1, Benchmark, of_sources
+from experiments._lib.results_io import defaults_of, given, parts_of, write_result
 from experiments._lib.tasks import failure_types, states
 from experiments._lib.thresholds import trained_thresholds
 from rcbht_jax.calibration import contextual
@@ -30,11 +28,12 @@ from rcbht_jax.features import FeatureSpec, recipes
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.types import Recordings
 
 WORDS, FULL = FeatureSpec(families=recipes.PLAIN), FeatureSpec(families=recipes.FULL)
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,))
+TASKS = ("sim1", "real-transfer", "sim1-to-real", "failure-type")
 TOP = 6
 SCALES = 2.0 ** (np.arange(-4, 5) / 2)
 SEED = 0
@@ -91,54 +90,38 @@ def remembered(choose: Choose) -> Choose:
     return once
 
 
-def compare(
-    recordings: Recordings,
-    spec: TaskSpec,
-    measure: Callable[[validation.Estimator, LabelledIntervals], dict[str, Any]],
-    count: int,
-) -> dict[str, Any]:
-    items = labelled_intervals(recordings, spec)
+def compare(store: Recordings, benchmark: Benchmark, count: int, repeats: int = 1) -> dict[str, Any]:
+    recordings = of_sources(store, benchmark.task.sources)
+    items = labelled_intervals(recordings, benchmark.task)
     config = EncoderConfig(5, recordings.dt)
     result: dict[str, Any] = {
         "classes": list(items.classes),
         "trials": len(np.unique(items.trial)),
-        "duration alone": measure(validation.forest(items.seconds, items.y), items),
+        "duration alone": accuracies(benchmark, validation.forest(items.seconds, items.y), items, repeats),
     }
     for name, choose in methods(recordings, items, config, count).items():
         for title, features in (("words", WORDS), ("words, duration and offset", FULL)):
             start = time.perf_counter()
             learner = CalibratedSvm(recordings, items, config, choose, GRID, features).learner()
-            scores = measure(learner, items)
+            scores = accuracies(benchmark, learner, items, repeats)
             result.setdefault(name, {})[title] = scores
             print(name, "|", title, "|", scores, f"{time.perf_counter() - start:.0f} s", flush=True)
     return result
 
 
-def folds(repeats: int) -> Callable[[validation.Estimator, LabelledIntervals], dict[str, Any]]:
-    def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
-        splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
-        scores = validation.cross_validate(learner, items.y, splits, SEED)
-        found = of_folds(scores, len(np.unique(items.trial)))
-        return {key: rounded(found[key]) for key in ("accuracy", "balanced_accuracy")}
-
-    return measure
-
-
-def across(train_on: tuple[str, ...], test_on: tuple[str, ...]) -> Callable[..., dict[str, Any]]:
-    def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
-        split = tuple(np.flatnonzero(np.isin(items.session, side)) for side in (train_on, test_on))
-        scores = validation.holdout_score(learner, items.y, items.trial, (split[0], split[1]), SEED)
-        return {key: rounded(value) for key, value in scores.summary().items()}
-
-    return measure
+def accuracies(
+    benchmark: Benchmark, learner: validation.Estimator, items: LabelledIntervals, repeats: int
+) -> dict[str, Any]:
+    """Both accuracies, without the time that they took."""
+    found = benchmark.score(learner, items, repeats, SEED)
+    return {key: found[key] for key in ("accuracy", "balanced_accuracy")}
 
 
 def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any]:
     if task == "sim1":
-        return compare(of_sources(store, (SIM1,)), states(), folds(repeats), count)
+        return compare(store, Benchmark(states(sources=(SIM1,))), count, repeats)
     if task == "failure-type":
-        spec = failure_types()
-        return compare(of_sources(store, (FAILURES,)), spec, folds(1), count)
+        return compare(store, Benchmark(failure_types(sources=(FAILURES,))), count)
     result = {}
     sources, pairs = {
         "real-transfer": ((REAL,), ((("A",), ("B",)), (("B",), ("A",)))),
@@ -148,22 +131,23 @@ def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any
         for train_on, test_on in pairs:
             name = f"{'+'.join(train_on)} -> {'+'.join(test_on)}, {boundaries}"
             print(name, flush=True)
-            spec = states(boundaries=boundaries)
-            result[name] = compare(of_sources(store, sources), spec, across(train_on, test_on), count)
+            benchmark = Benchmark(states(boundaries=boundaries, sources=sources), train_on, test_on)
+            result[name] = compare(store, benchmark, count)
     return result
 
 
 def main(
     store: tyro.conf.Positional[Path],
-    tasks: tuple[str, ...] = ("sim1", "real-transfer", "sim1-to-real", "failure-type"),
+    tasks: tuple[str, ...] = TASKS,
     candidates: int = 1024,
     repeats: int = 3,
 ) -> None:
+    options = given(locals() | {"tasks": TASKS}, defaults_of(main))
+    command = f"python -m experiments.calibration.methods STORE.zarr{options}"
     recordings = read_recordings(store)
     for task in tasks:
-        known = record_of("calibration").get("result", {})
+        known = parts_of("calibration", command, TASKS)
         scores = run(task, recordings, candidates, repeats)
-        command = "python -m experiments.calibration.methods STORE.zarr"
         write_result("calibration", command, known | {task: scores}, seed=SEED)
 
 

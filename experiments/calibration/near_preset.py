@@ -28,6 +28,7 @@ from scipy.stats import qmc
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.intervals import of_folds
+from experiments._lib.results_io import defaults_of, given
 from experiments._lib.tasks import states
 from experiments.calibration.methods import WORDS
 from experiments.classification.sim_to_real_sets import make, store_of
@@ -217,6 +218,7 @@ def main(
     candidates: int = 64,
     repeats: Annotated[int, tyro.conf.arg(help="Of the five outer folds of SIM1.")] = 3,
 ) -> None:
+    options = given(locals(), defaults_of(main))
     experiment = Experiment(store, simulated, candidates, repeats)
     wanted: dict[str, Callable[[], Any]] = {}
     methods = (*METHODS, *(("simulated, best", "simulated, average") if simulated else ()))
@@ -228,7 +230,7 @@ def main(
         "features": "words, scaled by ranks; states, harmonised",
         "candidates": candidates, "repeats": repeats, "octaves": OCTAVES, "costs": COSTS,
     }  # fmt: skip
-    command = "python -m experiments.calibration.near_preset STORE.zarr" + (" --simulated FOLDER" if simulated else "")
+    command = f"python -m experiments.calibration.near_preset STORE.zarr{options}"
     Rows("calibration_near", command, about, SEED).fill(wanted)
 
 

@@ -22,7 +22,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from experiments._lib.results_io import given as stated
 from experiments._lib.results_io import write_result
+from experiments._lib.simulated import assembled
 from experiments._lib.tasks import task
 from experiments._lib.timing import seconds_of
 from rcbht_jax.calibration import contextual, gradient
@@ -39,7 +41,7 @@ from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import extract_features, labelled_intervals
-from rcbht_jax.robots.snap_assembly import FAILURE_TYPES, STATES, snap_recordings
+from rcbht_jax.robots.snap_assembly import FAILURE_TYPES, STATES
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.task import CONTROL_PERIOD
@@ -208,7 +210,7 @@ def stored(run: Run) -> dict[str, Any]:
         summary = {"trials": found.trials.tolist(), "seconds": round(spent, 2)}
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        path = run.given.store or Path(folder) / "simulated.zarr"
+        path = Path(folder) / "simulated.zarr"
         write_recordings(path, run.recordings, {"simulated": {"engine": run.given.engine, "seed": SEED}})
         for name, limits in run.limits.items():
             tracks = jax.device_get(encode_on_device(CONFIG, limits, run.data.wrench, run.data.windows.length))
@@ -230,14 +232,12 @@ def _recordings(data: CalibrationData, name: str) -> Recordings:
     onset = np.full((count, 4), np.nan)
     onset[:, : edges.shape[1] - 1] = edges[:, :-1] * CONTROL_PERIOD
 
-    def text(value: str) -> np.ndarray:
-        return np.full(count, value)
-
-    return snap_recordings(
-        wrench, edges[:, -1], CONTROL_PERIOD, onset=onset, onset_harmonised=onset,
-        failure_type=np.array(data.classes)[y[:, 0]] if failed else text(""), deviation=np.full((count, 3), np.nan),
-        trial=np.array([f"sim-{name}-{i:06d}" for i in range(count)]), arm=text("R"), source=text(f"SIM_MJX_{name}"),
-        session=text(f"sim-{name}"), outcome=text("failure" if failed else "success"), note=text(""),
+    outcome = "failure" if failed else "success"
+    return assembled(
+        wrench, edges[:, -1], onset, f"SIM_MJX_{name}", outcome=np.full(count, outcome),
+        failure_type=np.array(data.classes)[y[:, 0]] if failed else np.full(count, ""),
+        deviation=np.full((count, 3), np.nan), session=np.full(count, f"sim-{name}"),
+        trial=np.array([f"sim-{name}-{i:06d}" for i in range(count)]),
     )  # fmt: skip
 
 
@@ -292,10 +292,9 @@ def main() -> None:
     parser.add_argument("--svm-trials", type=int, default=1024, help="on each side")
     parser.add_argument("--agreement", type=int, default=64, help="candidates compared between devices")
     parser.add_argument("--agreement-trials", type=int, default=2048, help="for them")
-    parser.add_argument("--store", type=Path, default=None, help="keep the labelled trials there")
     given = parser.parse_args()
     run = Run(given, {"engine": given.engine, "task": given.task, "preset": given.preset})
-    options = f"--engine {given.engine} --task {given.task} --preset {given.preset} --trials {given.trials}"
+    options = stated(vars(given), vars(parser.parse_args(["--engine", "mjx"])) | {"engine": None})
     name_of_result = f"calibration_device_{given.engine}_{given.task}_{given.preset}".replace("-", "_").lower()
     for name, part in PARTS.items():
         start = time.perf_counter()
@@ -304,7 +303,7 @@ def main() -> None:
         except Exception:  # on a rented machine the other parts should still run
             run.result[name] = {"failed": traceback.format_exc()[-1500:]}
         run.result[name]["seconds of this part"] = round(time.perf_counter() - start, 1)
-        write_result(name_of_result, f"python -m experiments.calibration.on_device {options}", run.result, seed=SEED)
+        write_result(name_of_result, f"python -m experiments.calibration.on_device{options}", run.result, seed=SEED)
 
 
 if __name__ == "__main__":

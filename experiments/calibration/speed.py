@@ -1,6 +1,6 @@
 """Candidates per second of the search for thresholds, compared with a loop over the NumPy taxonomy in the same run.
 
-Run: python -m experiments.calibration.speed STORE.zarr   (or calibration data saved with --save, in place of a store)
+Run: python -m experiments.calibration.speed STORE.zarr
 All one-arm simulation successes and real successes, six axes, W=5: 4,096 candidates scored in one call.
 """
 
@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -19,39 +18,23 @@ import tyro
 from experiments._lib.results_io import write_result
 from experiments._lib.tasks import states
 from rcbht_jax import reference
-from rcbht_jax.calibration.dataset import CalibrationData
-from rcbht_jax.calibration.label_durations import Windows
+from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
 from rcbht_jax.calibration.objective import SCORES, Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates
 from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.io.store import read_recordings
+from rcbht_jax.learning.tasks import labelled_intervals
 
 SOURCES = ("SIM_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_SUCCESS")
 DT = 0.005
 SEED = 0
+CANDIDATES = 4096
 NUMPY_TRIALS = 6  # of the data, which the NumPy taxonomy encodes
 
 
 def from_store(path: Path) -> CalibrationData:
-    from rcbht_jax.calibration.dataset import calibration_data
-    from rcbht_jax.io.store import read_recordings
-    from rcbht_jax.learning.tasks import labelled_intervals
-
     recordings = read_recordings(path)
     return calibration_data(recordings, labelled_intervals(recordings, states(sources=SOURCES)), EncoderConfig(5, DT))
-
-
-def save_data(data: CalibrationData, path: Path) -> None:
-    lines = {field.name: getattr(data.windows, field.name) for field in fields(Windows)}
-    np.savez_compressed(
-        path, wrench=data.wrench, edges=data.edges, y=data.y, classes=np.array(data.classes), trial=data.trial, **lines
-    )
-
-
-def load(path: Path) -> CalibrationData:
-    with np.load(path, allow_pickle=False) as stored:
-        windows = Windows(*(stored[field.name] for field in fields(Windows)))
-        classes = tuple(stored["classes"].tolist())
-        return CalibrationData(stored["wrench"], windows, stored["edges"], stored["y"], classes, stored["trial"])
 
 
 def numpy_rate(data: CalibrationData, clock: Callable[[], float] = time.perf_counter) -> float:
@@ -66,16 +49,16 @@ def numpy_rate(data: CalibrationData, clock: Callable[[], float] = time.perf_cou
     return samples / (clock() - start)
 
 
-def measure(data: CalibrationData, candidates: int, chunk: int | None, group: int | None) -> dict[str, Any]:
-    config, options = EncoderConfig(5, DT), SearchOptions(candidates=candidates, space=SearchSpace(), seed=SEED)
+def measure(data: CalibrationData) -> dict[str, Any]:
+    config, options = EncoderConfig(5, DT), SearchOptions(candidates=CANDIDATES, space=SearchSpace(), seed=SEED)
     limits = np.asarray(options.space.thresholds(options.points()).limits)
-    once = len(limits) if jax.default_backend() != "cpu" else chunk or 128  # compiles what the timed call needs
+    once = len(limits) if jax.default_backend() != "cpu" else 128  # compiles what the timed call needs
     warm = time.perf_counter()
-    score_candidates(data, config, limits[:once], chunk=chunk, group=group)
+    score_candidates(data, config, limits[:once])
     warm = time.perf_counter() - warm
     before = numpy_rate(data)
     start, used = time.perf_counter(), time.process_time()
-    scores = score_candidates(data, config, limits, chunk=chunk, group=group)
+    scores = score_candidates(data, config, limits)
     seconds, used = time.perf_counter() - start, time.process_time() - used
     numpy = (before + numpy_rate(data)) / 2
     samples = 6 * int(data.windows.length.sum())
@@ -83,33 +66,22 @@ def measure(data: CalibrationData, candidates: int, chunk: int | None, group: in
     best = int(value.round(6).argmax())
     return {
         "trials": len(data),
-        "candidates": candidates,
+        "candidates": CANDIDATES,
         "seconds": round(seconds, 2),
         "processor seconds": round(used, 1),
         "seconds of the first call, compilation included": round(warm, 1),
-        "candidates per second": round(candidates / seconds, 2),
-        "million samples per second": round(candidates * samples / seconds / 1e6, 1),
+        "candidates per second": round(CANDIDATES / seconds, 2),
+        "million samples per second": round(CANDIDATES * samples / seconds / 1e6, 1),
         "NumPy loop, million samples per second (before and after)": round(numpy / 1e6, 3),
-        "ratio to the NumPy loop": round(candidates * samples / seconds / numpy, 1),
+        "ratio to the NumPy loop": round(CANDIDATES * samples / seconds / numpy, 1),
         "chosen": best,
         "scores of the chosen": dict(zip(SCORES, np.round(scores[best].astype(float), 5).tolist(), strict=True)),
         "sum of all scores": np.round(scores.astype(np.float64).sum(0), 4).tolist(),
     }
 
 
-def main(
-    source: tyro.conf.Positional[Path],
-    save: Annotated[Path | None, tyro.conf.arg(help="Write the calibration data to this file and stop.")] = None,
-    candidates: int = 4096,
-    chunk: int | None = None,
-    group: int | None = None,
-) -> None:
-    data = load(source) if source.suffix == ".npz" else from_store(source)
-    if save is not None:
-        save_data(data, save)
-        return
-    result = measure(data, candidates, chunk, group)
-    backend = jax.default_backend()
+def main(store: tyro.conf.Positional[Path]) -> None:
+    result, backend = measure(from_store(store)), jax.default_backend()
     write_result(f"calibration_speed_{backend}", "python -m experiments.calibration.speed STORE.zarr", result, SEED)
 
 

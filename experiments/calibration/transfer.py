@@ -17,11 +17,11 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from experiments._lib.benchmarks import FAILURES, of_sources, published_words
+from experiments._lib.benchmarks import FAILURES, Benchmark, of_sources, published_words
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.results_io import committed
 from experiments._lib.tasks import failure_types
-from experiments.calibration.methods import WORDS, folds
+from experiments.calibration.methods import WORDS, accuracies
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
@@ -44,21 +44,24 @@ def main(
         device = committed(result)  # the committed one: it takes a GPU to make it
         limits |= {f"{simulated}, {name}": np.array(device[name]["limits"]) for name in ("search", "gradient")}
     recordings = of_sources(read_recordings(store), (FAILURES,))
-    items = labelled_intervals(recordings, failure_types())
-    measure = folds(repeats)
+    benchmark = Benchmark(failure_types())
+    items = labelled_intervals(recordings, benchmark.task)
+
+    def measure(learner: validation.Estimator) -> dict[str, Any]:
+        return accuracies(benchmark, learner, items, repeats)
 
     def row(which: np.ndarray, ranks: bool) -> dict[str, Any]:
         x = extract_features(published_words(recordings, limits=which), items, WORDS).values
         grid = Grid(kernels=("linear", "rbf"), costs=COSTS, scalings=(True,), ranks=ranks)
-        return measure(validation.nested_svm({"": x}, items.y, items.trial, grid), items)
+        return measure(validation.nested_svm({"": x}, items.y, items.trial, grid))
 
     wanted: dict[str, Callable[[], Any]] = {
         f"{name} | {'ranks' if ranks else 'deviation'}": partial(row, which, ranks)
         for ranks in (False, True)
         for name, which in limits.items()
     }
-    wanted["duration alone"] = lambda: measure(validation.forest(items.seconds, items.y), items)
-    wanted["majority"] = lambda: validation.without_intervals(measure(validation.majority(items.y), items))
+    wanted["duration alone"] = lambda: measure(validation.forest(items.seconds, items.y))
+    wanted["majority"] = lambda: validation.without_intervals(measure(validation.majority(items.y)))
     about = {
         "task": "failure types of the authors' simulated failures, words alone",
         "trials": len(np.unique(items.trial)), "classes": list(items.classes), "repeats": repeats,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, published_words, recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import at_least, by_trial, with_width
+from experiments._lib.intervals import by_trial, of_splits
 from experiments._lib.tasks import failure_types, states
 from experiments.classification.grammar import ENCODERS, RANKS
 from rcbht_jax.features import FeatureSpec
@@ -114,12 +114,10 @@ class Experiment:
         for split, answers in zip(self.splits(task), zip(*per_candidate, strict=True), strict=True):
             best = int(np.argmax([round(inner, 9) for inner, _ in answers]))
             right.append(metrics.accuracy(self.items(task).y[split[1]], answers[best][1]))
-        tested = np.concatenate([self.items(task).trial[test] for _, test in self.splits(task)])
+        tested = len(np.unique(np.concatenate([self.items(task).trial[test] for _, test in self.splits(task)])))
         if task in ACROSS:
-            return by_trial(right[0], len(np.unique(tested)))
-        mean, low, high = metrics.corrected_interval(np.array(right), 1 / (FOLDS - 1))
-        made = with_width({"mean": mean, "low": low, "high": high}, len(np.unique(tested)))
-        return at_least(made, len(self.items(task).y))
+            return by_trial(right[0], tested)
+        return of_splits(right, 1 / (FOLDS - 1), tested, len(self.items(task).y))
 
     def row(self, grammars: tuple[str, ...], families: tuple[str, ...]) -> dict[str, Any]:
         scores = {task: self.score(task, grammars, families) for task in TASKS}

@@ -13,7 +13,6 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -77,6 +76,9 @@ BATCHES = {
     "failure types, other batch (at rest to loaded)": (AT_REST, LOADED),
     "failure types, other batch (loaded to at rest)": (LOADED, AT_REST),
 }
+WITH_BATCHES = BENCHMARKS | {
+    name: Benchmark(failure_types(sources=(FAILURES,)), (train,), (test,)) for name, (train, test) in BATCHES.items()
+}
 FEWEST = 2  # items of a class in a batch: selection needs two folds
 _REST = 1.0  # N along x in the first sample: the batches have 0.04 and 2 or more
 
@@ -87,9 +89,6 @@ class Experiment:
     def __init__(self, repeats: int, seed: int) -> None:
         self.repeats, self.seed = repeats, seed
         self.recordings: Recordings = by_batch(recorded())
-        failures = failure_types(sources=(FAILURES,))
-        apart = {name: Benchmark(failures, (train,), (test,)) for name, (train, test) in BATCHES.items()}
-        self.benchmarks: Mapping[str, Benchmark] = BENCHMARKS | apart
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def tracks(self, encoder: str, tared: bool) -> LabelTracks:
@@ -98,8 +97,7 @@ class Experiment:
 
     @cache  # noqa: B019
     def items(self, benchmark: str) -> LabelledIntervals:
-        intervals = items_of(self.recordings, self.benchmarks[benchmark])
-        return of_both(intervals, BATCHES[benchmark]) if benchmark in BATCHES else intervals
+        return items_between(self.recordings, benchmark, WITH_BATCHES[benchmark])
 
     def candidates(self, benchmark: str, method: Method) -> dict[str, Features]:
         """Features by grammar, the one with the fewest columns first."""
@@ -119,7 +117,7 @@ class Experiment:
             columns = {key: len(x.names) for key, x in features.items()}
             learner = counted(svm_on(features, method.spec, items, method.grid), chosen)
         repeats = fewer_repeats(benchmark, self.repeats)
-        score = self.benchmarks[benchmark].score(learner, items, repeats, self.seed)
+        score = WITH_BATCHES[benchmark].score(learner, items, repeats, self.seed)
         return {**score, "repeats": repeats, "columns": columns, "chosen": dict(chosen.most_common())}
 
     def about(self) -> dict[str, Any]:
@@ -138,7 +136,7 @@ class Experiment:
             "grammars": GRAMMARS,
             "methods": methods,
             "repeats": self.repeats,
-            "benchmarks": {name: b.about(self.items(name)) for name, b in self.benchmarks.items()},
+            "benchmarks": {name: b.about(self.items(name)) for name, b in WITH_BATCHES.items()},
         }
 
 
@@ -164,6 +162,12 @@ def by_batch(recordings: Recordings) -> Recordings:
     return replace(recordings, session=np.where(recordings.source == FAILURES, began, recordings.session))
 
 
+def items_between(recordings: Recordings, name: str, benchmark: Benchmark) -> LabelledIntervals:
+    """The items of a benchmark; from one batch to the other only those of the classes that both have."""
+    items = items_of(recordings, benchmark)
+    return of_both(items, BATCHES[name]) if name in BATCHES else items
+
+
 def of_both(items: LabelledIntervals, sessions: tuple[str, str]) -> LabelledIntervals:
     """Only the classes with at least FEWEST items on each side."""
     counts = [np.bincount(items.y[items.session == side], minlength=len(items.classes)) for side in sessions]
@@ -187,7 +191,7 @@ def main(repeats: int = 5, seed: int = 0, only: Only = ALL_ROWS) -> None:
     command = f"python -m experiments.classification.grammar --repeats {repeats} --seed {seed}"
     wanted = {
         f"{benchmark} | {method}": partial(experiment.row, benchmark, method)
-        for benchmark in experiment.benchmarks
+        for benchmark in WITH_BATCHES
         for method in ("duration alone", *METHODS)
     }
     rows = Rows("grammar", command, experiment.about(), seed)

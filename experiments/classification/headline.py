@@ -21,16 +21,15 @@ from numpy.typing import NDArray
 
 from experiments._lib import frozen
 from experiments._lib import raw_learners as raw
-from experiments._lib.benchmarks import BENCHMARKS, CONFOUNDS, FAILURES, FOLDS, Benchmark, recorded, rounded, segments
+from experiments._lib.benchmarks import CONFOUNDS, Benchmark, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import by_trial, of_folds
-from experiments._lib.tasks import failure_types
-from experiments.classification.grammar import BATCHES, by_batch, fewer_repeats, of_both
+from experiments.classification.grammar import BATCHES, WITH_BATCHES, by_batch, fewer_repeats, items_between
 from experiments.classification.probes import held_out
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.metrics import rule_of_three
 from rcbht_jax.learning.svm import Split
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec
 
 OUTCOME, HELD_OUT = "REAL success or failure", "REAL success or failure, session held out"
 FOLDED = ("REAL states", "SIM1 states", OUTCOME, HELD_OUT, "failure types")
@@ -39,6 +38,10 @@ NAMES = (*FOLDED[:4], *ACROSS, FOLDED[4], *BATCHES)
 METHOD, RELATIVE, DURATION, PEER = "frozen", "frozen, relative", "duration alone", "statistics + random forest"
 ROWS = (METHOD, RELATIVE, DURATION, PEER)
 SESSIONS = ("A", "B")  # of the real successes
+ASKED = {
+    **WITH_BATCHES,
+    **dict.fromkeys((OUTCOME, HELD_OUT), Benchmark(TaskSpec("outcome", sessions=("A", "B", "C"), outcomes=()))),
+}
 
 Ints = NDArray[np.int64]
 
@@ -57,24 +60,14 @@ class Experiment:
 
     @cache  # noqa: B019
     def items(self, name: str) -> LabelledIntervals:
-        if name in (OUTCOME, HELD_OUT):
-            return labelled_intervals(self.recordings, TaskSpec("outcome", sessions=("A", "B", "C"), outcomes=()))
-        if name in BATCHES:
-            every = labelled_intervals(self.recordings, failure_types(sources=(FAILURES,)))
-            return of_both(every, BATCHES[name])
-        return labelled_intervals(self.recordings, BENCHMARKS[name].task)
+        return items_between(self.recordings, name, ASKED[name])
 
     def splits(self, name: str) -> list[list[Split]]:
         """``[repeat][fold]``; one split from one session or batch to another."""
         items = self.items(name)
         if name == HELD_OUT:
             return [held_out(items, SESSIONS, one) for one in validation.repeat_seeds(self.seed, self.repeats)]
-        if name in BATCHES:
-            (train,), (test,) = BATCHES[name][:1], BATCHES[name][1:]
-            return Benchmark(failure_types(), (train,), (test,)).splits(items, 1, self.seed)
-        if name in ACROSS:
-            return BENCHMARKS[name].splits(items, 1, self.seed)
-        return validation.repeated_folds(items.y, items.trial, FOLDS, fewer_repeats(name, self.repeats), self.seed)
+        return ASKED[name].splits(items, fewer_repeats(name, self.repeats), self.seed)
 
     def learner(self, name: str, row: str) -> validation.Estimator:
         items = self.items(name)
@@ -101,7 +94,7 @@ class Experiment:
                 "items": len(self.items(name).y),
                 "trials": len(np.unique(self.items(name).trial)),
                 "score": measure_of(name),
-                "confounds": CONFOUNDS["outcome" if name in (OUTCOME, HELD_OUT) else _task(name)],
+                "confounds": CONFOUNDS[ASKED[name].task.task],
                 "repeats": len(self.splits(name)),
             }
             for name in NAMES
@@ -114,13 +107,9 @@ class Experiment:
         }
 
 
-def _task(name: str) -> str:
-    return "failure-type" if name.startswith("failure types") else "states"
-
-
 def measure_of(name: str) -> str:
     """Mean recall for success and failure, whose numbers differ."""
-    return "balanced_accuracy" if name in (OUTCOME, HELD_OUT) else "accuracy"
+    return "balanced_accuracy" if ASKED[name].task.task == "outcome" else "accuracy"
 
 
 def noting(learner: validation.Estimator, items: LabelledIntervals, wrong: set[str]) -> validation.Estimator:

@@ -33,9 +33,9 @@ PEERS: dict[str, Make] = {
     "statistics + random forest": lambda x, items: raw.forest(raw.statistics(x), items.y),
     "SAX bag of words + SVM": raw.sax_words,
     "1d-SAX + SVM": raw.one_d_sax,
-    "MiniRocket + ridge": raw.mini_rocket,
-    "MiniRocket + ridge, offset removed": lambda x, items: raw.mini_rocket(raw.centred(x), items),
-    "MultiRocketHydra + ridge": raw.multi_rocket_hydra,
+    "MiniRocket + ridge": lambda x, items: rocket("MiniRocketClassifier", x, items),
+    "MiniRocket + ridge, offset removed": lambda x, items: rocket("MiniRocketClassifier", raw.centred(x), items),
+    "MultiRocketHydra + ridge": lambda x, items: rocket("MultiRocketHydraClassifier", x, items),
 }
 PROBES: dict[str, Make] = {
     "duration alone": lambda x, items: validation.forest(items.seconds, items.y),
@@ -50,6 +50,11 @@ OURS = {
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0))
 # A fifth of the repeats: the first has five times the items of the others, the second takes as long as ten others.
 HEAVY = ("failure types", "MultiRocketHydra + ridge")
+
+
+def rocket(name: str, x: raw.Segments, items: LabelledIntervals) -> validation.Estimator:
+    """A classifier of aeon with random kernels, which takes items of one length."""
+    return raw.of_aeon(name, raw.resampled(x), items.y)
 
 
 class Experiment:

@@ -11,7 +11,6 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -20,10 +19,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, published_words, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import of_folds
+from experiments.classification.peers import PEERS, PROBES
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid, Split
@@ -31,6 +30,10 @@ from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_featur
 from rcbht_jax.types import LabelTracks
 
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scalings=(True,), balanced=True)
+WORDS = "words + SVM, without duration and offset"
+VIEWS = (
+    "majority", "duration alone", "first sample alone", "first second alone", "statistics + random forest", WORDS,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -76,27 +79,17 @@ class Experiment:
         names = tuple(" ".join(group) for group in asked.classes)
         return replace(result, classes=names)
 
-    def learners(self, question: str) -> dict[str, Callable[[], validation.Estimator]]:
+    def learner(self, question: str, view: str) -> validation.Estimator:
         items = self.items(question)
-        parts = segments(self.recordings, items)
-
-        def words() -> validation.Estimator:
+        if view == WORDS:
             x = extract_features(self.tracks(), items, FeatureSpec()).values
             return validation.nested_svm({"": x}, items.y, items.trial, GRID)
-
-        return {
-            "majority": lambda: validation.majority(items.y),
-            "duration alone": lambda: validation.forest(items.seconds, items.y),
-            "first sample alone": lambda: raw.first_sample(parts, items),
-            "first second alone": lambda: raw.first_second(parts, items),
-            "statistics + random forest": lambda: raw.forest(raw.statistics(parts), items.y),
-            "words + SVM, without duration and offset": words,
-        }
+        return (PROBES | PEERS)[view](segments(self.recordings, items), items)
 
     def row(self, question: str, view: str) -> dict[str, Any]:
         items = self.items(question)
         splits = self.splits(question)
-        result = validation.cross_validate(self.learners(question)[view](), items.y, splits, self.seed)
+        result = validation.cross_validate(self.learner(question, view), items.y, splits, self.seed)
         counts = dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True))
         scores = of_folds(result, len(np.unique(items.trial)))
         return {"trials": counts, **rounded(validation.without_intervals(scores) if view == "majority" else scores)}
@@ -125,8 +118,7 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "repeats": repeats,
     }
     command = f"python -m experiments.classification.probes --repeats {repeats} --seed {seed}"
-    views = experiment.learners(next(iter(QUESTIONS)))
-    wanted = {f"{name} | {view}": partial(experiment.row, name, view) for name in QUESTIONS for view in views}
+    wanted = {f"{name} | {view}": partial(experiment.row, name, view) for name in QUESTIONS for view in VIEWS}
     Rows("probes", command, about, seed).fill(wanted, only)
 
 

@@ -42,18 +42,17 @@ from experiments._lib.benchmarks import (
     rounded,
 )
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import at_least, with_width
+from experiments._lib.intervals import of_splits
+from experiments._lib.simulated import simulated
 from experiments.classification.table1_published import FIXED, NESTED
 from rcbht_jax.features import FeatureSpec, longest
-from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
-from rcbht_jax.learning.metrics import corrected_interval, equal_items
+from rcbht_jax.learning.metrics import equal_items
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
 
 SIMULATED = {"simulated B": "hooked-B", "simulated A": "hooked-A", "simulated two-arm": "two"}  # set -> preset
@@ -104,12 +103,9 @@ class Data:
     def recordings(self, sources: tuple[str, ...]) -> Recordings:
         if sources[0] not in SIMULATED:
             return of_sources(self.authors(), sources)
-        target = self.folder / f"table1-{SIMULATED[sources[0]]}.zarr"
-        if not target.exists():
-            spec = DomainRandomization(nominal_share=SHARE)
-            self.folder.mkdir(parents=True, exist_ok=True)
-            pipeline.synthesise(target, SynthesisConfig(SIMULATED[sources[0]], TRIALS, self.seed, shard=64, spec=spec))
-        return read_recordings(target)
+        preset, spec = SIMULATED[sources[0]], DomainRandomization(nominal_share=SHARE)
+        job = SynthesisConfig(preset, TRIALS, self.seed, shard=64, spec=spec)
+        return simulated(self.folder / f"table1-{preset}.zarr", job)
 
     @cache  # noqa: B019
     def tracks(self, sources: tuple[str, ...], labels: str) -> LabelTracks:
@@ -150,11 +146,8 @@ def score(
         y, trial = items.y[rows], items.trial[rows] if grouped else np.arange(len(rows))
         runs.append(validation.cross_validate(learn(rows), y, [grouped_folds(y, trial, FOLDS, one)], one).accuracy)
     scores = np.concatenate(runs)
-    mean, low, high = corrected_interval(scores, 1 / (FOLDS - 1))
-    accuracy = at_least(
-        with_width({"mean": mean, "low": low, "high": high}, len(np.unique(items.trial))),
-        independent(items, balanced, repeats, seed),
-    )
+    trials, count = len(np.unique(items.trial)), independent(items, balanced, repeats, seed)
+    accuracy = of_splits(scores, 1 / (FOLDS - 1), trials, count)
     folds = [float(f(scores, axis=1).mean()) for f in (np.min, np.mean, np.max)]
     return {"accuracy": accuracy, "fold_min_mean_max": folds}
 

@@ -18,10 +18,11 @@ import numpy as np
 from experiments._lib.benchmarks import SIM2
 from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import pictures, write_result
+from experiments._lib.simulated import assembled
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.robots import kinematics
-from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED, snap_recordings
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.controllers import approach
 from sim_mjx.assembly.rollout import Rollouts
@@ -117,12 +118,9 @@ def as_recordings(run: Rollouts, name: str) -> Recordings:
     rows = np.repeat(complete, arms)
     onset, length = run.onset[rows], run.length[rows]
     seated = np.where(run.seated[complete].all(1), "success", "failure")
-    blank = np.full(count * arms, "")
-    return snap_recordings(
-        wrench=wrench, length=length, dt=CONTROL_PERIOD, onset=onset, onset_harmonised=onset,
-        trial=np.repeat([f"{name}-{i}" for i in complete], arms), arm=np.tile(ARMS, count),
-        source=np.full(count * arms, name), session=np.full(count * arms, name), outcome=np.repeat(seated, arms),
-        failure_type=blank, deviation=np.zeros((count * arms, 3)), note=blank,
+    return assembled(
+        wrench, length, onset, name, outcome=np.repeat(seated, arms), arm=np.tile(ARMS, count),
+        trial=np.repeat([f"{name}-{i}" for i in complete], arms),
     )  # fmt: skip
 
 

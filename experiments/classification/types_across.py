@@ -41,14 +41,13 @@ from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, FOLDS, items_of, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import by_trial, of_folds
+from experiments._lib.simulated import simulated as made
 from experiments._lib.tasks import failure_types
 from experiments.classification.grammar import AT_REST, LOADED, by_batch, of_both
-from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning.metrics import confusion
 from rcbht_jax.learning.tasks import SUCCESS, labelled_intervals
 from rcbht_jax.learning.validation import cross_validate, repeated_folds
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
 
 SEEN = (0.1, 0.5, 1.0)  # s after contact, of which one is chosen
@@ -169,11 +168,8 @@ def authors() -> tuple[tuple[str, ...], dict[str, Batch]]:
 def simulated(folder: Path, name: str) -> Batch:
     """Our failures of the same types; made once."""
     spec, trials, seed = SIMULATED[name]
-    path = folder / f"types-{name}.zarr"
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        synthesise(path, SynthesisConfig("openhrp", trials, seed, shard=128, spec=spec))
-    data, classes = read_recordings(path), authors()[0]
+    job, classes = SynthesisConfig("openhrp", trials, seed, shard=128, spec=spec), authors()[0]
+    data = made(folder / f"types-{name}.zarr", job)
     kind = data.column("failure_type")
     rows = np.flatnonzero((data.outcome != SUCCESS) & np.isin(kind, classes)).tolist()
     y = np.array([classes.index(str(kind[row])) for row in rows], np.int64)

@@ -27,7 +27,7 @@ from sklearn.model_selection import StratifiedKFold
 from experiments._lib import early
 from experiments._lib.benchmarks import FOLDS, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import at_least, with_width
+from experiments._lib.intervals import of_splits
 from experiments.external import failures, method
 from rcbht_jax.learning import metrics
 
@@ -89,11 +89,9 @@ class Experiment:
         """Means with corrected intervals over folds."""
         records, out = len(self.source.data(name)[1].y), {}
         for measure in scores[0]:
-            values = np.array([score[measure] for score in scores]).reshape(self.repeats, -1)
-            mean, low, high = metrics.corrected_interval(values, 1 / (FOLDS - 1))
+            values = [score[measure] for score in scores]
             trials = 0 if measure == "earliness" else records  # a rule may judge all records after the same time
-            made = with_width({"mean": mean, "low": low, "high": high}, trials)
-            out[measure] = at_least(made, records) if measure == "accuracy" else made
+            out[measure] = of_splits(values, 1 / (FOLDS - 1), trials, records if measure == "accuracy" else 0)
         return rounded(out) | {"repeats": self.repeats}
 
     def prefix(self, name: str, at: int) -> dict[str, Any]:

@@ -11,7 +11,7 @@ MultiRocketHydra and QUANT need the library aeon (see make peers).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any
@@ -36,7 +36,7 @@ from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_inter
 from rcbht_jax.types import Recordings
 
 FOLDER = "robot_execution_failures"
-MEMBERS = ("words", "wrench")
+MEMBERS = {"words": method.svm, "wrench": method.trees}
 
 
 def sets() -> tuple[str, ...]:
@@ -81,45 +81,27 @@ class Experiment:
     def described(self, name: str, samples: int = 15) -> dict[str, Any]:
         return dict(zip(MEMBERS, method.describe(*self.data(name, samples)), strict=True))
 
-    def ours(self, name: str) -> validation.Estimator:
-        return method.vote(**self.described(name), y=self.data(name)[1].y)
-
     def three(self, name: str) -> validation.Estimator:
         """The combination that is best on HIRO where the SVMs have this package's probabilities."""
         recordings, items = self.data(name)
         words, wrench = method.describe(recordings, items, (*LEVELS, "edges"))
+        return method.summed([(method.svm, words), (method.svm, wrench), (method.trees, wrench)], items.y)
 
-        def predict(train: Any, test: Any, seed: int) -> Any:
-            rows = (items.y, train, test, seed)
-            members = ((method.svm, words), (method.svm, wrench), (method.trees, wrench))
-            return sum(method.of_known(make, x, *rows) for make, x in members).argmax(1), {}
-
-        return predict
+    def summed(self, members: Iterable[str], name: str) -> validation.Estimator:
+        x = self.described(name)
+        return method.summed([(MEMBERS[member], x[member]) for member in members], self.data(name)[1].y)
 
     def tuned(self, name: str) -> validation.Estimator:
         """The vote or one of its members, by three folds of the training rows."""
-        y, x = self.data(name)[1].y, self.described(name)
-        ways: dict[str, Callable[..., Any]] = {
-            "words": lambda *rows: method.of_known(method.svm, x["words"], y, *rows),
-            "wrench": lambda *rows: method.of_known(method.trees, x["wrench"], y, *rows),
-        }
-        ways["both"] = lambda *rows: ways["words"](*rows) + ways["wrench"](*rows)
+        y = self.data(name)[1].y
+        ways = [self.summed(members, name) for members in (["words"], ["wrench"], MEMBERS)]
 
         def predict(train: Any, test: Any, seed: int) -> Any:
             folds = folds_of(StratifiedKFold(3, shuffle=True, random_state=seed), y[train])
-            right = {
-                way: sum((make(train[a], train[b], seed).argmax(1) == y[train[b]]).sum() for a, b in folds)
-                for way, make in ways.items()
-            }
-            best = max(right, key=lambda way: int(right[way]))
-            return ways[best](train, test, seed).argmax(1), {"chosen": best}
+            right = [sum((way(train[a], train[b], seed)[0] == y[train[b]]).sum() for a, b in folds) for way in ways]
+            return ways[int(np.argmax(right))](train, test, seed)
 
         return predict
-
-    def member(self, name: str, member: str) -> validation.Estimator:
-        x, y = self.described(name)[member], self.data(name)[1].y
-        make = method.svm if member == "words" else method.trees
-        return lambda train, test, seed: (method.of_known(make, x, y, train, test, seed).argmax(1), {})
 
     def peer(self, kind: str, name: str) -> validation.Estimator:
         """A classifier of aeon on the series themselves."""
@@ -129,9 +111,9 @@ class Experiment:
 
     def makers(self) -> dict[str, Make]:
         return {
-            "words + wrench": self.ours,
-            "words: SVM": lambda name: self.member(name, "words"),
-            "wrench: trees": lambda name: self.member(name, "wrench"),
+            "words + wrench": partial(self.summed, MEMBERS),
+            "words: SVM": partial(self.summed, ["words"]),
+            "wrench: trees": partial(self.summed, ["wrench"]),
             "richer words: SVM + wrench: SVM and trees": self.three,
             "tuned in the folds": self.tuned,
             "naive Bayes on the values": self.naive_bayes,

@@ -32,7 +32,7 @@ from tqdm import tqdm
 
 from experiments._lib.intervals import of_auc, of_sums
 from experiments._lib.other_robots import KITTING, of_other_robot
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from rcbht_jax import labels
 from rcbht_jax._util.cells import number_of
 from rcbht_jax.calibration.rest import auto_thresholds
@@ -203,16 +203,16 @@ def alarms(skills: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def main(seed: int = 0, skill: tuple[str, ...] = (), show: bool = True) -> None:
+def main(seed: int = 0) -> None:
+    command = "python -m experiments.external.kitting" + given(locals(), defaults_of(main))
     recordings = read_executions()
-    skill = skill or skills(recordings)
-    executions = {name: of_skill(recordings, name) for name in skill}
+    executions = {skill: of_skill(recordings, skill) for skill in skills(recordings)}
     rng, rows = np.random.default_rng(seed), {}
     sets = {name: [CHANNELS.index(channel) for channel in channels] for name, channels in SETS.items()}
     sets["words"] = list(range(2 * len(WORDS)))
     for name, columns in tqdm(sets.items(), file=sys.stderr, disable=None):
         inputs = in_words(recordings) if name == "words" else recordings
-        of = {number: of_skill(inputs, number) for number in skill}
+        of = {skill: of_skill(inputs, skill) for skill in executions}
         rows[name] = {
             method: measure(monitor.set_params(random_state=seed), of, columns, rng)
             for method, monitor in methods(1 / recordings.dt, name).items()
@@ -230,7 +230,7 @@ def main(seed: int = 0, skill: tuple[str, ...] = (), show: bool = True) -> None:
         },
         "rows": rows,
     }  # fmt: skip
-    write_result("kitting", "python -m experiments.external.kitting", result, seed, show)
+    write_result("kitting", command, result, seed)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ scored on recordings of other laboratories.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -106,10 +106,10 @@ def believe(words: Matrix, wrench: Matrix, y: Rows, train: Rows, test: Rows, see
     return (of_known(svm, words, *rows) + of_known(trees, wrench, *rows)) / 2
 
 
-def vote(words: Matrix, wrench: Matrix, y: Rows) -> Any:
-    """The method as an estimator of :mod:`rcbht_jax.learning.validation`."""
+def summed(members: Sequence[tuple[Member, Matrix]], y: Rows) -> Any:
+    """Members whose probabilities are added, as an estimator of :mod:`rcbht_jax.learning.validation`."""
 
     def predict(train: Rows, test: Rows, seed: int) -> tuple[Rows, dict[str, Any]]:
-        return believe(words, wrench, y, train, test, seed).argmax(1), {}
+        return sum(of_known(make, x, y, train, test, seed) for make, x in members).argmax(1), {}
 
     return predict

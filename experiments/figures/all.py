@@ -6,6 +6,7 @@ PICTURES names the commands that draw the other pictures there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,12 @@ from matplotlib.figure import Figure
 
 from experiments._lib.results_io import committed
 from experiments._lib.scores import of_peers, of_probes, of_table1
-from experiments.figures import calibration_curves, dots, driven, early, faults, hook, online, sim_to_real, snaps, words
+from experiments.figures import calibration_curves, driven, early, faults, hook, online, sim_to_real, words
 from experiments.figures.style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 
+COLORS, MARKS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#999999"), "osD^vP"
 KINDS = {"ours": (OURS, "words"), "peer": (PEER, "other methods, raw wrench"), "probe": (PROBE, "probes")}
 
 
@@ -139,6 +141,42 @@ def confidence() -> Figure:
     return figure
 
 
+Score = Mapping[str, float]  # mean, low, high
+
+
+def dots(rows: Mapping[str, Mapping[str, Score]], what: str, ticks: Mapping[str, float] | None = None) -> Figure:
+    """Dots per row and kind.
+
+    Args:
+        rows: name -> kind -> score.
+        what: is measured, for the axis.
+        ticks: name -> another score, drawn as a short grey line.
+    """
+    kinds = list(dict.fromkeys(kind for row in rows.values() for kind in row))
+    figure = new_figure((10.0, 0.38 * len(rows) + 1.5), DPI)
+    ax = figure.subplots()
+    for number, (kind, color, mark) in enumerate(zip(kinds, COLORS, MARKS, strict=False)):
+        place = np.arange(len(rows)) + 0.7 * ((number + 0.5) / len(kinds) - 0.5)
+        for at, row in zip(place, rows.values(), strict=True):
+            if kind in row:
+                ax.plot([row[kind]["low"], row[kind]["high"]], [at, at], color=color, linewidth=1.1, alpha=0.6)
+        known = [(row[kind]["mean"], at) for at, row in zip(place, rows.values(), strict=True) if kind in row]
+        ax.plot(*np.array(known).T, mark, color=color, markersize=4.5, label=kind, linestyle="none")
+    for at, name in enumerate(rows):
+        if ticks and name in ticks:
+            ax.plot([ticks[name]] * 2, [at - 0.4, at + 0.4], color="0.35", linewidth=1.6)
+    if ticks:
+        ax.plot([], [], color="0.35", linewidth=1.6, label="paper, mean")
+    ax.set_yticks(range(len(rows)), list(rows))
+    ax.set_ylim(len(rows) - 0.5, -0.5)
+    ax.set_xlabel(what, fontsize=9)
+    ax.grid(axis="y", alpha=0.25)
+    plain(ax)
+    figure.legend(loc="lower center", ncols=len(kinds) + bool(ticks), frameon=False, fontsize=8)
+    figure.tight_layout(rect=(0, 0.35 / figure.get_figheight(), 1, 1))
+    return figure
+
+
 def table1() -> Figure:
     """Table I of the paper on our labels, with the scores of duration alone and those printed in the paper."""
     result = committed("table1_ours")
@@ -148,12 +186,12 @@ def table1() -> Figure:
         rows[title] = {kind.removesuffix(", nested, grouped"): score for kind, score in scores.items()}
         if paper is not None:
             printed[title] = paper[1]
-    return dots.draw(rows, "accuracy, grouped by trial, kernel and cost selected in nested folds", printed)
+    return dots(rows, "accuracy, grouped by trial, kernel and cost selected in nested folds", printed)
 
 
 def probes() -> Figure:
     """Scores of probes that separate failure, success and session without any assembly."""
-    return dots.draw(of_probes(committed("probes")), "balanced accuracy")
+    return dots(of_probes(committed("probes")), "balanced accuracy")
 
 
 def failure_types() -> Figure:
@@ -181,7 +219,7 @@ FIGURES = {
     "sim-to-real-all": lambda: sim_to_real.draw(rows_of("sim_to_real")),
     "rate-distortion": lambda: words.rate_distortion(committed("rate_distortion")),
     "word-stability": lambda: words.stability(committed("rate_distortion")),
-    "snap-events": lambda: snaps.draw(committed("snaps")),
+    "snap-events": lambda: words.snaps(committed("snaps")),
     "driven-fit": lambda: driven.draw(committed("driven_fit")),
     "driven-loads": lambda: driven.loads(committed("driven_starts_loads")),
     "snap-hook": lambda: hook.bench(committed("hook_bench")),

@@ -32,18 +32,14 @@ from tqdm import tqdm
 
 from experiments._lib.benchmarks import REAL, REAL_FAILURES, recorded, with_interval
 from experiments._lib.results_io import write_result
+from experiments._lib.streams import described
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import names
 from rcbht_jax.features.recipes import TRIAL, TRIAL_RELATIVE
 from rcbht_jax.introspection.alarms import Alarm
-from rcbht_jax.introspection.chain import FeatureView
-from rcbht_jax.introspection.training import (
-    Snapshots,
-    regular_snapshots,
-    snapshot_features,
-)
+from rcbht_jax.introspection.training import Snapshots, regular_snapshots
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
@@ -188,10 +184,9 @@ def streamed() -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
     items = labelled_intervals(recordings, TaskSpec("outcome", sources=SOURCES))
     config = EncoderConfig(dt=recordings.dt)
     snapshots = regular_snapshots(items, round(1 / (RATE * config.dt)))
-    view = FeatureView(FeatureSpec(families=TRIAL))
-    with tqdm(total=len(snapshots), desc="snapshots", file=sys.stderr, disable=None) as bar:
-        x = snapshot_features(recordings, snapshots, view, config, preset(), bar.update)
-    family = np.array([name.split(".")[0] for name in names(view.spec)] + ["elapsed"])
+    spec = FeatureSpec(families=TRIAL)
+    x = described(recordings, snapshots, spec, (config, preset()), "snapshots")
+    family = np.array([name.split(".")[0] for name in names(spec)] + ["elapsed"])
     elapsed = ((snapshots.now - snapshots.begin) * config.dt)[:, None]
     columns = {
         "all features": family != "elapsed",

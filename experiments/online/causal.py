@@ -26,28 +26,16 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import RidgeCV
 from sklearn.metrics import r2_score
 
-from experiments._lib import frozen
+from experiments._lib import frozen, streams
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import at_least, by_trial, drawn, sums, with_width
+from experiments._lib.intervals import at_least, drawn, of_splits, sums
+from experiments._lib.streams import halves
 from experiments._lib.tasks import states
-from experiments.online.detected_starts import detected_beginnings, with_beginnings
-from experiments.online.table2 import SETS, halves
-from rcbht_jax.features.online import names
-from rcbht_jax.introspection.alarms import PhaseFilter
-from rcbht_jax.introspection.chain import FeatureView
-from rcbht_jax.introspection.training import (
-    Snapshots,
-    learn,
-    regular_snapshots,
-    since_trial_start,
-    snapshot_features,
-    training_snapshots,
-)
+from experiments.online.table2 import SETS
+from rcbht_jax.introspection.training import Snapshots, since_trial_start
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.scaling import fit_scale
-from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.learning.validation import repeat_seeds
 from rcbht_jax.types import Recordings
 
@@ -63,56 +51,23 @@ Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
-class Stream:
-    """One data set: its snapshots, described once for all splits."""
+class Stream(streams.Stream):
+    """Trials of one arm as streams of the frozen method."""
 
     def __init__(self, method: frozen.FrozenMethod, data: Recordings, **filters: Any) -> None:
-        self.method, self.data = method, data
-        self.items: LabelledIntervals = labelled_intervals(data, states(arms="R", **filters))
-        every = round(1 / (method.streamed["rate"] * self.data.dt))
-        self.training, self.regular = training_snapshots(self.items, every), regular_snapshots(self.items, every)
-        self.order = np.lexsort((self.regular.now, self.regular.recording))
-        self.trial = since_trial_start(self.regular)
+        heads = {head: (method.stream_spec(head), *method.stream_learning(head)) for head in ("state", "phase")}
+        encoder, rate = method.stream_encoder(data.dt), method.streamed["rate"]
+        super().__init__(data, states(arms="R", **filters), encoder, heads, rate)
+        self.method = method
 
-    @cache  # noqa: B019 (one object lives as long as the program)
-    def x(self, which: str) -> NDArray[np.float32]:
-        """Features of the training, regular or trial snapshots, all families."""
-        chosen = {
-            "training": self.training,
-            "regular": self.regular,
-            "trial": self.trial,
-            "trial training": since_trial_start(self.training),
-        }[which]
-        return self.described(chosen, "phase" if which.startswith("trial") else "state")
 
-    def described(self, snapshots: Snapshots, head: str) -> NDArray[np.float32]:
-        config, limits = self.method.stream_encoder(self.data.dt)
-        return snapshot_features(
-            self.data, snapshots, FeatureView(self.method.stream_spec(head, False)), config, limits
-        )
-
-    def columns(self, head: str, relative: bool) -> Flags:
-        """Which columns of :meth:`x` a head uses."""
-        family = [name.split(".")[0] for name in names(self.method.stream_spec(head, False))]
-        return np.isin(family, self.method.stream_spec(head, relative).families)
-
-    def wrench(self, snapshots: Snapshots) -> Floats:
-        """Mean, deviation and last value of the last tenth of a second, and seconds since the beginning."""
-        count = round(LAST / self.data.dt)
-        rows = []
-        for recording, begin, now in zip(snapshots.recording, snapshots.begin, snapshots.now, strict=True):
-            part = self.data.wrench[recording, max(0, now - count) : now].astype(np.float64)
-            rows.append(np.concatenate([part.mean(0), part.std(0), part[-1], [(now - begin) * self.data.dt]]))
-        return np.array(rows)
-
-    def trained(self, head: str, relative: bool, inside: Flags, seed: int) -> ProbabilisticSvm:
-        """A classifier of the present state, of the snapshots of the training trials."""
-        which = "trial training" if head == "phase" else "training"
-        snapshots = since_trial_start(self.training) if head == "phase" else self.training
-        rows = np.flatnonzero(inside[snapshots.interval])
-        x = self.x(which)[rows][:, self.columns(head, relative)].astype(np.float64)
-        spec, grid, ends = self.method.stream_spec(head, relative), *self.method.stream_learning(head)
-        return learn(x, snapshots.take(rows), self.items, spec, grid, ends, seed)
+def wrench_of(stream: Stream, snapshots: Snapshots) -> Floats:
+    """Mean, deviation and last value of the last tenth of a second, and seconds since the beginning."""
+    data, count, rows = stream.data, round(LAST / stream.data.dt), []
+    for recording, begin, now in zip(snapshots.recording, snapshots.begin, snapshots.now, strict=True):
+        part = data.wrench[recording, max(0, now - count) : now].astype(np.float64)
+        rows.append(np.concatenate([part.mean(0), part.std(0), part[-1], [(now - begin) * data.dt]]))
+    return np.array(rows)
 
 
 def measures(p: Floats, y: Ints, whole: Flags) -> dict[str, float]:
@@ -131,46 +86,16 @@ def inside_of(stream: Stream, sessions: tuple[str, ...], seed: int) -> Flags:
 
 def given_starts(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, float]:
     """The method where each beginning is given."""
-    rows = np.flatnonzero(~inside[stream.regular.interval])
-    machine = stream.trained("state", relative, inside, seed)
-    x = stream.x("regular")[rows][:, stream.columns("state", relative)].astype(np.float64)
-    return measures(
-        machine.probability(x), stream.items.y[stream.regular.interval[rows]], stream.regular.complete[rows]
-    )
+    snapshots, p = stream.given(relative, inside, seed)
+    return measures(p, stream.items.y[snapshots.interval], snapshots.complete)
 
 
 def unaided(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, dict[str, float]]:
-    """The method where no beginning is given: three beliefs.
-
-    Those of the head "phase" itself, of the filter over them, whose states only follow each other, and of the head
-    "state", to which that filter gives the beginnings that it detects.
-    """
-    dt, items = stream.data.dt, stream.items
-    rows = np.flatnonzero(~inside[stream.trial.interval])
-    snapshots = stream.trial.take(rows)
-    phase = stream.trained("phase", relative, inside, seed)
-    p = phase.probability(stream.x("trial")[rows][:, stream.columns("phase", relative)].astype(np.float64))
-    filtered, starts = np.empty_like(p), {}
-    for recording in np.unique(snapshots.recording).tolist():
-        mine = snapshots.recording == recording
-        starts[recording] = detected_beginnings(p[mine], snapshots.now[mine] * dt, items.classes)
-        filtered[mine] = followed(p[mine], snapshots.now[mine] * dt, items.classes)
-    own = with_beginnings(snapshots, starts, dt)
-    order = np.lexsort((own.now, own.recording))
-    x = stream.described(own.take(order), "state")[:, stream.columns("state", relative)].astype(np.float64)
-    state = np.empty_like(p)
-    state[order] = stream.trained("state", relative, inside, seed).probability(x)
-    y, whole = items.y[snapshots.interval], snapshots.complete
-    return {name: measures(q, y, whole) for name, q in (("phase", p), ("filter", filtered), ("state", state))}
-
-
-def followed(p: Floats, time: Floats, classes: tuple[str, ...]) -> Floats:
-    """Beliefs of the filter over time ``[snapshot, class]``: an HMM whose states only follow each other."""
-    phases, out = PhaseFilter(classes), []
-    for row, t in zip(p, time.tolist(), strict=True):
-        phases.update(row, t)
-        out.append(phases.filtered)
-    return np.array(out)
+    """The method where no beginning is given: the beliefs of both heads, and of the filter."""
+    found = stream.detected(relative, inside, seed)
+    y, whole = stream.items.y[found.snapshots.interval], found.snapshots.complete
+    beliefs = {"phase": found.phase, "filter": found.filtered, "state": found.state}
+    return {name: measures(p, y, whole) for name, p in beliefs.items()}
 
 
 def counted(stream: Stream, inside: Flags) -> dict[str, float]:
@@ -190,7 +115,7 @@ def little(stream: Stream, inside: Flags, seed: int, from_trial: bool, wrench: b
     if from_trial:
         train, test = since_trial_start(train), stream.trial
     a, b = np.flatnonzero(inside[train.interval]), np.flatnonzero(~inside[test.interval])
-    first, second = stream.wrench(train.take(a)), stream.wrench(test.take(b))
+    first, second = wrench_of(stream, train.take(a)), wrench_of(stream, test.take(b))
     columns = slice(None) if wrench else slice(-1, None)
     forest = RandomForestClassifier(TREES, random_state=seed, class_weight="balanced")
     forest.fit(first[:, columns], stream.items.y[train.interval[a]])
@@ -220,15 +145,9 @@ def row(stream: Callable[[], Stream], sessions: tuple[str, ...], seeds: range) -
     sentences = int(np.any(outside, axis=0).sum())  # those that some split tests, each right or wrong at its end
     out: dict[str, Any] = {"trials tested": tested, "splits": len(runs), "method": stream_.method.sha256}
     for name in runs[0]:
-        out[name] = {measure: with_ends([run[name][measure] for run in runs], tested) for measure in MEASURES}
+        out[name] = {measure: of_splits([run[name][measure] for run in runs], 1.0, tested) for measure in MEASURES}
         out[name][MEASURES[1]] = at_least(out[name][MEASURES[1]], sentences)
     return rounded(out)
-
-
-def with_ends(scores: list[float], tested: int) -> dict[str, Any]:
-    """Mean of half-splits with its corrected interval; of one split, or without a mistake, Wilson's by trial."""
-    mean, low, high = metrics.corrected_interval(np.array(scores), 1.0) if len(scores) > 1 else (scores[0],) * 3
-    return with_width({"mean": mean, "low": low, "high": high}, tested) if high > low else by_trial(mean, tested)
 
 
 def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
@@ -237,9 +156,9 @@ def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
     The median of the halves that test; its interval from trials drawn with replacement, the same for every half.
     """
     made = stream()
-    snapshots, columns = made.regular, made.columns("state", True)
+    snapshots = made.regular
     elapsed = np.log((snapshots.now - snapshots.begin) * made.data.dt)
-    x, y = made.x("regular")[:, columns].astype(np.float64), made.items.y[snapshots.interval]
+    x, y = made.used(made.x("regular"), "state", True), made.items.y[snapshots.interval]
     trial = made.items.trial[snapshots.interval]
     counts = drawn(len(np.unique(trial)), 0)
     found: dict[str, list[float]] = {name: [] for name in made.items.classes}

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -30,22 +29,11 @@ from tqdm import tqdm
 from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import FIT_RULE, WORDS, Words, tolerances
+from experiments._lib.streams import Encoder, Head, Starts, Stream, halves
 from experiments._lib.tasks import states
-from experiments.online.table2 import SETS, halves
-from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
-from rcbht_jax.introspection.alarms import PhaseFilter
-from rcbht_jax.introspection.training import (
-    HeadSpec,
-    Snapshots,
-    learn,
-    regular_snapshots,
-    since_trial_start,
-    snapshot_features,
-    training_snapshots,
-)
+from experiments.online.table2 import SETS
+from rcbht_jax.introspection.training import HeadSpec, Snapshots
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.probability import ProbabilisticSvm
-from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.learning.validation import repeat_seeds
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
@@ -54,43 +42,14 @@ RATE = 10.0  # snapshots per second
 NEAR = 0.5  # s, within which a start counts as detected
 STREAMED = ("REAL", "SIM1")
 
-Encoder = tuple[AnyConfig, AnyLimits]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class View:
-    """Snapshots with their features."""
-
-    snapshots: Snapshots
-    x: NDArray[np.float32]
-    head: HeadSpec
+def heads(words: Words) -> dict[str, Head]:
+    """The two classifiers, as ``rcbht train-online`` learns them."""
+    specs = {name: HeadSpec(states(), phase=name == "phase", weighing=words.weighing) for name in ("state", "phase")}
+    return {name: (head.view.spec, *head.learning) for name, head in specs.items()}
 
 
-def heads(words: Words) -> dict[str, HeadSpec]:
-    """The two classifiers."""
-    return {name: HeadSpec(states(), phase=name == "phase", weighing=words.weighing) for name in ("state", "phase")}
-
-
-def fitted(items: LabelledIntervals, view: View, inside: NDArray[np.bool_], seed: int) -> ProbabilisticSvm:
-    """A classifier of the states, trained on the snapshots of the training trials as by ``rcbht train-online``."""
-    rows = inside[view.snapshots.interval]
-    x = view.x[rows].astype(np.float64)
-    return learn(x, view.snapshots.take(rows), items, view.head.view.spec, *view.head.learning, seed)
-
-
-def detected_beginnings(p: Floats, time: Floats, classes: tuple[str, ...]) -> dict[int, float]:
-    """When each sub-task but the first is detected, s: state -> time."""
-    phases, starts = PhaseFilter(classes), {}
-    for row, t in zip(p, time.tolist(), strict=True):
-        if phases.update(row, t):
-            starts[phases.current] = t
-    return starts
-
-
-def going_on(snapshots: Snapshots, starts: dict[int, dict[int, float]], dt: float) -> Ints:
+def going_on(snapshots: Snapshots, starts: dict[int, Starts], dt: float) -> NDArray[np.int64]:
     """The detected sub-task at each snapshot."""
     out = np.zeros(len(snapshots), np.int64)
     for recording, detected in starts.items():
@@ -99,48 +58,24 @@ def going_on(snapshots: Snapshots, starts: dict[int, dict[int, float]], dt: floa
     return out
 
 
-def with_beginnings(snapshots: Snapshots, starts: dict[int, dict[int, float]], dt: float) -> Snapshots:
-    """The same moments with sub-tasks that begin at their detection."""
-    begin = np.zeros_like(snapshots.begin)
-    for recording, detected in starts.items():
-        mine = snapshots.recording == recording
-        for time in sorted(detected.values()):
-            sample = round(time / dt)
-            begin[mine & (snapshots.now > sample)] = sample
-    return replace(snapshots, begin=begin)
-
-
-def repeat(
-    data: Recordings, items: LabelledIntervals, views: dict[str, View], encoder: Encoder, seed: int
-) -> dict[str, Any]:
+def repeat(stream: Stream, seed: int) -> dict[str, Any]:
     """Scores of one half-split."""
-    inside, dt = halves(items, seed), data.dt
-    state, phase = (fitted(items, views[name], inside, seed) for name in ("state trains", "phase trains"))
-    given, trial = views["state"], views["phase"]
-    test = ~inside[trial.snapshots.interval]
-    snapshots = trial.snapshots.take(test)
-    p = phase.probability(trial.x[test].astype(np.float64))
-    starts, errors = {}, []
-    for recording in np.unique(snapshots.recording).tolist():
-        mine = snapshots.recording == recording
-        starts[recording] = detected_beginnings(p[mine], snapshots.now[mine] * dt, items.classes)
-        onset = data.starts(HARMONISED)[recording]
-        errors.append([starts[recording].get(s, np.nan) - onset[s] for s in range(1, len(items.classes))])
-    own = with_beginnings(snapshots, starts, dt)
-    order = np.lexsort((own.now, own.recording))
-    x = snapshot_features(data, own.take(order), given.head.view, *encoder)
-    mine = ~inside[given.snapshots.interval]
+    items, dt, inside = stream.items, stream.data.dt, halves(stream.items, seed)
+    given, p = stream.given(False, inside, seed)
+    found = stream.detected(False, inside, seed)
+    y = items.y[found.snapshots.interval]
     scores = {
-        "given": (items.y[given.snapshots.interval[mine]], state.probability(given.x[mine].astype(np.float64))),
-        "detected": (items.y[own.interval[order]], state.probability(x.astype(np.float64))),
-        "phase alone": (items.y[snapshots.interval], p),
-        "filter alone": (items.y[snapshots.interval], np.eye(len(items.classes))[going_on(snapshots, starts, dt)]),
+        "given": (items.y[given.interval], p),
+        "detected": (y, found.state),
+        "phase alone": (y, found.phase),
+        "filter alone": (y, np.eye(len(items.classes))[going_on(found.snapshots, found.starts, dt)]),
     }
-    out: dict[str, Any] = {
+    onset, later = stream.data.starts(HARMONISED), range(1, len(items.classes))
+    errors = [[own.get(s, np.nan) - onset[recording, s] for s in later] for recording, own in found.starts.items()]
+    return {"errors": np.array(errors)} | {
         f"macro step accuracy, {name}": metrics.macro_step_accuracy(probability, y_true)
         for name, (y_true, probability) in scores.items()
     }
-    return out | {"errors": np.array(errors)}
 
 
 def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, Any]:
@@ -159,30 +94,11 @@ def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, A
     return out
 
 
-def views_of(data: Recordings, items: LabelledIntervals, words: Words, encoder: Encoder) -> dict[str, View]:
-    """All snapshots that any repeat needs, with features."""
-    every = round(1 / (RATE * data.dt))
-    training, regular = training_snapshots(items, every), regular_snapshots(items, every)
-    wanted = {
-        "state trains": training,
-        "state": regular,
-        "phase trains": since_trial_start(training),
-        "phase": since_trial_start(regular),
-    }
-    out = {}
-    for name, snapshots in wanted.items():
-        with tqdm(total=len(snapshots), desc=name, file=sys.stderr, disable=None) as bar:
-            head = heads(words)[name.split()[0]]
-            out[name] = View(snapshots, snapshot_features(data, snapshots, head.view, *encoder, bar.update), head)
-    return out
-
-
 def row(data: Recordings, name: str, words: Words, encoder: Encoder, seeds: range) -> dict[str, Any]:
     """Scores of one set with words of one kind."""
-    items = labelled_intervals(data, states(sources=(SETS[name],), arms="R"))
-    views = views_of(data, items, words, encoder)
-    runs = [repeat(data, items, views, encoder, s) for s in tqdm(seeds, desc=name, file=sys.stderr, disable=None)]
-    return {"trials": len(np.unique(items.trial)), **summary(runs, items.classes)}
+    stream = Stream(data, states(sources=(SETS[name],), arms="R"), encoder, heads(words), RATE)
+    runs = [repeat(stream, seed) for seed in tqdm(seeds, desc=name, file=sys.stderr, disable=None)]
+    return {"trials": len(np.unique(stream.items.trial)), **summary(runs, stream.items.classes)}
 
 
 def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:

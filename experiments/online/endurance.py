@@ -26,6 +26,7 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 from numpy.typing import NDArray
+from scipy.stats import linregress
 
 from experiments._lib.faulty_stream import HERTZ, readings
 from experiments._lib.results_io import parts_of, write_result
@@ -124,18 +125,13 @@ class Day:
 def memory_summary(memory: list[float]) -> dict[str, Any]:
     """Memory by quarter, and its slope once the stream is warm, with the interval of 95 % of a straight line."""
     warm = np.array(memory[min(WARM, len(memory) // 4) :])
-    hours = np.arange(len(warm)) / 60
-    slope, error = math.nan, math.nan
-    if len(warm) > 2:
-        slope, level = np.polyfit(hours, warm, 1)
-        spread = warm - level - slope * hours
-        error = 1.96 * float(np.sqrt(spread @ spread / (len(warm) - 2) / ((hours - hours.mean()) ** 2).sum()))
+    line = linregress(np.arange(len(warm)) / 60, warm) if len(warm) > 2 else None
     return {
         "at the start": round(memory[0], 1),
         "median by quarter": _quarters(memory[1:]),
         "largest minus least, warm": round(float(warm.max() - warm.min()), 1) if len(warm) else None,
-        "MB per simulated hour, warm": None if math.isnan(slope) else round(float(slope), 4),
-        "its interval, plus or minus": None if math.isnan(error) else round(error, 4),
+        "MB per simulated hour, warm": line and round(float(line.slope), 4),
+        "its interval, plus or minus": line and round(1.96 * float(line.stderr), 4),
     }
 
 

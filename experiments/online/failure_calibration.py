@@ -27,12 +27,9 @@ from numpy.typing import NDArray
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import drawn, sums
-from experiments._lib.tasks import failure_types
-from experiments.online.failure_types import FOLDS, METHODS, RATE, streamed, that_train, watched
-from rcbht_jax.introspection.training import regular_snapshots
+from experiments.online.failure_types import FOLDS, METHODS, streams
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.progress import PARTS, ProgressCalibration, part_of
-from rcbht_jax.learning.tasks import labelled_intervals
 from rcbht_jax.learning.validation import repeated_folds
 
 TARGET = 0.08
@@ -101,22 +98,17 @@ def error(p: Floats, true: NDArray[np.bool_]) -> float:
 
 def row(name: str, seed: int) -> dict[str, Any]:
     recordings = recorded()
-    items = labelled_intervals(recordings, failure_types())
-    snapshots = regular_snapshots(items, round(1 / (RATE * recordings.dt)))
-    x, training = watched(recordings, snapshots, METHODS[name]), that_train(items, snapshots, recordings.dt)
+    data = streams(recordings, METHODS[name])
+    items, snapshots, y = data.items, data.snapshots, data.y
     length = ((items.intervals[0].end - items.intervals[0].start) * recordings.dt).astype(np.float64)
     p = np.full((len(snapshots), len(items.classes)), np.nan)
     fold, planned = np.zeros(len(snapshots), np.int64), np.zeros(FOLDS)
     for number, (train, test) in enumerate(repeated_folds(items.y, items.trial, FOLDS, 1, seed)[0]):
-        beliefs = streamed(items, snapshots, training, x, METHODS[name], test, seed)[1]
-        mine = np.isin(snapshots.interval, test)
+        beliefs, mine = data.believed(test, seed)[1], np.isin(snapshots.interval, test)
         p[mine], fold[mine], planned[number] = beliefs[mine], number, np.median(length[train])
-    y = items.y[snapshots.interval]
-    seconds = (snapshots.now - snapshots.begin) * recordings.dt
+    seconds, trial = (snapshots.now - snapshots.begin) * recordings.dt, items.trial[snapshots.interval]
     quarter = part_of(seconds / length[snapshots.interval] - 1e-9)
-    calibrated = by_progress(p, y, fold, seconds, items.trial[snapshots.interval], planned)
-    made = {"as they are": p, "by progress": calibrated}
-    trial = items.trial[snapshots.interval]
+    made = {"as they are": p, "by progress": by_progress(p, y, fold, seconds, trial, planned)}
     return {kind: errors(q, y, quarter, items.classes, trial) for kind, q in made.items()}
 
 

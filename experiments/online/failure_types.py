@@ -12,7 +12,6 @@ Every finished row is kept; run it again to go on where it was interrupted. Read
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -24,18 +23,17 @@ from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.streams import described
 from experiments._lib.tasks import failure_types
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import RICHER, TRIAL
-from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.introspection.training import (
     TRIAL_GRID,
     Snapshots,
     learn,
     regular_snapshots,
-    snapshot_features,
     training_snapshots,
 )
 from rcbht_jax.learning import metrics
@@ -74,54 +72,64 @@ METHODS = {
 }
 
 
-def moments(items: LabelledIntervals, snapshots: Snapshots) -> dict[str, NDArray[np.int64]]:
-    """The first snapshot of every trial at or after each part of its record."""
-    length = (items.intervals[0].end - items.intervals[0].start)[snapshots.interval]
-    rows = {}
-    for fraction in FRACTIONS:
-        late = np.flatnonzero(snapshots.now - snapshots.begin >= fraction * length)
-        rows[f"at {fraction:.0%}"] = late[np.unique(snapshots.interval[late], return_index=True)[1]]
-    return rows
+@dataclass(frozen=True)
+class Streams:
+    """The failures of all types, as a stream has them ten times a second."""
+
+    items: LabelledIntervals  # one for each trial
+    snapshots: Snapshots
+    training: NDArray[np.bool_]  # [snapshot] of the regular ones, those that train
+    x: Floats  # [snapshot, feature]
+    method: Method
+
+    @property
+    def y(self) -> NDArray[np.int64]:
+        """Class ``[snapshot]``."""
+        return self.items.y[self.snapshots.interval]
+
+    def moments(self) -> dict[str, NDArray[np.int64]]:
+        """The first snapshot of every trial at or after each part of its record."""
+        span, snapshots, rows = self.items.intervals[0], self.snapshots, {}
+        length = (span.end - span.start)[snapshots.interval]
+        for fraction in FRACTIONS:
+            late = np.flatnonzero(snapshots.now - snapshots.begin >= fraction * length)
+            rows[f"at {fraction:.0%}"] = late[np.unique(snapshots.interval[late], return_index=True)[1]]
+        return rows
+
+    def believed(self, test: NDArray[np.int64], seed: int) -> tuple[ProbabilisticSvm, Floats]:
+        """A classifier of all trials but ``test``, and its beliefs ``[snapshot, class]`` about those, NaN elsewhere."""
+        tested = np.isin(self.snapshots.interval, test)
+        rows = np.flatnonzero(~tested & self.training)
+        spec = FeatureSpec(families=self.method.families)
+        machine = learn(self.x[rows], self.snapshots.take(rows), self.items, spec, self.method.grid, ENDS, seed)
+        p = np.full((len(tested), len(self.items.classes)), np.nan)
+        p[tested] = machine.probability(self.x[tested])
+        return machine, p
 
 
-def streamed(
-    items: LabelledIntervals,
-    snapshots: Snapshots,
-    training: NDArray[np.bool_],
-    x: Floats,
-    method: Method,
-    test: Floats,
-    seed: int,
-) -> tuple[ProbabilisticSvm, Floats]:
-    """A classifier of all trials but ``test``, and its beliefs ``[snapshot, class]`` about those, NaN elsewhere."""
-    tested = np.isin(snapshots.interval, test)
-    rows = np.flatnonzero(~tested & training)
-    described = FeatureSpec(families=method.families)
-    machine = learn(x[rows], snapshots.take(rows), items, described, method.grid, ENDS, seed)
-    p = np.full((len(tested), len(items.classes)), np.nan)
-    p[tested] = machine.probability(x[tested])
-    return machine, p
+def streams(recordings: Recordings, method: Method) -> Streams:
+    """The failures with the features of a method."""
+    items, every = labelled_intervals(recordings, failure_types()), round(1 / (RATE * recordings.dt))
+    snapshots, chosen = regular_snapshots(items, every), training_snapshots(items, every, PICKED, early=False)
+    training = np.isin(snapshots.interval * 10**7 + snapshots.now, chosen.interval * 10**7 + chosen.now)
+    config = EncoderConfig(window=method.window, dt=recordings.dt)
+    limits = GradientThresholds(np.asarray(preset().limits) * method.scale)
+    spec = FeatureSpec(families=method.families)
+    x = described(recordings, snapshots, spec, (config, limits), "snapshots").astype(np.float64)
+    return Streams(items, snapshots, training, x, method)
 
 
-def fold(
-    items: LabelledIntervals,
-    snapshots: Snapshots,
-    training: NDArray[np.bool_],
-    x: Floats,
-    method: Method,
-    test: Floats,
-    seed: int,
-) -> dict[str, Any]:
+def fold(data: Streams, test: NDArray[np.int64], seed: int) -> dict[str, Any]:
     """Train on the trials that are not in ``test``, stream those."""
-    machine, p = streamed(items, snapshots, training, x, method, test, seed)
-    tested, y = np.isin(snapshots.interval, test), items.y[snapshots.interval]
+    machine, p = data.believed(test, seed)
+    tested, y = np.isin(data.snapshots.interval, test), data.y
     out: dict[str, Any] = {"every tenth of a second": metrics.accuracy(y[tested], p[tested].argmax(1))}
-    for name, at in moments(items, snapshots).items():
+    for name, at in data.moments().items():
         mine = at[tested[at]]
         out[name] = metrics.accuracy(y[mine], p[mine].argmax(1))
-        votes = machine.svm.predict_index(x[mine])
+        votes = machine.svm.predict_index(data.x[mine])
         out[f"{name}, votes of pairs"] = metrics.accuracy(y[mine], votes)
-    out["true and said at 100%, votes of pairs"] = metrics.confusion(y[mine], votes, len(items.classes))
+    out["true and said at 100%, votes of pairs"] = metrics.confusion(y[mine], votes, len(data.items.classes))
     out["calibration error of steps"] = metrics.calibration_error(p[tested], y[tested])
     out["chosen"] = f"{machine.svm.spec.kernel} C={machine.svm.spec.cost:g}"
     return out
@@ -143,38 +151,17 @@ def summary(runs: list[dict[str, Any]], trials: int) -> dict[str, Any]:
     return out
 
 
-def watched(recordings: Recordings, snapshots: Snapshots, method: Method) -> Floats:
-    """Features of all snapshots."""
-    config = EncoderConfig(window=method.window, dt=recordings.dt)
-    limits = GradientThresholds(np.asarray(preset().limits) * method.scale)
-    with tqdm(total=len(snapshots), desc="snapshots", file=sys.stderr, disable=None) as bar:
-        x = snapshot_features(
-            recordings, snapshots, FeatureView(FeatureSpec(families=method.families)), config, limits, bar.update
-        )
-    return x.astype(np.float64)
-
-
-def that_train(items: LabelledIntervals, snapshots: Snapshots, dt: float) -> NDArray[np.bool_]:
-    """Which of the regular snapshots train."""
-    chosen = training_snapshots(items, round(1 / (RATE * dt)), PICKED, early=False)
-    return np.isin(snapshots.interval * 10**7 + snapshots.now, chosen.interval * 10**7 + chosen.now)
-
-
-def row(
-    recordings: Recordings, items: LabelledIntervals, snapshots: Snapshots, method: Method, repeats: int, seed: int
-) -> dict[str, Any]:
-    training = that_train(items, snapshots, recordings.dt)
-    x = watched(recordings, snapshots, method)
-    splits = repeated_folds(items.y, items.trial, FOLDS, repeats, seed)
+def row(recordings: Recordings, method: Method, repeats: int, seed: int) -> dict[str, Any]:
+    data = streams(recordings, method)
+    splits = repeated_folds(data.items.y, data.items.trial, FOLDS, repeats, seed)
     parts = [(seed + k, test) for k, folds in enumerate(splits) for _, test in folds]
-    runs = [fold(items, snapshots, training, x, method, test, s) for s, test in tqdm(parts, disable=None)]
-    return summary(runs, len(items.y))
+    runs = [fold(data, test, s) for s, test in tqdm(parts, disable=None)]
+    return summary(runs, len(data.items.y))
 
 
 def main(repeats: int = 1, seed: int = 0, only: Only = ALL_ROWS) -> None:
     recordings = recorded()
     items = labelled_intervals(recordings, failure_types())
-    snapshots = regular_snapshots(items, round(1 / (RATE * recordings.dt)))
     about = {
         "what": "failure type of simulated failures from the stream; folds grouped by trial",
         "trials": len(items.y),
@@ -186,7 +173,7 @@ def main(repeats: int = 1, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "complete record counts for": ENDS,
     }
     command = f"python -m experiments.online.failure_types --repeats {repeats} --seed {seed}"
-    wanted = {name: partial(row, recordings, items, snapshots, m, repeats, seed) for name, m in METHODS.items()}
+    wanted = {name: partial(row, recordings, m, repeats, seed) for name, m in METHODS.items()}
     Rows("failure_types_online", command, about, seed).fill(wanted, only)
 
 

@@ -9,6 +9,7 @@ sign of a fault. Stores are kept in a folder and made once; an interrupted run g
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.simulated import simulated
 from rcbht_jax.introspection.fault_monitor import NOMINAL
-from rcbht_jax.io.store import read_recordings, read_simulation
+from rcbht_jax.io.store import read_simulation
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import TABS
 from sim_mjx.presets import preset as preset_of
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
 
 # Kind -> what a grade is, and the fields of the distributions that each grade sets.
@@ -43,8 +44,8 @@ GRADES: dict[str, tuple[tuple[str, dict[str, float]], ...]] = {
         (f"after {share:.0%} of the way to mating", {"stop_at": share}) for share in (0.3, 0.5, 0.7, 0.85, 0.97)
     ),
 }
+REACH = 0.02  # m: a part that has moved farther stands beyond the reach of the hand's
 TAIL = 3.0  # s, for which every record goes on after the planned end of its trial, the robot keeping still
-_SHARD = 256
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,29 @@ class Trials:
     def failed(self) -> NDArray[np.bool_]:
         """Trials that did not seat ``[trial]``."""
         return np.asarray(self.recordings.outcome == "failure")
+
+    def take(self, rows: NDArray[Any]) -> Trials:
+        """Some trials."""
+        columns = {field.name: getattr(self, field.name)[rows] for field in fields(self) if field.name != "recordings"}
+        return Trials(self.recordings.take(rows), **columns)
+
+    @classmethod
+    def join(cls, sets: Sequence[Trials]) -> Trials:
+        """Several sets as one."""
+        columns = {field.name: [getattr(one, field.name) for one in sets] for field in fields(cls)}
+        recordings = Recordings.join(columns.pop("recordings"))
+        return cls(recordings, **{name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+@dataclass(frozen=True)
+class Lot:
+    """The trials of one store."""
+
+    name: str  # with which its file begins
+    kind: str
+    grade: int
+    count: int
+    spec: DomainRandomization
 
 
 def spec_of(kind: str, grade: int) -> DomainRandomization:
@@ -105,17 +129,21 @@ def trials(
         seed: of the simulation.
         engine: that simulates; stores that are there are read, whatever engine made them.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    lots = []
-    for number, (kind, grade, count) in enumerate(
-        tqdm(batches(nominal, per_kind), desc=f"simulate {preset}", file=sys.stderr, disable=None)
-    ):
-        path = folder / f"{preset}-{kind}-{grade}-{count}-{1000 * seed + number}.zarr"
-        job = SynthesisConfig(preset, count, 1000 * seed + number, engine, _SHARD, spec_of(kind, grade))
-        lots.append(_lot(path, job, kind, grade))
-    columns = {field.name: [getattr(lot, field.name) for lot in lots] for field in fields(Trials)}
-    recordings = Recordings.join(columns.pop("recordings"))
-    return Trials(recordings, **{name: np.concatenate(parts) for name, parts in columns.items()})
+    lots = [
+        Lot(f"{preset}-{kind}-{grade}", kind, grade, count, spec_of(kind, grade))
+        for kind, grade, count in batches(nominal, per_kind)
+    ]
+    return made(folder, preset, lots, seed, engine)
+
+
+def made(folder: Path, preset: str, lots: Sequence[Lot], seed: int, engine: str = "native", shard: int = 256) -> Trials:
+    """The trials of several stores, of which those that are missing are simulated; an interrupted run goes on."""
+    found = []
+    for number, lot in enumerate(tqdm(lots, desc=f"simulate {preset}", file=sys.stderr, disable=None)):
+        its = 1000 * seed + number
+        job = SynthesisConfig(preset, lot.count, its, engine, shard, lot.spec)
+        found.append(_read(folder / f"{lot.name}-{lot.count}-{its}.zarr", job, lot))
+    return Trials.join(found)
 
 
 def missing_tab(truth: dict[str, NDArray[np.generic]]) -> NDArray[np.str_]:
@@ -124,26 +152,16 @@ def missing_tab(truth: dict[str, NDArray[np.generic]]) -> NDArray[np.str_]:
     return np.array(TABS)[gone.argmax(1)]
 
 
-def made(path: Path, job: SynthesisConfig) -> tuple[Recordings, dict[str, NDArray[Any]], NDArray[np.float64]]:
-    """A store, simulated if it is not there: its trials, what was drawn for them, and the ends of their mating (s).
-
-    Where mating was not reached, its end is the planned one.
-    """
-    if not path.exists():
-        synthesise(path, job)
-    recordings, truth, session = read_recordings(path), read_simulation(path), preset_of(job.preset)
+def _read(path: Path, job: SynthesisConfig, lot: Lot) -> Trials:
+    """One store; where mating was not reached, its end is the planned one."""
+    recordings = simulated(path, job)
+    truth, session, count = read_simulation(path), preset_of(job.preset), len(recordings)
     recordings = replace(recordings, trial=np.char.add(f"{path.stem}-", recordings.trial.astype(str)))
+    begun = recordings.starts(RECORDED)
     planned = truth["way_time"][:, -1] + session.mating_begins - session.task.way_time[-1]
-    mating = recordings.starts(RECORDED)[:, 3]
-    return recordings, truth, np.where(np.isfinite(mating), mating, planned) + session.task.mating_time
-
-
-def _lot(path: Path, job: SynthesisConfig, kind: str, grade: int) -> Trials:
-    """One store."""
-    recordings, truth, end = made(path, job)
-    touched = np.isfinite(recordings.starts(RECORDED)[:, 1])
-    if kind == "moved-part" and GRADES[kind][grade][1]["moved_by"] > 0.02:
-        touched &= False  # the part stands beyond the reach of the hand's
-    cause = np.char.add(f"{kind} ", missing_tab(truth)) if kind == "missing-tab" else np.full(len(recordings), kind)
-    count = len(recordings)
-    return Trials(recordings, np.full(count, kind), np.full(count, grade), touched, cause, truth["stop"], end)
+    end = np.where(np.isfinite(begun[:, 3]), begun[:, 3], planned) + session.task.mating_time
+    beyond = lot.spec.moved_by[0] > REACH and lot.kind == "moved-part"
+    touched = np.isfinite(begun[:, 1]) & (not beyond)
+    kind = np.full(count, lot.kind)
+    cause = np.char.add("missing-tab ", missing_tab(truth)) if lot.kind == "missing-tab" else kind
+    return Trials(recordings, kind, np.full(count, lot.grade), touched, cause, truth["stop"], end)

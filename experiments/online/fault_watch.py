@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.simulated import kept_arrays
 from experiments.online.fault_trials import Trials, trials
-from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset as thresholds
 from rcbht_jax.features.recipes import MONITORING
@@ -68,13 +68,14 @@ def watched(
     config = EncoderConfig(dt=recordings.dt)
     trial, subtask, begin, now = schedule(recordings, round(1 / (CONFIG.rate * config.dt)))
     sizes = "-".join(str(count) for count in nominal)
-    path = folder / f"{preset}-{sizes}-{per_kind}-{seed}-looks.npz"
-    if not path.is_file():
+
+    def features() -> dict[str, NDArray[np.float32]]:
         with tqdm(total=len(now), desc=f"features {preset}", file=sys.stderr, disable=None) as bar:
-            x = online_features_batch(config, thresholds(), VIEW, recordings.wrench, trial, begin, now, bar.update)
-        with atomic_write(path) as draft:
-            np.savez(draft, x=x)
-    return Watched(data, SubtaskSnapshots(trial, subtask, begin, now, np.load(path)["x"], recordings.dt))
+            steps = (trial, begin, now)
+            return {"x": online_features_batch(config, thresholds(), VIEW, recordings.wrench, *steps, bar.update)}
+
+    x = kept_arrays(folder / f"{preset}-{sizes}-{per_kind}-{seed}-looks.npz", features)["x"]
+    return Watched(data, SubtaskSnapshots(trial, subtask, begin, now, x, recordings.dt))
 
 
 def monitor(w: Watched, inside: NDArray[np.bool_], seed: int, own: NDArray[np.bool_] | None = None) -> FaultMonitor:

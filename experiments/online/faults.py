@@ -27,12 +27,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments._lib.benchmarks import rounded
-from experiments._lib.intervals import with_width
+from experiments._lib.intervals import of_splits
 from experiments._lib.results_io import write_result
 from experiments.online.fault_trials import GRADES, TAIL, Trials
 from experiments.online.fault_watch import CONFIG, Watched, alarms, monitor, watched
 from rcbht_jax.introspection.fault_monitor import NOMINAL, FaultMonitor
-from rcbht_jax.learning.metrics import corrected_interval
 from rcbht_jax.robots.snap_assembly import RECORDED
 
 TARGETS = {"detected before the end, per kind": 0.90, "false alarms per nominal trial": 0.02}
@@ -119,13 +118,9 @@ def _sum(marked: list[NDArray[np.bool_]]) -> int:
 
 def _share(counts: list[Any], totals: list[Any], test_to_train: float) -> dict[str, float] | None:
     """Mean over the repeats, with its corrected 95 % interval; Wilson's where all are equal."""
-    shares = np.array([count / total for count, total in zip(counts, totals, strict=True) if total])
-    if len(shares) == 0:
-        return None
-    interval = corrected_interval(shares, test_to_train) if len(shares) > 1 else (float(shares[0]),) * 3
-    return rounded(
-        with_width(dict(zip(("mean", "low", "high"), interval, strict=True)), max(1, round(sum(totals) / len(totals))))
-    )
+    shares = [count / total for count, total in zip(counts, totals, strict=True) if total]
+    trials = max(1, round(sum(totals) / len(totals)))
+    return rounded(of_splits(shares, test_to_train, trials)) if shares else None
 
 
 def _median(values: list[NDArray[np.float64]]) -> float | None:

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.simulated import kept_arrays
 from experiments.online.fault_trials import GRADES, Trials
 from experiments.online.fault_watch import Watched, alarms, monitor, watched
 from experiments.online.faults import Streamed, arguments, cell, false_alarms, keep_faults, parts
-from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.introspection.fault_monitor import COLUMNS, FaultMonitor
-from rcbht_jax.types import Recordings
 
 Rows = NDArray[np.bool_]
 WAYS = OWN, UNSEEN, CALM, OTHERS = "own", "kind never seen", "others, own calm", "others"
@@ -47,23 +46,16 @@ WHAT = "failures with contact noticed in the stream of simulated trials, by what
 
 def chosen(w: Watched, rows: Rows) -> Watched:
     """Some trials ``[trial]`` with their snapshots, numbered anew."""
-    columns = {field.name: getattr(w.trials, field.name) for field in fields(Trials)}
-    recordings = columns.pop("recordings").take(rows)
-    trials = Trials(recordings, **{name: column[rows] for name, column in columns.items()})
     snapshots = w.snapshots.of_trials(rows)
-    return Watched(trials, replace(snapshots, trial=(np.cumsum(rows) - 1)[snapshots.trial]))
+    return Watched(w.trials.take(rows), replace(snapshots, trial=(np.cumsum(rows) - 1)[snapshots.trial]))
 
 
 def together(sets: list[Watched]) -> Watched:
     """Trials of several sessions as one set."""
-    columns = {field.name: [getattr(w.trials, field.name) for w in sets] for field in fields(Trials)}
-    trials = Trials(
-        Recordings.join(columns.pop("recordings")), **{name: np.concatenate(column) for name, column in columns.items()}
-    )
     first = np.cumsum([0, *(len(w.trials.kind) for w in sets)]).tolist()
     parts = [replace(w.snapshots, trial=w.snapshots.trial + begin) for w, begin in zip(sets, first, strict=False)]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
-    return Watched(trials, replace(parts[0], **joined))
+    return Watched(Trials.join([w.trials for w in sets]), replace(parts[0], **joined))
 
 
 def some(those: Trials, rows: Rows, share: float, seed: int) -> Rows:
@@ -98,14 +90,14 @@ def learned(w: Watched, inside: Rows, others: list[Watched], seed: int, way: str
 def alarms_of(w: Watched, others: list[Watched], seed: int, way: str, path: Path) -> dict[str, Streamed]:
     """One repeat of one way: monitor -> its alarms in the streamed trials; kept in a file, and read from it."""
     inside = parts(w.trials, seed)
-    if not path.is_file():
-        first_alarms = {name: alarms(w, one, ~inside) for name, one in learned(w, inside, others, seed, way).items()}
-        found = {f"{name}/{watcher}": times for name, first in first_alarms.items() for watcher, times in first.items()}
-        with atomic_write(path) as draft:
-            np.savez(draft, allow_pickle=False, **found)
-    with np.load(path, allow_pickle=False) as kept:
-        names = dict.fromkeys(key.split("/")[0] for key in kept.files)
-        return {name: Streamed(inside, {one: kept[f"{name}/{one}"] for one in WATCHERS}) for name in names}
+
+    def found() -> dict[str, NDArray[np.float64]]:
+        monitors = learned(w, inside, others, seed, way).items()
+        return {f"{name}/{by}": times for name, one in monitors for by, times in alarms(w, one, ~inside).items()}
+
+    kept = kept_arrays(path, found)
+    names = dict.fromkeys(key.split("/")[0] for key in kept)
+    return {name: Streamed(inside, {by: kept[f"{name}/{by}"] for by in WATCHERS}) for name in names}
 
 
 def measure(those: Trials, repeats: dict[str, list[dict[str, Streamed]]]) -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 Counts those of ``experiments.online.faults`` anew. Sensitivity is the share of failures that were noticed in time,
 with contact and without; specificity is the share of trials that had a fault, seated nevertheless and raised no alarm;
-precision is the share of failures among the faulty trials that raised one. Trials without a fault are not in it: how
-many of them there are is a choice. Intervals are Wilson's with each trial counted once, however often it was streamed.
+precision is the share of failures among those noticed in time and the seated trials with an alarm at any time. Trials
+without a fault are not in it: how many of them there are is a choice. Intervals are Wilson's with each trial counted
+once, however often it was streamed.
 
 Run: python -m experiments.online.faults_outcome
 Reads faults_online.json.

@@ -21,8 +21,8 @@ import tyro
 from experiments._lib import frozen
 from experiments._lib.benchmarks import REAL, SIM1, recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.streams import halves
 from experiments.online import causal
-from experiments.online.table2 import halves
 from rcbht_jax.features.recipes import LEVELS, SUBTASK, TRIAL
 from rcbht_jax.introspection.training import ENDS, GRID, TRIAL_GRID
 from rcbht_jax.types import Recordings

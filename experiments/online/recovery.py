@@ -27,13 +27,13 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments._lib.results_io import write_result
+from experiments._lib.simulated import assembled
 from experiments._lib.tasks import task
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, EventHub, FailureType
 from rcbht_jax.introspection.introspector import FAILURE_TYPE, Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.training import HeadSpec, train_model
 from rcbht_jax.learning.metrics import wilson
-from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.task import CONTROL_PERIOD, horizontal
@@ -73,23 +73,13 @@ def simulate(offsets: Floats, seed: int, first: int) -> Rollouts:
 
 def as_recordings(run: Rollouts, offsets: Floats, kinds: list[str]) -> Recordings:
     """Simulated trials as the training data of an introspector."""
-    count = len(run.length)
     outcome = np.where(run.seated.all(1), "success", "failure")
-    return snap_recordings(
-        wrench=run.wrench,
-        length=run.length,
-        dt=CONTROL_PERIOD,
-        onset=run.onset,
-        onset_harmonised=run.onset,
-        trial=np.array([f"sim-{k:04d}" for k in range(count)]),
-        arm=np.full(count, "R"),
-        source=np.full(count, "SIM_MJX"),
-        session=np.full(count, "SIM_MJX"),
-        outcome=outcome,
+    return assembled(
+        run.wrench, run.length, run.onset, "SIM_MJX", outcome=outcome,
+        trial=np.array([f"sim-{k:04d}" for k in range(len(outcome))]),
         failure_type=np.where(outcome == "failure", kinds, ""),
-        deviation=np.column_stack([offsets, np.zeros(count)]),
-        note=np.full(count, ""),
-    )
+        deviation=np.column_stack([offsets, np.zeros(len(outcome))]),
+    )  # fmt: skip
 
 
 def learn(per_kind: int, seed: int) -> tuple[IntrospectionModel, dict[str, Any]]:

@@ -20,7 +20,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from experiments.online.recovery import ATTEMPTS, DIRECTIONS, DOUBT, HOLD, MILD, PRESET, STEP, learn
 from rcbht_jax.introspection.introspector import FAILURE_TYPE
 from rcbht_jax.introspection.model import IntrospectionModel
@@ -144,8 +144,8 @@ def main(
         "training": trained, "engine": engine, "sizes_mm": [size * 1e3 for size in SIZES],
         "faulty parts": repeats * len(faulty), **assemble(Bench(model, faults, seed, engine), attempts),
     }  # fmt: skip
-    options = f"--trials {trials} --repeats {repeats} --attempts {attempts} --engine {engine}"
-    write_result("retry", f"python -m experiments.online.retry {options}", result, seed)
+    command = "python -m experiments.online.retry" + given(locals(), defaults_of(main))
+    write_result("retry", command, result, seed)
 
 
 if __name__ == "__main__":

@@ -10,18 +10,10 @@ the planned end of nearly all: neither the length of a record nor what follows c
 
 from __future__ import annotations
 
-import sys
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-from tqdm import tqdm
-
-from experiments.online.fault_trials import drawn_from, made
+from experiments.online.fault_trials import Lot, Trials, drawn_from, made
 from rcbht_jax.introspection.fault_monitor import NOMINAL
-from rcbht_jax.types import Recordings
-from sim_mjx.synthesis.plan import SynthesisConfig
 
 Ranges = dict[str, tuple[float, float]]
 # Session -> kind of fault -> the ranges of the distributions from which its severity is drawn.
@@ -49,17 +41,6 @@ LENGTH = {"hooked-A": 20.7, "hooked-B": 30.7}  # s of each record that are seen,
 SHARD = 64
 
 
-@dataclass(frozen=True)
-class SeatTrials:
-    """Trials of a session, and how they ended."""
-
-    recordings: Recordings  # longer than ``seconds``
-    seconds: float  # of each that are seen
-    kind: NDArray[np.str_]  # [trial] "none", a fault, or "no contact"
-    failed: NDArray[np.bool_]  # [trial]
-    early: NDArray[np.float64]  # [trial] s between what is seen and the end of the trial as planned
-
-
 def sets(session: str, per_kind: int) -> list[tuple[str, str, Ranges, int]]:
     """Name of the kind, fault, severities and number of trials of every store of a session."""
     touching = [(kind, kind, ranges, per_kind) for kind, ranges in SEVERITIES[session].items()]
@@ -67,7 +48,7 @@ def sets(session: str, per_kind: int) -> list[tuple[str, str, Ranges, int]]:
     return [(NOMINAL, NOMINAL, {}, per_kind), *touching, *apart]
 
 
-def seat_trials(folder: Path, session: str, per_kind: int, seed: int) -> SeatTrials:
+def seat_trials(folder: Path, session: str, per_kind: int, seed: int) -> Trials:
     """Simulate what is not in the folder yet, and read it all; an interrupted run goes on.
 
     Args:
@@ -76,20 +57,8 @@ def seat_trials(folder: Path, session: str, per_kind: int, seed: int) -> SeatTri
         per_kind: trials of each kind, and without a fault.
         seed: of the simulation.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    lots = []
-    for number, (name, fault, ranges, count) in enumerate(
-        tqdm(sets(session, per_kind), desc=f"simulate {session}", file=sys.stderr, disable=None)
-    ):
-        path = folder / f"seat-{session}-{name.replace(' ', '-')}-{fault}-{count}-{1000 * seed + number}.zarr"
-        job = SynthesisConfig(session, count, 1000 * seed + number, shard=SHARD, spec=drawn_from(fault, ranges))
-        lots.append(_lot(path, job, name))
-    columns = {name: np.concatenate([getattr(lot, name) for lot in lots]) for name in ("kind", "failed", "early")}
-    return SeatTrials(Recordings.join([lot.recordings for lot in lots]), LENGTH[session], **columns)
-
-
-def _lot(path: Path, job: SynthesisConfig, kind: str) -> SeatTrials:
-    """One store."""
-    whole, _, end = made(path, job)
-    seconds, failed = LENGTH[job.preset], np.asarray(whole.outcome == "failure")
-    return SeatTrials(whole, seconds, np.full(len(whole), kind), failed, end - seconds)
+    lots = [
+        Lot(f"seat-{session}-{kind.replace(' ', '-')}-{fault}", kind, 0, count, drawn_from(fault, ranges))
+        for kind, fault, ranges, count in sets(session, per_kind)
+    ]
+    return made(folder, session, lots, seed, shard=SHARD)

@@ -24,20 +24,19 @@ from tqdm import tqdm
 
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, recorded, with_interval
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.streams import described, halves
 from experiments._lib.tasks import states
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import names
 from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE
-from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.introspection.training import (
     ENDS,
     GRID,
     Snapshots,
     learn,
     regular_snapshots,
-    snapshot_features,
     training_snapshots,
 )
 from rcbht_jax.learning import metrics
@@ -61,12 +60,6 @@ WHOLE = "beliefs and classes of full sequences"
 CHANCE = "ECE full sequences, were they calibrated perfectly"
 
 Floats = NDArray[np.float64]
-
-
-def halves(items: LabelledIntervals, seed: int) -> NDArray[np.bool_]:
-    """Which intervals train: those of a random half of the trials."""
-    trials = np.unique(items.trial)
-    return np.isin(items.trial, np.random.default_rng(seed).permutation(trials)[: len(trials) // 2])
 
 
 def certainty_rows(p: Floats, snapshots: Snapshots, items: LabelledIntervals) -> dict[str, Any]:
@@ -183,14 +176,12 @@ def _mean(stacked: Floats) -> Floats:
 
 def watched(recordings: Any, items: LabelledIntervals, config: EncoderConfig, rate: float) -> dict[str, Any]:
     """Features of all snapshots, made once for all repeats."""
-    families = tuple(dict.fromkeys((*SUBTASK, *SUBTASK_RELATIVE)))
-    view = FeatureView(FeatureSpec(families=families))
+    spec, encoder = FeatureSpec(families=tuple(dict.fromkeys((*SUBTASK, *SUBTASK_RELATIVE)))), (config, preset())
     every = round(1 / (rate * config.dt))
     out: dict[str, Any] = {"picked": training_snapshots(items, every), "streamed": regular_snapshots(items, every)}
     for part in ("picked", "streamed"):
-        with tqdm(total=len(out[part]), desc=f"{part} snapshots at {rate:g} Hz", file=sys.stderr, disable=None) as bar:
-            out[f"{part}_x"] = snapshot_features(recordings, out[part], view, config, preset(), bar.update)
-    out["family"] = np.array([name.split(".")[0] for name in names(view.spec)])
+        out[f"{part}_x"] = described(recordings, out[part], spec, encoder, f"{part} snapshots at {rate:g} Hz")
+    out["family"] = np.array([name.split(".")[0] for name in names(spec)])
     return out
 
 

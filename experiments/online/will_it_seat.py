@@ -41,8 +41,9 @@ from sklearn.metrics import roc_auc_score
 from experiments._lib.benchmarks import FOLDS
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import of_auc
-from experiments.online.seat_trials import APART, KINDS, LENGTH, SESSIONS, SEVERITIES, SeatTrials, seat_trials
-from rcbht_jax._util.atomic import atomic_write
+from experiments._lib.simulated import kept_arrays
+from experiments.online.fault_trials import Trials
+from experiments.online.seat_trials import APART, KINDS, LENGTH, SESSIONS, SEVERITIES, seat_trials
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset as thresholds
@@ -72,7 +73,7 @@ Flags = NDArray[np.bool_]
 class Seen:
     """The data of each trial at each moment."""
 
-    trials: SeatTrials
+    trials: Trials
     x: Floats  # [moment, trial, feature]
     wrench: Floats  # [moment, trial, number] of the last tenth of a second
     began: Floats  # [moment, trial, sub-task] s, when the controller's sub-tasks began
@@ -93,15 +94,15 @@ def seen(folder: Path, session: str, per_kind: int, seed: int) -> Seen:
     """Simulate, and describe; features are kept in the folder."""
     trials = seat_trials(folder, session, per_kind, seed)
     data = trials.recordings
-    ends = [round((trials.seconds - before) / data.dt) for before in BEFORE]
-    path = folder / f"seat-{session}-{per_kind}-{seed}-looks.npz"
-    if not path.is_file():
-        with atomic_write(path) as draft:
-            np.savez(draft, x=np.stack([described(data.wrench[:, :end], data.dt) for end in ends]))
+    ends = [round((LENGTH[session] - before) / data.dt) for before in BEFORE]
+    x = kept_arrays(
+        folder / f"seat-{session}-{per_kind}-{seed}-looks.npz",
+        lambda: {"x": np.stack([described(data.wrench[:, :end], data.dt) for end in ends])},
+    )["x"]
     began = np.nan_to_num(data.starts(RECORDED)[:, 1:], nan=NOT_YET)
     return Seen(
         trials,
-        np.load(path)["x"].astype(np.float64),
+        x.astype(np.float64),
         np.stack([last_of(data.wrench[:, :end], data.dt) for end in ends]),
         np.stack([np.where(began < end * data.dt, began, NOT_YET) for end in ends]),
     )
@@ -171,8 +172,9 @@ def area(p: Floats, y: Ints) -> dict[str, Any] | None:
     return {"mean": round(mean, 4), "low": round(low, 4), "high": round(high, 4)}
 
 
-def share(good: int, trials: int) -> dict[str, Any] | None:
-    """A share of trials with Wilson's interval."""
+def share(right: Flags, of: Flags) -> dict[str, Any] | None:
+    """The share of some trials that are right, with Wilson's interval."""
+    good, trials = int((right & of).sum()), int(of.sum())
     if not trials:
         return None
     low, high = wilson(good, trials)
@@ -191,9 +193,9 @@ def scores(s: Seen, p: Floats, tested: Flags) -> dict[str, Any]:
     believed = last > 0.5
     out["said at 0.5"] = {
         name: {
-            "sensitivity": share(int((believed & rows & (y == 1)).sum()), int((rows & (y == 1)).sum())),
-            "specificity": share(int((~believed & rows & (y == 0)).sum()), int((rows & (y == 0)).sum())),
-            "precision": share(int((believed & rows & (y == 1)).sum()), int((believed & rows).sum())),
+            "sensitivity": share(believed, rows & (y == 1)),
+            "specificity": share(~believed, rows & (y == 0)),
+            "precision": share(y == 1, rows & believed),
         }
         for name, rows in (groups | {NOMINAL: tested & (kind == NOMINAL), APART: tested & (kind == APART)}).items()
     }
@@ -244,7 +246,7 @@ def shares(get: Callable[[str], Seen], session: str) -> dict[str, Any]:
             "trials": int(rows.sum()), "failed": int((rows & s.trials.failed).sum()),
             "approach never ended": int((rows & ~touched).sum()),
             "s from what is seen to the planned end, least and median": [
-                round(float(value), 2) for value in np.quantile(s.trials.early[rows], [0, 0.5])
+                round(float(value), 2) for value in np.quantile(s.trials.end[rows] - LENGTH[session], [0, 0.5])
             ],
         }
         for name in (NOMINAL, *KINDS, APART) for rows in [s.trials.kind == name]

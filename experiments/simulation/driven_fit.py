@@ -9,9 +9,9 @@ Run: python -m experiments.simulation.driven_fit --engine warp
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -148,16 +148,19 @@ def by_search(objective: DrivenObjective, how: Search, target: float, checkpoint
     }
 
 
+def progress(begun: float, at: Iteration, values: Values) -> None:
+    """Print how far Gauss-Newton is."""
+    took = time.perf_counter() - begun
+    print(f"{took:.0f} s, {at.candidates} candidates: {at.loss:.4f}, step {at.step:g}", flush=True)
+
+
 def by_gauss_newton(
     data: Trials, objective: DrivenObjective, how: Search, iterations: int, step: float, begun: float
 ) -> dict[str, Any]:
     """The fit, the identifiability of its parameters, and the explained variance of presets and fit."""
-
-    def progress(at: Iteration, values: Values) -> None:
-        took = time.perf_counter() - begun
-        print(f"{took:.0f} s, {at.candidates} candidates: {at.loss:.4f}, step {at.step:g}", flush=True)
-
-    found: LeastSquares = gauss_newton.fit(objective, how, iterations=iterations, step=step, progress=progress)
+    found: LeastSquares = gauss_newton.fit(
+        objective, how, iterations=iterations, step=step, progress=partial(progress, begun)
+    )
     windows = sum((len(t.path) - t.begin) // driven_fit.WINDOW for t in data.seen)
     identifiable = gauss_newton.identifiability(found.jacobian, list(how.bounds), found.loss, 6.0 * windows)
     return {
@@ -181,11 +184,7 @@ def alone(data: Trials, scene: Scene, engine: str, iterations: int, begun: float
         seen = tuple(trial for trial in data.seen if trial.session == name)
         objective = DrivenObjective(scene, {name: HOOKED[name]}, seen, engine)
         how = search((name,))
-
-        def progress(at: Iteration, values: Values) -> None:
-            print(f"{time.perf_counter() - begun:.0f} s, {at.candidates} candidates: {at.loss:.4f}", flush=True)
-
-        found = gauss_newton.fit(objective, how, iterations=iterations, progress=progress)
+        found = gauss_newton.fit(objective, how, iterations=iterations, progress=partial(progress, begun))
         unseen = DrivenObjective(scene, objective.presets, data.held[held], engine)
         out[name] = {
             "loss": found.loss, "candidates": found.candidates, "values": found.values, "at_bound": found.at_bound,
@@ -224,15 +223,13 @@ def main(
     generations: int = 80,
     spread: float = 0.12,
     seed: int = 0,
-    fitted: Path | None = None,
     checkpoint: Path = Path("driven_fit_search.json"),
 ) -> None:
     """See the module.
 
     Args:
         engine: that simulates. of_a: trials of session A that are seen. iterations, step: of Gauss-Newton.
-        population, generations, spread, seed: of CMA-ES.
-        fitted: an earlier result, whose Gauss-Newton is kept. checkpoint: of CMA-ES.
+        population, generations, spread, seed, checkpoint: of CMA-ES.
     """
     begun = time.perf_counter()
     data = trials(recorded(), DATA, of_a)
@@ -243,14 +240,9 @@ def main(
     command += (
         f" --step {step:g} --population {population} --generations {generations} --spread {spread:g} --seed {seed}"
     )
-    if fitted is None:
-        result = by_gauss_newton(data, objective, how, iterations, step, begun)
-        write_result("driven_fit", command, result, seed=seed, show=False)  # a search that is cut off leaves this much
-    else:
-        result = json.loads(fitted.read_text())["result"]
-    if result.get("alone") is None:
-        result["alone"] = alone(data, scene, engine, iterations, begun)
-        write_result("driven_fit", command, result, seed=seed, show=False)
+    result = by_gauss_newton(data, objective, how, iterations, step, begun)
+    result["alone"] = alone(data, scene, engine, iterations, begun)
+    write_result("driven_fit", command, result, seed=seed, show=False)  # a search that is cut off leaves this much
     result["traces"] = traces(data, scene, how.start, result["gauss_newton"]["values"])
     target = result["gauss_newton"]["loss"]
     result["cma_es"] = by_search(objective, how, target, checkpoint, begun) if generations else None

@@ -238,7 +238,6 @@ def main(
     mating: float = AFTER,
     load_weight: float = 0.0,
     checkpoint: Path = Path("driven_starts_fits.json"),
-    score: bool = True,
 ) -> None:
     """See the module.
 
@@ -248,7 +247,7 @@ def main(
         iterations: of Gauss-Newton. seed: of the draws.
         mating: s, of it that are compared. load_weight: of the places where the hand is loaded, beside the wrench.
             Searches with more than 4 s, and with a weight, have results of their own.
-        checkpoint: of the fits; an existing one is gone on with. score: what was found.
+        checkpoint: of the fits; an existing one is gone on with.
     """
     recordings = recorded()
     seen, held = trials(recordings, mating)
@@ -264,8 +263,6 @@ def main(
         result = best_drawn(objective, around, draws, fits, seed) | {"fitted on": machine()}
         keep(result)
     fitted(objective, around[0], result, iterations, keep)
-    if not score:
-        return
     result["fits"].sort(key=lambda fit: float(fit["loss"]))
     result |= scored(objective, held, around, result["fits"][0]["values"], recordings)
     write_result(name, f"{command} --iterations {iterations}", result, seed=seed, show=False)

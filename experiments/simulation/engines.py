@@ -10,7 +10,7 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import given, write_result
 from experiments._lib.timing import seconds_of
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
@@ -70,7 +70,8 @@ def main() -> None:
             "native_is_faster_by": round(ratio, 2),
             "parity": asdict(parity(expected, contact, found)),
         }
-    write_result("engines", "python -m experiments.simulation.engines", result, seed=SEED)
+    command = "python -m experiments.simulation.engines" + given(vars(options), vars(parser.parse_args([])))
+    write_result("engines", command, result, seed=SEED)
 
 
 if __name__ == "__main__":

@@ -35,10 +35,8 @@ from sim_mjx.assembly.task import CONTROL_PERIOD, ENDED
 from sim_mjx.engines import device, lanes
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis import in_lanes, pipeline, writers
-from sim_mjx.synthesis.draft import Draft
+from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
-from sim_mjx.synthesis.regroup import Regroup
 from sim_mjx.validation.engine_parity import parity, reference
 
 SOLVERS = ((6, 4), (4, 4), (1, 1), (10, 6))  # most iterations, of its line search; the first cannot converge
@@ -120,18 +118,16 @@ def _synthesis(engine: str, trials: int, options: argparse.Namespace) -> dict[st
     """One set, after a set of one wave on as many lanes, which compiles."""
     count, substeps = pipeline.lanes_for(trials, engine), get_scenario(options.preset).scene().substeps
     out: dict[str, Any] = {"trials": trials, "preset": options.preset, "longest": options.synthesis_longest}
-    spans: dict[str, float] = {}
     for turn, many in (("with_compilation_s", count), ("seconds", trials)):
-        with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
+        with tempfile.TemporaryDirectory() as folder:
             target = Path(folder) / "trials.zarr"
             spec = DomainRandomization(longest=options.synthesis_longest)
-            job = SynthesisConfig(options.preset, many, SEED, engine, shard=options.shard, spec=spec, window=5)
-            with _stopwatch(spans), _memory() as memory, _kept_lanes() as kept:
+            job = SynthesisConfig(options.preset, many, SEED, engine, spec=spec, window=5)
+            with _memory() as memory, _kept_lanes() as kept:
                 start = time.perf_counter()
                 report = pipeline.synthesise(target, job, lanes=count)
                 out[turn] = round(time.perf_counter() - start, 2)
             out |= {"lanes": kept[0].count, "utilisation": round(kept[0].utilisation, 3)}
-            out[turn + "_by_part"] = {name: round(value, 2) for name, value in spans.items()}
             out |= {"stored": report.stored, "seated": report.seated, "diverged": len(report.diverged)}
             out["store_GB"] = round(sum(file.stat().st_size for file in target.rglob("*") if file.is_file()) / 1e9, 3)
             out["physics_steps_per_trial"] = round(float(store.read_table(target).length.mean()) * substeps)
@@ -191,38 +187,6 @@ def _kept_lanes() -> Iterator[list[lanes.Lanes]]:
         lanes.Lanes.__init__ = begin  # type: ignore[method-assign]
 
 
-class _stopwatch:
-    """Seconds spent in the parts of a synthesis, summed over the threads that are at work at the same time."""
-
-    PARTS: tuple[tuple[Any, str], ...] = (
-        (Draft, "draw"), (device, "fields_of"), (lanes.Lanes, "_taken_out"), (in_lanes, "to_host"),
-        (Regroup, "add"), (writers.Writers, "__exit__"), (Draft, "finish"), (pipeline, "_report"),
-    )  # fmt: skip
-
-    def __init__(self, spans: dict[str, float]) -> None:
-        spans.clear()
-        self._spans = spans
-
-    def __enter__(self) -> None:
-        self._kept = [(module, name, getattr(module, name)) for module, name in self.PARTS]
-        for module, name, function in self._kept:
-            part = f"{module.__name__.rpartition('.')[2]}.{name}"
-            setattr(module, name, self._watched(part, function))
-
-    def __exit__(self, *error: object) -> None:
-        for module, name, function in self._kept:
-            setattr(module, name, function)
-
-    def _watched(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*args: Any, **options: Any) -> Any:
-            start = time.perf_counter()
-            out = function(*args, **options)
-            self._spans[name] = self._spans.get(name, 0.0) + time.perf_counter() - start
-            return out
-
-        return call
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--engine", choices=["mjx", "warp"], required=True)
@@ -235,9 +199,7 @@ def main() -> None:
     parser.add_argument("--batches", type=int, nargs="*", default=[1024, 4096, 16384, 32768])
     parser.add_argument("--trials", type=int, nargs="*", default=[10000], help="of each set")
     parser.add_argument("--preset", default=PRESET)
-    parser.add_argument("--shard", type=int, default=256)
     parser.add_argument("--synthesis-longest", type=float, default=25.0, help="s")
-    parser.add_argument("--scratch", type=Path, default=None)
     options = parser.parse_args()
     work: dict[str, Callable[[], Any]] = {
         "parity": lambda: timed_parity(options.engine, options),

@@ -18,7 +18,7 @@ import tyro
 
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.intervals import jackknife, of_auc
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from rcbht_jax.learning.metrics import has_width
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import PartParams
@@ -117,7 +117,8 @@ def main(session: tuple[str, ...] = tuple(SESSIONS)) -> None:
     recordings = recorded()
     result = {"rows": {name: of_session(SESSIONS[name], recordings) for name in session}}
     result["states"] = list(signature.STATES)
-    write_result("fidelity_gate", "python -m experiments.simulation.fidelity_gate", result, seed=SEED, show=False)
+    command = "python -m experiments.simulation.fidelity_gate" + given(locals(), defaults_of(main))
+    write_result("fidelity_gate", command, result, seed=SEED, show=False)
 
 
 if __name__ == "__main__":

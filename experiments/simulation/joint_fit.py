@@ -19,8 +19,7 @@ import tyro
 from jaxtyping import Int
 
 from experiments._lib.benchmarks import recorded
-from experiments._lib.results_io import write_result
-from rcbht_jax.io.store import read_recordings
+from experiments._lib.results_io import defaults_of, given, write_result
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import HOOKED
 from sim_mjx.randomization import overrides
@@ -127,14 +126,12 @@ def main(
     generations: int = 40,
     spread: float = 0.12,
     seed: int = 0,
-    store: Path | None = None,
     first: Path | None = None,
     checkpoint: Path = Path("joint_fit.json"),
-    max_seconds: float = np.inf,
     stands: bool = False,
 ) -> None:
-    recordings = recorded() if store is None else read_recordings(store)
-    seen = shares(recordings, session)
+    options = given(locals(), {name: one for name, one in defaults_of(main).items() if name != "checkpoint"})
+    seen = shares(recorded(), session)
     start = time.perf_counter()
 
     def progress(generation: Generation, best: Fit) -> None:
@@ -144,8 +141,6 @@ def main(
             f"step {generation.step:.3f}, best of all {best.loss:.3f}",
             flush=True,
         )
-        if took > max_seconds:
-            raise SystemExit(f"stopped after {took:.0f} s; the same command resumes from {checkpoint}")
 
     values = None if first is None else json.loads(first.read_text())["result"]["start"]
     how = search(tuple(seen), population, generations, spread, seed, values, stands)
@@ -164,10 +159,8 @@ def main(
         "simulations": len(best.generations) * population * sum(share.trials for share in seen.values()),
         "loss_by_generation": [round(generation.best, 4) for generation in best.generations],
     }  # fmt: skip
-    command = f"python -m experiments.simulation.joint_fit {'--stands ' * stands}--session {' '.join(session)}"
-    command += f" --engine {engine} --population {population} --generations {generations} --spread {spread:g}"
     name = "joint_fit_stands" if stands else "joint_fit"
-    write_result(name, f"{command} --seed {seed}", result, seed=seed, show=False)
+    write_result(name, f"python -m experiments.simulation.joint_fit{options}", result, seed=seed, show=False)
 
 
 if __name__ == "__main__":

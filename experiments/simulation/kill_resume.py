@@ -22,7 +22,7 @@ from typing import Any
 
 import tyro
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import given, write_result
 from sim_mjx.synthesis import shards
 
 # A worker that appends the number of each shard it begins to the file that is its first argument.
@@ -101,8 +101,8 @@ def main(options: Options) -> None:
         "shards_finished_at_kills": moments, "shards_begun_again": begun.total() - count, "same_bytes": same,
         "work_folder_removed": tidy,
     }  # fmt: skip
-    command = f"python -m experiments.simulation.kill_resume --trials {options.trials} --kills {options.kills}"
-    write_result("kill_resume", f"{command} --workers {options.workers}", result, options.seed)
+    command = "python -m experiments.simulation.kill_resume" + given(vars(options), vars(Options()))
+    write_result("kill_resume", command, result, options.seed)
     again = begun.total() - count
     sys.exit(not (same and tidy and len(moments) == options.kills and again <= options.kills))
 

@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.io import store_writer
 from rcbht_jax.io.store_schema import schema_of
@@ -145,7 +145,7 @@ def main(
     rcbht("encode", path, "--window", "5", "--robot", "hiro")
     rcbht("train", path, "-o", model)
     work = rows_of(worked, path, lambda store: working(store, model, folder))
-    command = "python -m experiments.simulation.large_store WORK"
+    command = "python -m experiments.simulation.large_store WORK" + given(locals(), defaults_of(main))
     result = {"samples": SAMPLES, "trials_read": READ, "read": read, "worked": work}
     write_result("large_store", command, result, 0)
 

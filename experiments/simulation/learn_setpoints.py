@@ -27,10 +27,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.results_io import write_result
+from experiments._lib.intervals import seated_share
+from experiments._lib.results_io import defaults_of, given, write_result
 from experiments.simulation import steered
 from rcbht_jax._util import checkpoint as checkpoints
-from rcbht_jax.learning.metrics import wilson
 from sim_mjx import engines, env
 from sim_mjx.assembly import task
 from sim_mjx.env.actions import with_set_points
@@ -156,23 +156,12 @@ def weighted(candidates: Floats, score: Floats) -> tuple[Floats, Floats]:
     return mean, np.sqrt(np.average((candidates - mean) ** 2, axis=0, weights=score))
 
 
-def share(seated: NDArray[np.bool_]) -> dict[str, Any]:
-    """A rate with its 95 % interval."""
-    good, count = int(seated.sum()), seated.size
-    return {
-        "seated": good,
-        "trials": count,
-        "share": good / count,
-        "share_95_percent": np.round(wilson(good, count), 4).tolist(),
-    }
-
-
 def test(engine: str, policy: Floats, count: int, seconds: float) -> dict[str, Any]:
     """Recorded and learnt policy on trials that learning has not seen, beside the part and before it."""
     both, out = np.stack([steered.RECORDED, policy]), {}
     for name, offset in (("5 mm beside", OFFSET), ("in place", 0.0)):
         _, seated = evaluate(engine, beside(TEST, range(count), seconds, offset), both)
-        out[name] = {"recorded": share(seated[0]), "learnt": share(seated[1])}
+        out[name] = {"recorded": seated_share(seated[0]), "learnt": seated_share(seated[1])}
     return out
 
 
@@ -186,6 +175,7 @@ def main(
     seed: int = 0,
     checkpoint: Annotated[Path | None, tyro.conf.arg(help="File to resume from.")] = None,
 ) -> None:
+    options = given(locals() | {"checkpoint": None}, defaults_of(main))
     search = Search(engine, population, trials, seconds, seed)
     state = learn(search, generations, checkpoint)
     policy = np.array(state["mean"])
@@ -196,11 +186,8 @@ def main(
         "generations": state["generations"],
         "test": test(engine, policy, tests, seconds),
     }  # fmt: skip
-    options = (
-        f"--engine {engine} --population {population} --trials {trials} --generations {generations} --tests {tests}"
-    )
     name = "learn_setpoints" if engine == "native" else "learn_setpoints_gpu"
-    write_result(name, f"python -m experiments.simulation.learn_setpoints {options}", result, seed)
+    write_result(name, f"python -m experiments.simulation.learn_setpoints{options}", result, seed)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,13 @@
 Contact with friction amplifies any difference. The rows give the share of time with equal words when the female part is
 displaced by a fraction of a micrometre, and when the state of the physics is rounded to single precision once per
 control period. No engine in single precision can be expected to agree better than that.
-Run: python -m experiments.simulation.parity_floor [--trials 64] [--longest 15]
+Run: python -m experiments.simulation.parity_floor
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import tyro
@@ -22,6 +22,7 @@ from sim_mjx.engines import native
 from sim_mjx.registry import get_scenario
 from sim_mjx.validation.engine_parity import parity, reference
 
+TRIALS, LONGEST = 64, 15.0  # s, which cuts every trial
 SHIFTS = (1e-9, 1e-8, 1e-7, 1e-6)  # m, standard deviation of each coordinate
 
 
@@ -48,15 +49,14 @@ def rounded(scene: Scene, params: TrialParams) -> Rollouts:
         native._Lanes = kept  # type: ignore[misc]
 
 
-def main(trials: int = 64, longest: Annotated[float, tyro.conf.arg(help="s, cuts every trial")] = 15.0) -> None:
-    scene, params = get_scenario(PRESET).scene(), trials_of(trials, longest)
+def main() -> None:
+    scene, params = get_scenario(PRESET).scene(), trials_of(TRIALS, LONGEST)
     expected, contact = reference(scene, params)
     rows = {f"part moved by {metres:g} m": shifted(scene, params, metres) for metres in SHIFTS}
     rows["state rounded to single precision every 5 ms"] = rounded(scene, params)
     result = {name: asdict(parity(expected, contact, found)) for name, found in rows.items()}
-    write_result(
-        "parity_floor", "python -m experiments.simulation.parity_floor", {"preset": PRESET, "rows": result}, seed=SEED
-    )
+    command = "python -m experiments.simulation.parity_floor"
+    write_result("parity_floor", command, {"preset": PRESET, "rows": result}, seed=SEED)
 
 
 if __name__ == "__main__":

@@ -29,8 +29,8 @@ import tyro
 from jax.experimental.layout import Format, Layout
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from experiments._lib.random_walks import SAMPLES, recordings
-from experiments._lib.results_io import machine, write_result
+from experiments._lib.results_io import defaults_of, given, machine, write_result
+from experiments._lib.timing import SAMPLES, recordings
 from experiments.simulation.simulate_gpu import COMMAND, PRESET
 from rcbht_jax._util.ratios import interleaved
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
@@ -43,6 +43,8 @@ from rcbht_jax.types import Array, LabelTracks
 from sim_mjx.synthesis import claims, launch, shards
 
 SEED = 0
+TRIALS = 20_480  # of a device
+SEARCHED = (65_536, 64, SAMPLES)  # candidates, trials and their samples
 LOOK, QUANTILES = 0.2, (0.1, 0.5, 0.9, 1.0)  # s between two checks of a running command
 SIZES = ((32_768, 5), (32_768, 20))  # recordings of a device, and the window
 CALLS = (1, 16)  # one after another, none waited for
@@ -239,29 +241,21 @@ def compact_labels(count: int, window: int) -> list[dict[str, Any]]:
 
 def main(
     folder: Annotated[Path, tyro.conf.Positional],
-    each: int = 20_480,
-    candidates: int = 65_536,
-    trials: int = 64,
-    samples: int = SAMPLES,
     only: tuple[Section, ...] = SECTIONS,
 ) -> None:
     """Measure and store.
 
     Args:
         folder: for stores, which are deleted, and compiled programs.
-        each: trials a device.
-        candidates: of the search.
-        trials: of the search.
-        samples: of a trial of the search.
         only: what is measured.
     """
     gpus = launch.visible_devices()
     result: dict[str, Any] = {"devices": max(1, len(gpus))}
     if "simulation" in only:
-        result["simulation"] = simulation(folder, each, gpus)
+        result["simulation"] = simulation(folder, TRIALS, gpus)
         print(json.dumps(result), flush=True)
     if "search" in only:
-        result["search"] = search(candidates, trials, samples)
+        result["search"] = search(*SEARCHED)
         print(json.dumps(result["search"]), flush=True)
     if "labels" in only:
         result["labels"] = []
@@ -269,7 +263,8 @@ def main(
             result["labels"] += made(*size)
             print(json.dumps(result["labels"]), flush=True)
     print(machine())
-    write_result("scaling", "python -m experiments.simulation.scaling FOLDER", result, SEED)
+    command = "python -m experiments.simulation.scaling FOLDER" + given(locals(), defaults_of(main))
+    write_result("scaling", command, result, SEED)
 
 
 if __name__ == "__main__":

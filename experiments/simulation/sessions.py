@@ -40,11 +40,6 @@ def similarity(reference: np.ndarray, run: Rollouts) -> dict[str, Any]:
     }
 
 
-def mild(preset: str, count: int, **options: Any) -> Rollouts:
-    drawn, _ = get_scenario(preset).draw_batch(SEED, range(count), DomainRandomization(nominal_share=1.0, **options))
-    return native.simulate(one_arm(), drawn)
-
-
 def medians(onset: np.ndarray) -> list[float | None]:
     """Median onset of each state over the trials that entered it, s; None = no trial did."""
     reached = [column[np.isfinite(column)] for column in onset.T]
@@ -71,7 +66,8 @@ def main() -> None:
         for session, key in REFERENCES.items()
     }
     for preset in ONE_ARM:
-        run = mild(preset, MILD)
+        drawn, _ = get_scenario(preset).draw_batch(SEED, range(MILD), DomainRandomization(nominal_share=1.0))
+        run = native.simulate(one_arm(), drawn)
         row = {
             "seated": round(float(run.seated.all(1).mean()), 3),
             "median onsets, s": medians(run.onset),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.intervals import bootstrap
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from experiments.simulation.fidelity_gate import row
 from experiments.simulation.joint_fit import SEEN
 from experiments.simulation.snap_needs import CELLS, LONGEST, REAR, SESSION, compared, passes
@@ -213,7 +213,8 @@ def main(trials: int = len(CELLS), seeds: int = 3, only: tuple[str, ...] = tuple
     }
     result = {"sweep": swept, "gate": rounded(rows), "seeds": seeds, "recorded": as_recorded(recordings)}
     result["finer"] = finer(CELLS[:trials])
-    write_result("snap_creep", "python -m experiments.simulation.snap_creep", result, seed=SEED)
+    command = "python -m experiments.simulation.snap_creep" + given(locals(), defaults_of(main))
+    write_result("snap_creep", command, result, seed=SEED)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import Scene
@@ -78,7 +78,8 @@ def compared(scene: Scene, presets: dict[str, SessionPreset], cells: tuple[tuple
 def main(trials: int = len(CELLS)) -> None:
     changed = {name: replace(SESSION, parts=parts) for name, parts in variants(SESSION.parts).items()}
     result = compared(SESSION.scene(), changed, CELLS[:trials])
-    write_result("snap_needs", "python -m experiments.simulation.snap_needs", {"rows": result}, seed=0)
+    command = "python -m experiments.simulation.snap_needs" + given(locals(), defaults_of(main))
+    write_result("snap_needs", command, {"rows": result}, seed=0)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 """Success of the simulated assembly: seating rates, success over offsets, snap events.
 
 Run: python -m experiments.simulation.success [rates] [map] [snaps]     (default: all three)
-Simulates with the native engine. The recorded snaps are measured on the authors' data sets, if they are there
-(RCBHT_DATA, default ../shared/data/hiro). Draws docs/images/success-map.png.
+Simulates with the native engine; reads the recorded trials (RCBHT_DATA). Draws docs/images/success-map.png.
 """
 
 from __future__ import annotations
@@ -10,17 +9,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
-from experiments._lib.catalogue import DATA
+from experiments._lib.benchmarks import recorded
+from experiments._lib.intervals import seated_share
 from experiments._lib.results_io import pictures, record_of, write_result
-from rcbht_jax.io.hiro.importer import read_hiro
-from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 from sim_mjx.assembly.rollout import stack
@@ -48,12 +45,8 @@ def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
         seated.append(run.seated)
         diverged += int(run.diverged.sum())
     tabs = np.concatenate(seated)
-    good = int(tabs.all(1).sum())
     return {
-        "trials": trials,
-        "seated": good,
-        "share": good / trials,
-        "share_95_percent": np.round(wilson(good, trials), 4).tolist(),
+        **seated_share(tabs.all(1)),
         "tabs": {name: float(share) for name, share in zip(("FR", "FL", "RR", "RL"), tabs.mean(0), strict=True)},
         "diverged": diverged,
         "seconds": round(time.perf_counter() - start, 1),
@@ -110,12 +103,6 @@ def simulated_snaps(session: str) -> dict[str, Any]:
     return seated_snaps(native.simulate(scene, params, watch=recorder.watch), recorder)
 
 
-def recorded_snaps(folder: Path) -> dict[str, Any]:
-    """Snaps in the recorded forces of seated trials, their filter inverted."""
-    recordings, _ = read_hiro(folder)
-    return {session: sessions.recorded(recordings, session).snaps for session in ("A", "B")}
-
-
 def rates() -> dict[str, Any]:
     return {preset: seating(preset) for preset in ONE_ARM | HOOKED}
 
@@ -133,11 +120,12 @@ def mapped() -> dict[str, Any]:
 
 
 def snapped() -> dict[str, Any]:
-    simulated = {session: simulated_snaps(session) for session in ("A", "B", "hooked-A", "hooked-B")}
-    out: dict[str, Any] = {"simulated": simulated}
-    if DATA.is_dir():
-        out["recorded"] = recorded_snaps(DATA)
-    return out
+    """Snaps of the simulated sessions, and those in the recorded forces of seated trials, their filter inverted."""
+    recordings = recorded()
+    return {
+        "simulated": {session: simulated_snaps(session) for session in ("A", "B", "hooked-A", "hooked-B")},
+        "recorded": {session: sessions.recorded(recordings, session).snaps for session in ("A", "B")},
+    }
 
 
 PARTS: dict[str, Callable[[], dict[str, Any]]] = {"rates": rates, "map": mapped, "snaps": snapped}

@@ -1,7 +1,6 @@
 """Tables in Markdown of the committed results, by name; importing the modules registers them."""
 
 from experiments.tables import (  # noqa: F401
-    beliefs,
     calibration,
     engines,
     external,

@@ -11,16 +11,15 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import tyro
 from jax.experimental.layout import Format, Layout
 
-from experiments._lib.random_walks import AXES, SAMPLES, recordings
 from experiments._lib.results_io import write_result
-from experiments._lib.timing import seconds_of, timed
+from experiments._lib.timing import AXES, SAMPLES, recordings, seconds_of, timed
 from rcbht_jax.encoding import encoder, gpu
 from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -28,6 +27,7 @@ from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.types import Array, LabelTracks
 
 SEED = 0
+WINDOWS, COUNTS, REPEATS = (5, 20), (1024, 8192, 32768), 15  # samples per linear fit; recordings
 SCANNED = 1024  # recordings of the comparison with the scan
 
 
@@ -69,29 +69,23 @@ def scan(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> 
         gpu.fits = kept
 
 
-def main(
-    windows: Annotated[tuple[int, ...], tyro.conf.arg(help="samples per linear fit")] = (5, 20),
-    counts: Annotated[tuple[int, ...], tyro.conf.arg(help="recordings")] = (1024, 8192, 32768),
-    repeats: int = 15,
-) -> None:
+def main() -> None:
     """Measure and store."""
     rows: dict[str, dict[str, Any]] = {}
-    for window in windows:
+    for window in WINDOWS:
         config = EncoderConfig(window=window)
         mine = rows.setdefault(f"W{window}", {})
-        for count in counts:
+        for count in COUNTS:
             wrench = jax.block_until_ready(recordings(count))
             mine[str(count)] = {
-                "time first": speed(partial(encoder.encode, config), wrench, True, repeats),
-                "row by row": speed(partial(encoder.encode, config), wrench, False, repeats),
-                "compact": compact(config, wrench, repeats),
+                "time first": speed(partial(encoder.encode, config), wrench, True, REPEATS),
+                "row by row": speed(partial(encoder.encode, config), wrench, False, REPEATS),
+                "compact": compact(config, wrench, REPEATS),
             }
             if count == SCANNED:
                 mine[str(count)]["scan"] = speed(partial(scan, config), wrench, False, 3)
-    command = "python -m experiments.words.encoder_speed"
-    write_result(
-        "encoder_speed", command, {"samples": SAMPLES, "axes": AXES, "repeats": repeats, "windows": rows}, seed=SEED
-    )
+    result = {"samples": SAMPLES, "axes": AXES, "repeats": REPEATS, "windows": rows}
+    write_result("encoder_speed", "python -m experiments.words.encoder_speed", result, seed=SEED)
 
 
 if __name__ == "__main__":

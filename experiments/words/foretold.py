@@ -24,7 +24,7 @@ from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded, rounded
 from experiments._lib.intervals import of_sums, sums
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import defaults_of, given, write_result
 from experiments.words.latency import (
     SIMULATED,
     WINDOW,
@@ -104,7 +104,8 @@ def main(sets: tuple[str, ...] = tuple(SETS)) -> None:
         chosen = of_sources(recordings, (SETS[name],))
         found[name] = rounded(of_set(chosen if SETS[name] == REAL else spread(chosen, SIMULATED)))
     result = {"trees": TREES, "samples of a leaf": LEAF, "folds by trial": FOLDS, "sets": found}
-    write_result("fit_foretold", "python -m experiments.words.foretold", result, SEED)
+    command = "python -m experiments.words.foretold" + given(locals(), defaults_of(main))
+    write_result("fit_foretold", command, result, SEED)
 
 
 if __name__ == "__main__":

@@ -166,7 +166,7 @@ METHODS: dict[str, Method] = {
     "swing filter": lambda data: by_tolerance(data, piecewise.swing, FACTORS, "bound"),
     "slide filter": lambda data: by_tolerance(data, piecewise.slide, FACTORS, "bound"),
     "equal windows": lambda data: by_width(
-        data, lambda y, width, *_: piecewise.lines(y, piecewise.equal_windows(y, width))
+        data, lambda y, width, *_: piecewise.lines(y, np.arange(width, len(y), width))
     ),
     "bottom-up, as many as fit": partial(bottom_up, small=False),
     "bottom-up, as many as fit, small window": partial(bottom_up, small=True),

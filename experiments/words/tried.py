@@ -47,26 +47,29 @@ def signals(recordings: Recordings) -> list[np.ndarray]:
     return [one[:samples].astype(np.float64) for one, samples in rows]
 
 
+def approximated(data: Part, config: FitConfig, factor: float, variant: Variant) -> tuple[float, np.ndarray]:
+    """Residual, mean over axes, and words of every axis."""
+    small = data.limits(config.window)[:, 3]
+    missed, total, words = np.zeros((3, len(data.recordings.axes)))
+    for y in signals(data.recordings):
+        sums = SumsOfAxes(y)
+        for axis, starts in enumerate(breaks(y, config, data.tolerance * factor, small, variant)[0]):
+            start = np.array(starts)
+            missed[axis] += sums.line(start, np.append(start[1:], len(y)), np.full_like(start, axis))[1].sum()
+            words[axis] += len(start)
+        total += ((y - y.mean(0)) ** 2).sum(0)
+    return significant(float((missed / total).mean())), words
+
+
 def curve(name: str, kind: str) -> dict[str, Any]:
     """Words, and numbers, for each second at several residuals."""
     data, variant, points = part(name), CURVES[kind], []
-    config, small = FitConfig(data.windows[1], data.recordings.dt), data.limits(data.windows[1])[:, 3]
+    config = FitConfig(data.windows[1], data.recordings.dt)
     for factor in FACTORS:
-        missed, total, words, numbers = (np.zeros(len(data.recordings.axes)) for _ in range(4))
-        for y in signals(data.recordings):
-            found = breaks(y, config, data.tolerance * factor, small, variant)[0]
-            sums = SumsOfAxes(y)
-            for axis, starts in enumerate(found):
-                start = np.array(starts)
-                stop = np.append(start[1:], len(y))
-                missed[axis] += sums.line(start, stop, np.full_like(start, axis))[1].sum()
-                words[axis] += len(start)
-                numbers[axis] += len(start) * (2 + 1 / len(found) if variant.shared else 3)
-            total += ((y - y.mean(0)) ** 2).sum(0)
-        rates = (significant(float(found.mean()) / data.seconds) for found in (words, numbers))
-        residual = significant(float((missed / total).mean()))
-        both = zip(("words", "numbers"), rates, strict=True)
-        points.append({"factor": factor, "residual": residual} | {f"{what} per second": rate for what, rate in both})
+        residual, words = approximated(data, config, factor, variant)
+        rate = {"words": words.mean(), "numbers": words.mean() * (2 + 1 / len(words) if variant.shared else 3)}
+        per_second = {f"{what} per second": significant(float(each) / data.seconds) for what, each in rate.items()}
+        points.append({"factor": factor, "residual": residual, **per_second})
     out: dict[str, Any] = {"points": points}
     for what in ("words", "numbers"):
         pairs = [(point[f"{what} per second"], point["residual"]) for point in points]
@@ -76,18 +79,10 @@ def curve(name: str, kind: str) -> dict[str, Any]:
 
 def of_clean(name: str, kind: str) -> dict[str, Any]:
     """Residual and words of the recordings themselves, with the window of the rows under noise."""
-    data, missed, total, words = part(name), 0.0, 0.0, 0
-    window = round(WINDOW / data.recordings.dt)
-    config, small = FitConfig(window, data.recordings.dt), data.limits(window)[:, 3]
-    for y in signals(data.recordings):
-        for axis, starts in enumerate(breaks(y, config, data.tolerance, small, STABLE[kind])[0]):
-            start = np.array(starts)
-            spans = start, np.append(start[1:], len(y)), np.full_like(start, axis)
-            missed = missed + SumsOfAxes(y).line(*spans)[1].sum() * np.eye(y.shape[1])[axis]
-            words += len(start)
-        total = total + ((y - y.mean(0)) ** 2).sum(0)
-    rate = words / y.shape[1] / data.seconds
-    return {"residual": significant(float(np.mean(missed / total))), "words per second": significant(rate)}
+    data = part(name)
+    config = FitConfig(round(WINDOW / data.recordings.dt), data.recordings.dt)
+    residual, words = approximated(data, config, 1.0, STABLE[kind])
+    return {"residual": residual, "words per second": significant(float(words.mean()) / data.seconds)}
 
 
 def of_noise(name: str, kind: str, seed: int) -> dict[str, Any]:

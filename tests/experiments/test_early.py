@@ -32,34 +32,6 @@ def test_economy_waits_where_errors_become_fewer() -> None:
     assert early.economy(seen, y, DELAY, 0.51, 1)(seen).tolist() == [1, 1, 1, 1]
 
 
-def test_economy_looks_further_than_the_next_time() -> None:
-    """All are wrong at two times and right at the third; a rule that looks one time ahead would stop at once."""
-    seen = beliefs([0.4] * 4, [0.4] * 4, [0.9] * 4)
-    delay = np.array([0.2, 0.6, 1.0])
-    # w + .2 (1 - w) now, w + .6 (1 - w) next, 1 - w last: waiting pays where w > .8 (1 - w).
-    assert early.economy(seen, np.ones(4, int), delay, 0.45, 1)(seen).tolist() == [2] * 4
-    assert early.economy(seen, np.ones(4, int), delay, 0.44, 1)(seen).tolist() == [0] * 4
-
-
-def test_economy_follows_the_chain_between_groups() -> None:
-    """Of the unsure ones half become sure and right; the others stay unsure and wrong."""
-    seen = beliefs([0.9, 0.9, 0.6, 0.6], [0.95, 0.95, 0.95, 0.6])
-    seen[0, 2:], seen[1, 3] = seen[0, 2:, ::-1], seen[1, 3, ::-1]
-    y, delay = np.ones(4, int), np.array([0.0, 1.0])
-    rule = early.economy(seen, y, delay, 0.7, 2)
-    # Groups at the end: quantile .95, so that .6 is alone. Unsure: now w = .7, later w / 2 + 1 - w = .65. Sure: now 0.
-    assert rule(seen).tolist() == [0, 0, 1, 1]
-    assert early.economy(seen, y, delay, 0.66, 2)(seen).tolist() == [0, 0, 0, 0]
-
-
-def test_calimera_waits_where_its_belief_grows_enough() -> None:
-    """Equal items, so that the regression has the sign of its target."""
-    seen = beliefs([0.6] * 3, [0.9] * 3)
-    # .4 w + .5 (1 - w) now and .1 w + (1 - w) later: equal at w = .625.
-    assert early.calimera(seen, DELAY, 0.62)(seen).tolist() == [0, 0, 0]
-    assert early.calimera(seen, DELAY, 0.63)(seen).tolist() == [1, 1, 1]
-
-
 def test_calimera_goes_backwards() -> None:
     """The middle time is worse than both others; its rule waits, so that the first compares with the last."""
     seen = beliefs([0.6] * 3, [0.55] * 3, [0.95] * 3)

@@ -16,7 +16,7 @@ from experiments._lib import frozen, intervals
 from experiments._lib.results_io import COMMITTED, committed
 from experiments.classification import frozen_choice, headline
 from experiments.classification.frozen_choice import CLOSE, OPTIONS, option_name
-from experiments.online import causal, frozen_stream_choice
+from experiments.online import causal, detected_starts, frozen_stream_choice
 from experiments.tables.headline import SHORT
 from rcbht_jax import StateClassifier
 from rcbht_jax.errors import InputError
@@ -26,6 +26,7 @@ from rcbht_jax.introspection.training import Snapshots
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.scaling import KNOTS
 from rcbht_jax.learning.svm import DEGREE, Grid
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 from tests.support.blank_trials import blank_trials
 
@@ -127,7 +128,7 @@ def test_the_method_is_what_its_file_says(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_candidates_keep_their_weights(monkeypatch: pytest.MonkeyPatch) -> None:
-    method, items = frozen.load(), headline.labelled_intervals(blank_trials(2, STATE, DT), headline.TaskSpec())
+    method, items = frozen.load(), labelled_intervals(blank_trials(2, STATE, DT), TaskSpec())
     part = Features(np.zeros((len(items.y), 2), np.float32), ("a", "b"), ("levels", "histogram"), ("", ""))
     monkeypatch.setattr(frozen, "candidates", lambda *given: {"one": (part, part.weights(method.specs["untimed"]))})
     monkeypatch.setattr(frozen, "nested_svm", lambda matrices, y, trial, grid, weights: (grid, weights))
@@ -138,7 +139,7 @@ def test_candidates_keep_their_weights(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_choice_looks_at_training_rows_only(monkeypatch: pytest.MonkeyPatch) -> None:
     rng, trials = np.random.default_rng(0), 12
-    items = headline.labelled_intervals(blank_trials(trials, STATE, DT), headline.TaskSpec())
+    items = labelled_intervals(blank_trials(trials, STATE, DT), TaskSpec())
     x = rng.normal(size=(len(items.y), 2)) + 2 * items.y[:, None]
     train, test = (np.flatnonzero(np.isin(items.trial, names)) for names in np.split(np.unique(items.trial), 2))
     asked = []
@@ -160,7 +161,7 @@ def test_the_choice_looks_at_training_rows_only(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_trials_with_a_mistake_are_noted() -> None:
-    items = headline.labelled_intervals(blank_trials(4, STATE, DT), headline.TaskSpec())
+    items = labelled_intervals(blank_trials(4, STATE, DT), TaskSpec())
     wrong: set[str] = set()
     learn = headline.noting(lambda train, test, seed: (np.where(test == 5, -1, items.y[test]), {}), items, wrong)
     learn(np.arange(4), np.arange(4, 16), 0)
@@ -175,7 +176,7 @@ def test_the_method_describes_classifies_and_names_its_choice() -> None:
     content = frozen.load().content  # with one of its encoders: each takes seconds to compile
     one = {"encoders": {"W5": content["encoders"]["W5"]}, "grammars": [{"name": "preset", "encoders": ["W5"]}]}
     method = frozen.FrozenMethod({**content, **one})
-    items = headline.labelled_intervals(data, headline.TaskSpec("outcome"))
+    items = labelled_intervals(data, TaskSpec("outcome"))
     learner = method.learner(method.grammars(data), items)
     train, test = np.arange(0, 12, 2), np.arange(1, 12, 2)
     predicted, choice = learner(train, test, 0)
@@ -220,9 +221,8 @@ class Spoilt(causal.Stream):
 def stream() -> Spoilt:
     part = {"families": ["levels", "spread"], "balance": True, "grid": FAST, "ends": 1}
     streamed = {"encoder": "W5", "rate": 10.0, "belief": "phase", "state": part, "phase": part}
-    made = Spoilt(
-        frozen.FrozenMethod({**frozen_stream_choice.ENCODER, "streamed": streamed}), blank_trials(TRIALS, STATE, DT)
-    )
+    content = {**frozen_stream_choice.ENCODER, "thresholds": "hiro", "streamed": streamed}
+    made = Spoilt(frozen.FrozenMethod(content), blank_trials(TRIALS, STATE, DT))
     made.inside = causal.inside_of(made, (), SEED)
     return made
 
@@ -233,6 +233,13 @@ def test_a_stream_trains_on_one_side_and_is_scored_on_the_other(stream: Spoilt) 
     beliefs = causal.unaided(stream, False, stream.inside, SEED)
     assert set(beliefs) == {"phase", "filter", "state"}
     assert beliefs["phase"]["macro step accuracy"] > 0.6
+
+
+def test_detected_beginnings_are_scored_on_the_half_that_is_streamed(stream: Spoilt) -> None:
+    result = detected_starts.repeat(stream, SEED)
+    assert len(result["errors"]) == TRIALS / 2
+    assert result["macro step accuracy, given"] > 0.8
+    assert result["macro step accuracy, phase alone"] > 0.6
 
 
 def test_counting_told_beginnings_is_enough_and_time_alone_is_not(stream: Spoilt) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from experiments._lib.benchmarks import FAILURES
 from experiments.classification.grammar import (
@@ -57,8 +56,3 @@ def test_batches_of_failures_are_told_by_their_first_sample(hiro_recordings: Rec
     assert first[made.session[failures] == AT_REST].max() < 0.1
     assert first[made.session[failures] == LOADED].min() > 1.5
     assert all({train, test} == {AT_REST, LOADED} for train, test in BATCHES.values())
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_methods_can_be_described(name: str):
-    assert METHODS[name].spec.families == METHODS[name].families

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from experiments._lib.fit_words import PAPER, WORDS
-from experiments.online import detected_starts, table2
+from experiments.online import table2
 from rcbht_jax.features.online import names
-from rcbht_jax.introspection.training import Snapshots, regular_snapshots, since_trial_start, training_snapshots
+from rcbht_jax.introspection.training import Snapshots, regular_snapshots, training_snapshots
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from tests.support.blank_trials import blank_trials
@@ -75,35 +73,3 @@ def test_table2_trains_on_one_half_and_scores_the_other(
     assert np.isfinite(probability).all()
     np.testing.assert_array_equal(y_true, items.y[~inside])
     assert result["full-sequence accuracy"] > 0.8
-
-
-def test_detected_starts_trains_on_one_half_and_scores_the_other(
-    items: LabelledIntervals, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    inside = table2.halves(items, SEED)
-    monkeypatch.setattr(
-        detected_starts, "snapshot_features",
-        lambda _, snapshots, view, *rest: features(snapshots, len(names(view.spec))),
-    )  # fmt: skip
-    monkeypatch.setattr(detected_starts.HeadSpec, "learning", (FAST, 1))
-    training, regular = training_snapshots(items, EVERY), regular_snapshots(items, EVERY)
-    views = {}
-    for name, snapshots in {
-        "state trains": training,
-        "state": regular,
-        "phase trains": since_trial_start(training),
-        "phase": since_trial_start(regular),
-    }.items():
-        head = detected_starts.heads(WORDS[PAPER])[name.split()[0]]
-        x = features(snapshots, len(names(head.view.spec)))
-        views[name] = detected_starts.View(snapshots, x, head)
-    hidden = {}
-    for name, view in views.items():
-        trains = inside[view.snapshots.interval]
-        hidden[name] = replace(view, x=spoilt(view.x, ~trains if "trains" in name else trains))
-    encoder = WORDS[PAPER].encoder(np.ones(6), DT)
-    result = detected_starts.repeat(blank_trials(TRIALS, STATE, DT), items, views, encoder, SEED)
-    assert_same(detected_starts.repeat(blank_trials(TRIALS, STATE, DT), items, hidden, encoder, SEED), result)
-    assert len(result["errors"]) == TRIALS / 2
-    assert result["macro step accuracy, given"] > 0.8
-    assert result["macro step accuracy, phase alone"] > 0.6

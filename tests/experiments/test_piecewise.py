@@ -143,8 +143,3 @@ def test_a_window_slides_as_far_as_its_tolerance_allows(y: piecewise.Floats, tol
         if stop < len(y):
             longer = by_polyfit(y[start : stop + 1], [0, stop + 1 - start])
             assert ((longer - y[start : stop + 1]) ** 2).mean() > tolerance**2 - 1e-6
-
-
-def test_equal_windows() -> None:
-    assert piecewise.equal_windows(np.zeros(10), 4).tolist() == [4, 8]
-    assert piecewise.equal_windows(np.zeros(8), 4).tolist() == [4]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import subprocess
@@ -31,6 +32,27 @@ def test_the_table_names_every_module_that_writes_a_result() -> None:
     assert {experiment.module for experiment in EXPERIMENTS} >= {name for name in writing if "_lib" not in name}
     assert {experiment.module for experiment in EXPERIMENTS} <= set(MODULES)
     assert len({(experiment.module, experiment.options) for experiment in EXPERIMENTS}) == len(EXPERIMENTS)
+
+
+NOT_NAMED = {"only", "parts", "tasks", "methods", "checkpoint", "gradient"}  # they choose rows, or a file
+
+
+@pytest.mark.parametrize("module", sorted({experiment.module for experiment in EXPERIMENTS}))
+def test_a_result_names_every_option_that_made_it(module: str) -> None:
+    for function in ast.walk(ast.parse(MODULES[module])):
+        if isinstance(function, ast.FunctionDef) and function.name == "main" and "given(" not in MODULES[module]:
+            known = function.args.args[len(function.args.args) - len(function.args.defaults) :]
+            options = {one.arg.replace("_", "-") for one in known}
+            assert options - NOT_NAMED <= set(re.findall(r"--([a-z-]+) {", MODULES[module]))
+
+
+def test_options_of_a_command_are_those_that_are_not_the_defaults() -> None:
+    def main(folder: Path, trials: int = 6, store: Path | None = None, stands: bool = False) -> None: ...
+
+    defaults = results_io.defaults_of(main)
+    assert results_io.given({**defaults, "folder": Path("a")}, defaults) == ""
+    values = {"trials": 3, "store": Path("/here/x.zarr"), "stands": True}
+    assert results_io.given(values, defaults) == " --trials 3 --store FOLDER --stands"
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)

@@ -13,6 +13,7 @@ import rcbht_jax as rj
 from experiments._lib.benchmarks import REAL
 from experiments._lib.fit_words import WORDS, tolerances
 from experiments._lib.results_io import RESULTS
+from experiments._lib.simulated import assembled
 from experiments.classification.sim_to_real import Pool, choose, scored, some_trials
 from experiments.classification.sim_to_real_fit import FIT, PROTOCOL
 from experiments.classification.sim_to_real_rows import CANDIDATES, ROWS
@@ -23,7 +24,6 @@ from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.features import FAMILIES
 from rcbht_jax.io.tare import tare
 from rcbht_jax.plots.canvas import save
-from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import ONE_ARM as PRESETS
 
@@ -81,12 +81,8 @@ def trials(samples: tuple[int, ...]) -> Recordings:
     wrench = rng.normal(3.0, 1.0, (count, max(samples), 6)).astype(np.float32)
     for row, length in enumerate(samples):
         wrench[row, length:] = 0
-    words, blank = np.array([f"trial {n}" for n in samples]), np.full(count, "")
-    return snap_recordings(
-        wrench=wrench, length=np.array(samples, np.int32), dt=0.005, onset=np.zeros((count, 4)),
-        onset_harmonised=np.zeros((count, 4)), trial=words, arm=np.full(count, "R"), source=blank, session=blank,
-        outcome=np.full(count, "success"), failure_type=blank, deviation=np.zeros((count, 3)), note=blank,
-    )  # fmt: skip
+    known = {"trial": np.array([f"trial {n}" for n in samples]), "outcome": np.full(count, "success")}
+    return assembled(wrench, np.array(samples, np.int32), np.zeros((count, 4)), "", **known)
 
 
 def test_tare_takes_the_first_second_and_nothing_later() -> None:

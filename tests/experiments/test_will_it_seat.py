@@ -8,8 +8,8 @@ import pytest
 from experiments._lib.results_io import committed
 from experiments.online import faults_outcome
 from experiments.online import will_it_seat as seat
-from experiments.online.fault_trials import TAIL, drawn_from
-from experiments.online.seat_trials import APART, KINDS, LENGTH, OUT_OF_REACH, SEVERITIES, SeatTrials, sets
+from experiments.online.fault_trials import TAIL, Trials, drawn_from
+from experiments.online.seat_trials import APART, KINDS, OUT_OF_REACH, SEVERITIES, sets
 from rcbht_jax.introspection.fault_monitor import NOMINAL
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import HOOKED
@@ -36,8 +36,9 @@ def made_up(shift: float, seed: int) -> seat.Seen:
     x = rng.normal(size=(len(seat.BEFORE), len(kind), 3)) * 0.1
     x[2:, :, 0] += failed  # the first two moments know nothing
     x += shift
-    blank = Recordings.from_arrays(np.zeros((len(kind), 4, 6)))
-    trials = SeatTrials(blank, LENGTH["hooked-A"], kind, failed, np.ones(len(kind)))
+    outcome, ones = np.where(failed, "failure", "success"), np.ones(len(kind))
+    blank = Recordings.from_arrays(np.zeros((len(kind), 4, 6)), outcome=outcome)
+    trials = Trials(blank, kind, ones.astype(int), ones > 0, kind, ones, ones)
     return seat.Seen(trials, x, rng.normal(size=(4, len(kind), 2)), np.zeros((4, len(kind), 3)))
 
 
@@ -67,7 +68,7 @@ def test_shares_and_areas_have_a_width() -> None:
     best = seat.area(np.array([0.1, 0.2, 0.9]), np.array([0, 0, 1]))
     assert best is not None
     assert best["low"] < best["mean"] == 1.0
-    assert seat.share(0, 0) is None
+    assert seat.share(np.ones(2, bool), np.zeros(2, bool)) is None
     counts = np.array([5, 5, 0, 10])
     made = faults_outcome.against(counts, 5)
     assert (made["precision"]["mean"], made["specificity on seated faults"]["mean"]) == (1.0, 1.0)

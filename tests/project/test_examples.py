@@ -1,4 +1,4 @@
-"""Every example in a docstring of both packages prints what it says."""
+"""Every example in a docstring of the packages and of the experiments prints what it says."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ RUNS = re.compile(r">>> (?!.*\+SKIP)")
 
 def modules() -> list[str]:
     """Names of all modules with examples that can run."""
-    files = [path for package in ("rcbht_jax", "sim_mjx") for path in sorted((ROOT / package).rglob("*.py"))]
+    files = [
+        path for package in ("rcbht_jax", "sim_mjx", "experiments") for path in sorted((ROOT / package).rglob("*.py"))
+    ]
     with_examples = [path.relative_to(ROOT) for path in files if RUNS.search(path.read_text(encoding="utf-8"))]
     return [".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in with_examples]
 
