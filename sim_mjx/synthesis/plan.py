@@ -109,8 +109,8 @@ def _as_given(like: Any, value: Any) -> Any:
     if isinstance(like, jax.Array):
         return jnp.asarray(value, like.dtype)
     likes = like if isinstance(like, tuple | list) and len(like) == len(value) else (None,) * len(value)
-    given = (_as_given(default, one) for default, one in zip(likes, value, strict=True))
-    return list(given) if isinstance(like, list) else tuple(given)
+    each = [_as_given(default, one) for default, one in zip(likes, value, strict=True)]
+    return each if isinstance(like, list) else tuple(each)
 
 
 def encoder_config(job: SynthesisConfig) -> EncoderConfig:

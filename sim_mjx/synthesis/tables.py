@@ -94,10 +94,8 @@ def outcomes(scenario: Scenario, rows: Arrays, params: Any, longest: float | Non
     if longest is None:
         return found
     limit = (params.task if scenario.recorded else params).timeout
-    ends, last = (
-        np.round(np.float32(time) / np.float32(CONTROL_PERIOD)) for time in (limit, longest)
-    )  # as controllers
-    # the first sample is number 0
+    # rounded as controllers do; the first sample is number 0
+    ends, last = (np.round(np.float32(time) / np.float32(CONTROL_PERIOD)) for time in (limit, longest))
     return np.where((found == "failure") & (ends > last) & (rows["length"] > last), "unfinished", found)
 
 

@@ -21,9 +21,9 @@ from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.engines.native import Rows, States, Steps
+from sim_mjx.validation.engine_parity import FORCE_LIMIT, MOMENT_LIMIT
 
 REFERENCE = (100, 50)  # iterations of the solver and of its line search
-FORCE_LIMIT, MOMENT_LIMIT = 0.05, 0.005  # N, Nm
 THREADS = os.cpu_count() or 1
 Periods = Int64[np.ndarray, " trial"]  # control periods
 Errors = Float[np.ndarray, "trial time reading"]  # N and Nm, six readings per wrist
