@@ -84,7 +84,7 @@ def two_numbers(name: str, value: Any) -> tuple[float, float]:
 
 
 def with_tuples(thing: Any) -> None:
-    """Make the lists of a frozen dataclass tuples, so that it can be hashed; for its ``__post_init__``."""
+    """Make the lists and arrays of a frozen dataclass tuples, so that it can be hashed; for its ``__post_init__``."""
     for name, value in vars(thing).items():
-        if isinstance(value, list):
-            object.__setattr__(thing, name, tuple(value))
+        plain = value.tolist() if isinstance(value, np.ndarray) else value
+        object.__setattr__(thing, name, tuple(plain) if isinstance(plain, list) else plain)

@@ -69,11 +69,6 @@ class Scenario:
         """Whether it is the assembly that was recorded, whose stores have its tracks and columns."""
         return self.assembly == SNAP
 
-    @property
-    def timeout(self) -> float:
-        """After this many seconds the controller itself gives up."""
-        return float((self.preset.assembly if isinstance(self.preset, draw.Pairing) else self.preset.task).timeout)
-
     def draw(self, seed: int, index: int, spec: Any) -> tuple[Any, Fault]:
         """Parameters of one trial, without a batch axis, and its fault."""
         params, (fault,) = self.draw_batch(seed, (index,), spec)

@@ -126,7 +126,9 @@ def _sample(
     stiffness = np.array(assembly.mount_stiffness) * uniform(rng, spec.mount)
     mount = Mount(np.zeros(3), np.asarray(0.0), stiffness, uniform(rng, spec.friction))
     sensor = _sensor(spec, rng)
-    lag = int(rng.integers(spec.lag[0], spec.lag[1], endpoint=True))
+    least, most = spec.lag
+    # a number is drawn from a range of one value, too, so that later draws do not depend on the range
+    lag = least + min(int(rng.integers(max(most - least, 1), endpoint=True)), most - least)
     key = rng.integers(0, 2**32, 2, dtype=np.uint32)
     kinds = spec.faults or tuple(assembly.faults)
     nominal, number = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))

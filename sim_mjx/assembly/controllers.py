@@ -79,9 +79,9 @@ def half_cosine(
 
 
 def approach(
-    home: Joints, way_time: Times, way_position: Places, way_rpy: Places, t: Float[Array, "*batch"], arm: str = "R"
+    home: Joints, way_time: Times, way_position: Places, way_rpy: Places, t: Float[Array, "*batch"]
 ) -> Float[Array, "*batch 6"]:
-    """Joint angles along the approach, which leaves home at time zero.
+    """Joint angles of the right arm along the approach, which leaves home at time zero.
 
     Args:
         home: joint angles at the start, rad; they also choose among the inverse's solutions.
@@ -89,18 +89,14 @@ def approach(
         way_position: of the TCP, m.
         way_rpy: roll, pitch, yaw, rad.
         t: time, s.
-        arm: "R" or "L".
 
     Returns:
         joint angles; NaN where the interpolated pose is out of reach.
-
-    Raises:
-        InputError: ``arm`` is neither "R" nor "L".
     """
     xp = home.__array_namespace__()
-    _, rotation, position = kinematics.fk(home, arm)
+    _, rotation, position = kinematics.fk(home)
     start = xp.concat([position, kinematics.rpy_from_rotation(rotation)])
     poses = xp.concat([start[None], xp.concat([way_position, way_rpy], axis=-1)])
     pose = half_cosine(xp.concat([xp.zeros_like(way_time[:1]), way_time]), poses, t)
     near = xp.broadcast_to(home, pose.shape)
-    return kinematics.ik(pose[..., :3], kinematics.rotation_from_rpy(pose[..., 3:]), near, arm)
+    return kinematics.ik(pose[..., :3], kinematics.rotation_from_rpy(pose[..., 3:]), near)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
+from sim_mjx.assembly.hook import UNTURNED
 
 Vector = tuple[float, float, float]
 Fields = dict[str, Float64[np.ndarray, "..."]]  # of a compiled model, by MjModel attribute name
@@ -30,7 +31,6 @@ TABS = ("FR", "FL", "RR", "RL")  # front/rear, right/left
 TAB_SPACING = (0.0397, 0.0321)  # m, front to rear and right to left
 TIP_HEIGHT = -0.117  # m, tips below the wrist along the hand; identified from the pivot, to 0.3 mm
 FIRST_TOUCH = np.array([0.3091, -0.1727, 0.4247])  # m, world, midway between the front tips as they meet the lips
-UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion
 TAB_ARMATURE = 0.1  # kg, makes the tab slow enough for a 2.5 ms step; its settling stays below 10 ms
 TIP_RADIUS = 0.002  # m, of tips and feet
 FOOT_HEIGHT = 0.004  # m, centres of the feet above the tips

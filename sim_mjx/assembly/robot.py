@@ -47,12 +47,11 @@ class Tool:
     radius: float = 0.02  # m, of the ball that has its inertia
 
 
-def new_robot(arms: Sequence[str] = ("R",), tool: Tool | None = None) -> mujoco.MjSpec:
+def new_robot(arms: Sequence[str] = ("R",)) -> mujoco.MjSpec:
     """A model specification with the robot alone, to which a scene adds its parts.
 
     Args:
         arms: which arms it has.
-        tool: of every arm; None = the default.
 
     Returns:
         the specification, angles in radians, integrator ``implicitfast``; a part in the hand goes to
@@ -71,18 +70,18 @@ def new_robot(arms: Sequence[str] = ("R",), tool: Tool | None = None) -> mujoco.
     chest = spec.worldbody.add_body(name="CHEST", pos=(0.0, 0.0, CHEST_HEIGHT))
     _add_visual(chest, (0.0, 0.12, 0.35), (0.0, -0.12, 0.35), 0.06)
     for arm in arms:
-        _add_arm(spec, chest, arm, Servo(), tool or Tool())
+        _add_arm(spec, chest, arm)
     return spec
 
 
-def _add_arm(spec: mujoco.MjSpec, chest: mujoco.MjsBody, arm: str, servo: Servo, tool: Tool) -> mujoco.MjsBody:
-    """Add one arm with its servos, tool and wrist sensor; returns the tool's body.
+def _add_arm(spec: mujoco.MjSpec, chest: mujoco.MjsBody, arm: str) -> None:
+    """Add one arm with its servos, tool and wrist sensor.
 
     Raises:
-        InputError: ``arm`` is neither "R" nor "L", or the tool has no mass.
+        InputError: ``arm`` is neither "R" nor "L".
     """
     roll = side(arm) * SHOULDER_ROLL / 2
-    body = chest
+    body, servo = chest, Servo()
     for i, link in enumerate(ARMS[arm]):
         body = body.add_body(name=f"{arm}ARM_LINK{i}", pos=link.offset, gravcomp=1.0)
         body.mass, body.ipos, body.fullinertia, body.explicitinertial = link.mass, link.com, link.inertia, True
@@ -94,17 +93,16 @@ def _add_arm(spec: mujoco.MjSpec, chest: mujoco.MjsBody, arm: str, servo: Servo,
         _add_visual(body, (0.0, 0.0, 0.0), link.shape, link.radius)
         actuator = spec.add_actuator(name=f"{arm}ARM_SERVO{i}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.set_to_position(kp=servo.kp[i], kv=servo.kv[i])
-    return _add_tool(spec, body, arm, tool)
+    _add_tool(spec, body, arm)
 
 
-def _add_tool(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, arm: str, tool: Tool) -> mujoco.MjsBody:
+def _add_tool(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, arm: str) -> None:
     """Hang the tool on the last link, with the force and torque sensor between the two.
 
     The sensor's site has the wrist's frame. MuJoCo reports what the wrist exerts on the tool: hanging at rest,
     the weight upwards. The recordings have the opposite sign.
     """
-    if not tool.mass > 0.0:
-        raise InputError(f"The tool's mass is {tool.mass} kg; expected more than zero.")
+    tool = Tool()
     inertia = 0.4 * tool.mass * tool.radius**2
     body = wrist.add_body(name=f"{arm}ARM_TOOL", mass=tool.mass, explicitinertial=True)
     body.ipos, body.inertia = tool.com if arm == "R" else flip(tool.com), (inertia, inertia, inertia)
@@ -112,7 +110,6 @@ def _add_tool(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, arm: str, tool: Tool) 
     body.add_site(name=f"{arm}ARM_TCP", pos=TCP[arm])
     for kind, sensor in (("FORCE", mujoco.mjtSensor.mjSENS_FORCE), ("TORQUE", mujoco.mjtSensor.mjSENS_TORQUE)):
         spec.add_sensor(name=f"{arm}ARM_{kind}", type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{arm}ARM_FT")
-    return body
 
 
 def _add_visual(body: mujoco.MjsBody, start: Vector, end: Vector, radius: float) -> None:

@@ -134,6 +134,11 @@ def stack(trials: list[Params]) -> Params:
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *trials)
 
 
+def single_trials(params: Params) -> list[Params]:
+    """The trials of a batch, or of a part of its parameters, one by one."""
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], params) for i in range(batch_size(params))]
+
+
 def repeated(trial: Params, count: int) -> Params:
     """A batch of copies of one trial, or of a part of its parameters."""
     return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], count, axis=0), trial)

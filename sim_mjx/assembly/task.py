@@ -97,15 +97,23 @@ def advance(params: TaskParams, state: TaskState, joints: Joints, wrench: Wrench
     phase = jnp.where(_leaves(params, state, joints, rotation, wrench), state.phase + 1, state.phase)
     # pre-mating exists in the OpenHRP task only: elsewhere it would last no time
     phase = jnp.where((phase == PRE_MATING) & (params.leave_wrist[2] == jnp.inf), jnp.int32(MATING), phase)
-    stopped = state.tick >= periods(params.stop)
-    phase = jnp.where(stopped, state.phase, phase)
+    phase = jnp.where(state.tick >= periods(params.stop), state.phase, phase)
     phase = jnp.where(state.tick >= periods(params.timeout), jnp.int32(ENDED), phase)
     begun = (jnp.arange(6) == phase) & (state.entered < 0)
     entered = jnp.where(begun, state.tick, state.entered)
-    resting = (state.phase == MATING) & (state.tick - state.entered[MATING] >= periods(params.mating_time))
-    still = stopped | resting | (phase == ENDED)
+    still = keeps_still(params, state, phase)
     command = jnp.where(still, state.command, _command(params, state, phase, wrench, rotation))
     return TaskState(state.tick + 1, phase, entered, command)
+
+
+def keeps_still(params: TaskParams, state: TaskState, phase: Array) -> Array:
+    """Whether the robot is stopped, rests after mating, or has ended.
+
+    Args:
+        params, state: as of :func:`advance`. phase: after the period.
+    """
+    resting = (state.phase == MATING) & (state.tick - state.entered[MATING] >= periods(params.mating_time))
+    return (state.tick >= periods(params.stop)) | resting | (phase == ENDED)
 
 
 def periods(seconds: Array) -> Array:

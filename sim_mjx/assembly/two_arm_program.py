@@ -98,7 +98,9 @@ def control(
     state = task.advance(params.task, loop.task, joints[:6], _in_world(right, joints[:6], "R"))
     # recorded: once mating begins the right arm keeps still
     state = replace(state, command=jnp.where(state.phase == task.MATING, loop.task.command, state.command))
-    held = hold(params.hold, loop.commands[0, 6:], joints[6:], left - params.offset[6:], state.phase)
+    before = loop.commands[0, 6:]
+    held = hold(params.hold, before, joints[6:], left - params.offset[6:], state.phase)
+    held = jnp.where(task.keeps_still(params.task, loop.task, state.phase), before, held)
     commands = jnp.concatenate([jnp.concatenate([state.command, held])[None], loop.commands[:-1]])
     between = jnp.stack([commands[params.command_delay + 1], commands[params.command_delay]])
     log = LogRow(jnp.concatenate([right, left]), joints, loop.task.phase)

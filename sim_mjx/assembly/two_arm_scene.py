@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from sim_mjx.assembly import parts
 from sim_mjx.assembly.parts import Fields, PartParams
@@ -23,6 +21,9 @@ GRIP = (0.030, 0.0, -0.0225)
 FIRST_TOUCH = np.array([-0.0855, 0.002, -0.0440])
 # mount's axes in the left wrist's frame: x forward, y up, z towards the right hand
 TURN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
+UNROLLED, ROLLED = np.zeros((2, 4))  # its quaternion, and that after half a turn about its own z axis
+mujoco.mju_mat2Quat(UNROLLED, TURN.ravel())
+mujoco.mju_mulQuat(ROLLED, UNROLLED, np.array([0.0, 0.0, 0.0, 1.0]))
 
 
 def two_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iterations: int = LS_ITERATIONS) -> Scene:
@@ -34,7 +35,7 @@ def two_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     """
     spec = new_robot(ARMS)
     parts.add_male(spec, "R", GRIP)
-    parts.add_female(spec, "R", spec.body("LARM_TOOL"), FIRST_TOUCH, _quaternion(TURN))
+    parts.add_female(spec, "R", spec.body("LARM_TOOL"), FIRST_TOUCH, UNROLLED)
     set_solver(spec, substeps, iterations, ls_iterations)
     model, tips, lips, places = with_tabs(spec, [(f"RTIP_{tab}", f"LIP_{tab}") for tab in parts.TABS])
     joints = [model.joint(f"{arm}ARM_JOINT{i}").qposadr[0] for arm in ARMS for i in range(6)]
@@ -58,19 +59,5 @@ def model_fields(model: mujoco.MjModel, params: PartParams) -> Fields:
     half = np.asarray(params.roll)[..., None] / 2
     mount = model.body("MOUNT").id
     out["body_pos"][..., mount, :] = FIRST_TOUCH + params.position @ TURN.T
-    # of a turn of the mount about its own z axis
-    still, turned = _quaternion(TURN), _product(_quaternion(TURN), (0.0, 0.0, 0.0, 1.0))
-    out["body_quat"][..., mount, :] = np.cos(half) * still + np.sin(half) * turned
-    return out
-
-
-def _quaternion(turn: NDArray[np.float64]) -> Any:
-    out = np.zeros(4)
-    mujoco.mju_mat2Quat(out, turn.ravel())
-    return out
-
-
-def _product(first: Any, second: Any) -> NDArray[np.float64]:
-    out = np.zeros(4)
-    mujoco.mju_mulQuat(out, np.asarray(first, np.float64), np.asarray(second, np.float64))
+    out["body_quat"][..., mount, :] = np.cos(half) * UNROLLED + np.sin(half) * ROLLED
     return out

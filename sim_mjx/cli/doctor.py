@@ -112,7 +112,7 @@ def _encode_again(path: Path, tracks: dict[str, dict[str, Any]]) -> list[str]:
         InputError: some come out otherwise, and are left as they are; the others have been made.
     """
     from rcbht_jax.io.store import read_lengths
-    from sim_mjx.validation.label_repair import encode_again
+    from sim_mjx.validation.health import encode_again
 
     refused = list[str]()
     with progress_bar("encode", "samples", len(tracks) * int(read_lengths(path).sum()), unit_scale=True) as bar:
@@ -131,11 +131,10 @@ def _simulate_again(path: Path) -> None:
     from sim_mjx.cli.simulate import show
     from sim_mjx.synthesis.pipeline import synthesise
     from sim_mjx.validation import health
-    from sim_mjx.validation.label_repair import keep_tracks
 
     job = health.repair_job(path)
     with progress_bar("simulate", "trials", job.trials) as bar:
-        synthesise(path, job, overwrite=True, progress=partial(show, bar), ready=partial(keep_tracks, path))
+        synthesise(path, job, overwrite=True, progress=partial(show, bar), ready=partial(health.keep_tracks, path))
 
 
 def _slow(devices: list[str], ratio: float) -> list[str]:

@@ -96,18 +96,18 @@ class Fidelity(Command):
     def _jobs(self) -> dict[str, Callable[[], Measured]]:
         """The measurements, in order; their input is checked here, before the first of them."""
         from rcbht_jax.io.store import read_recordings
+        from sim_mjx.presets import preset
         from sim_mjx.validation import fidelity, sessions
 
         options = (self._trials_of_each(), self.seed, self.max_seconds)
         jobs: dict[str, Callable[[], Measured]] = {}
         names = tuple(dict.fromkeys(self.session))
         for name in names:
-            jobs[f"solver {name}"] = partial(_convergence, name, *options)
+            jobs[f"solver {name}"] = partial(_without_picture, fidelity.convergence, preset(name), *options)
         for engine, name in product(self.engines, names):
-            jobs[f"engine {engine} {name}"] = partial(_parity, engine, name, *options)
+            jobs[f"engine {engine} {name}"] = partial(_without_picture, fidelity.parity, engine, preset(name), *options)
         if self.data is not None:
-            data = self.data
-            jobs["kinematics"] = lambda: (fidelity.kinematics(data), None)
+            jobs["kinematics"] = partial(_without_picture, fidelity.kinematics, self.data)
         if self.recorded is not None:
             recordings = read_recordings(self.recorded)
             for name in names:
@@ -167,18 +167,8 @@ def _state_of(folder: Path) -> str:
     return sha256(json.dumps(states).encode()).hexdigest()
 
 
-def _convergence(name: str, trials: int, seed: int, longest: float) -> Measured:
-    from sim_mjx.presets import preset
-    from sim_mjx.validation import fidelity
-
-    return fidelity.convergence(preset(name), trials, seed, longest), None
-
-
-def _parity(engine: str, name: str, trials: int, seed: int, longest: float) -> Measured:
-    from sim_mjx.presets import preset
-    from sim_mjx.validation import fidelity
-
-    return fidelity.parity(engine, preset(name), trials, seed, longest), None
+def _without_picture(measure: Callable[..., dict[str, Any]], *options: Any) -> Measured:
+    return measure(*options), None
 
 
 def _write(path: Path, text: str) -> None:

@@ -116,6 +116,7 @@ class FidelityFit(Command):
 
     def _search(self, fixed: Physical, trials: int, recorded: str) -> Search:
         from sim_mjx.randomization import overrides
+        from sim_mjx.synthesis.plan import code_hash
         from sim_mjx.validation.system_id import Bound, Search
 
         usual = {name: Bound(low, high, log=scale == "log") for name, (low, high, scale) in BOUNDS.items()}
@@ -130,7 +131,7 @@ class FidelityFit(Command):
         overrides.check(tuple((name, end) for name, bound in bounds.items() for end in (bound.low, bound.high)))
         settings = {
             "session": self.session, "recorded_sha256": recorded, "trials": trials, "outcomes": self.outcomes,
-            "snaps": self.snaps, "fixed": [list(pair) for pair in fixed],
+            "snaps": self.snaps, "fixed": [list(pair) for pair in fixed], "sim_mjx_sha256": code_hash(),
         }  # fmt: skip
         begin = {name: _present(self.session, name, bound) for name, bound in bounds.items()}
         return Search(bounds, self.population, self.generations, self.seed, begin, self.initial_std, settings)

@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -159,9 +160,7 @@ class Simulate(Command):
                 notices.append(sentence)
                 bar.write(sentence, file=sys.stderr)
 
-            def progress(now: SynthesisProgress) -> None:
-                show(bar, now)
-
+            progress = partial(show, bar)
             if self.worker:
                 return be_worker(self, job, progress, notice)
             others = helpers(command, notice)

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.compiling import compiler_options
 from sim_mjx.assembly.parts import from_lips
-from sim_mjx.assembly.rollout import Program, Rollouts, as_float32, batch_size
+from sim_mjx.assembly.rollout import Program, Rollouts, as_float32, single_trials
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect, sane, select_lanes, unwarned
 
@@ -112,7 +112,7 @@ class _Job:
     ) -> None:
         self.scene, self.watch, self.progress = scene, watch, progress
         self.params, self.home = as_float32(params), np.asarray(scene.program.home(params), np.float64)
-        self.parts = [jax.tree.map(lambda leaf, i=i: leaf[i], params.parts) for i in range(batch_size(params))]
+        self.parts = single_trials(params.parts)
         self.waiting = waiting  # longest first, so that no thread ends up alone with one
         self.stopped = threading.Event()
         self.lock = threading.Lock()

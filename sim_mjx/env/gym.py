@@ -38,7 +38,19 @@ def spaces(env: Environment) -> tuple[Any, Any]:
     return gymnasium.spaces.Box(low, high, dtype=np.float32), actions
 
 
-class VectorEnv(gymnasium.vector.VectorEnv):
+class _WithoutPictures:
+    """What both kinds of environments have in common."""
+
+    def render(self) -> NoReturn:
+        """Refused: there are no pictures.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError('Environments draw no pictures; "rcbht view" shows trials of a store.')
+
+
+class VectorEnv(_WithoutPictures, gymnasium.vector.VectorEnv):
     """Environments that step together; where an episode has ended, a new one begins.
 
     Args:
@@ -126,16 +138,8 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         if self.closed:
             raise InputError("The environments are closed; make new ones.")
 
-    def render(self) -> NoReturn:
-        """Refused: there are no pictures.
 
-        Raises:
-            InputError: always.
-        """
-        _refuse_pictures()
-
-
-class SingleEnv(gymnasium.Env):
+class SingleEnv(_WithoutPictures, gymnasium.Env):
     """One environment.
 
     Args:
@@ -173,14 +177,6 @@ class SingleEnv(gymnasium.Env):
         truncated = bool(self._state.info["truncation"] > 0.5)
         ended = bool(self._state.done > 0.5) and not truncated
         return _host(self._state.obs), float(self._state.reward), ended, truncated, _infos(self._state)
-
-    def render(self) -> NoReturn:
-        """Refused: there are no pictures.
-
-        Raises:
-            InputError: always.
-        """
-        _refuse_pictures()
 
 
 def _reset(env: Environment, keys: Any) -> tuple[Any, State]:
@@ -271,10 +267,6 @@ def _environment(env: Any) -> Environment:
     if not isinstance(env, Environment):
         raise InputError(f"The environment is {env!r}; expected what sim_mjx.env.load returns.")
     return env
-
-
-def _refuse_pictures() -> NoReturn:
-    raise InputError('Environments draw no pictures; "rcbht view" shows trials of a store.')
 
 
 def _started(state: State | None) -> State:

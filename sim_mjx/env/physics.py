@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
-from sim_mjx.assembly.rollout import stack
+from sim_mjx.assembly.rollout import single_trials, stack
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import device, native
 from sim_mjx.engines.common import SETTLING, unwarned
@@ -152,9 +152,8 @@ def settled(scene: Scene, params: Any) -> tuple[Body, Glance]:
         params: a batch of trials.
     """
     home = np.asarray(scene.program.home(params), np.float64)
-    parts = [jax.tree.map(lambda leaf, i=i: leaf[i], params.parts) for i in range(len(home))]
     with unwarned(), ThreadPoolExecutor(os.cpu_count()) as pool:
-        bodies, glances = zip(*pool.map(partial(_settle, scene), parts, home), strict=True)
+        bodies, glances = zip(*pool.map(partial(_settle, scene), single_trials(params.parts), home), strict=True)
     return stack(list(bodies)), stack(list(glances))
 
 

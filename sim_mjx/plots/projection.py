@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float64
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 Floats = NDArray[np.float64]
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
@@ -63,22 +64,11 @@ def outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int, view: View) -
 
 
 def _hull(points: Floats) -> Floats:
-    """Convex hull of points [n, 2] by Andrew's monotone chain."""
-    order = points[np.lexsort((points[:, 1], points[:, 0]))]
-
-    def chain(rows: Floats) -> list[Floats]:
-        kept: list[Floats] = []
-        for point in rows:
-            while len(kept) > 1 and _turns_right(kept[-2], kept[-1], point):
-                kept.pop()
-            kept.append(point)
-        return kept[:-1]
-
-    return np.array(chain(order) + chain(order[::-1]))
-
-
-def _turns_right(a: Floats, b: Floats, c: Floats) -> bool:
-    return bool((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) <= 0)
+    """Corners of the convex hull of points [n, 2]."""
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # all on one line: something flat, seen from its edge
+        return points
 
 
 class Drawing:

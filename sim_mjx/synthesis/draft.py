@@ -60,7 +60,10 @@ class Draft:
 
     def draw(self, shard: int) -> Drawn:
         """Parameters and faults of the trials of a shard."""
-        return self.scenario.draw_batch(self.job.seed, indices(self.job, shard), self.job.spec)
+        return self._drawn(shard, self.job.spec)
+
+    def _drawn(self, shard: int, spec: Any) -> Drawn:
+        return self.scenario.draw_batch(self.job.seed, indices(self.job, shard), spec)
 
     def write(self, shard: int, drawn: Drawn, arrays: Arrays, labels: Arrays | None) -> None:
         """Write a shard to its place. Any process may write any shard; arguments as of :meth:`parts_of`."""
@@ -77,7 +80,9 @@ class Draft:
         """
         (params, faults), index = drawn, np.array(indices(self.job, shard))
         rows = _without(arrays, arrays["diverged"])
-        outcome = tables.outcomes(self.scenario, rows, params, self.job.spec.longest)
+        spec = self.job.spec
+        whole = params if spec.longest is None else self._drawn(shard, replace(spec, longest=None))[0]
+        outcome = tables.outcomes(self.scenario, rows, whole, spec.longest)
         recordings = tables.recordings_of(self.job.preset, self.scenario, rows, rows["wrench"], index, faults, outcome)
         recordings = replace(recordings, outcome=np.where(recordings.length == 0, "diverged", recordings.outcome))
         simulation = tables.simulation_of(self.scenario, rows, index, params, faults, outcome)

@@ -67,14 +67,7 @@ def local(
     with ExitStack() as files:
         reports = [files.enter_context(tempfile.TemporaryFile()) for _ in environments]
         workers = [
-            subprocess.Popen(
-                _command(words),
-                env={**os.environ, **env},
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=file,
-            )
-            for env, file in zip(environments, reports, strict=True)
+            _started(words, file, env={**os.environ, **env}) for env, file in zip(environments, reports, strict=True)
         ]
         try:
             while any(worker.poll() is None for worker in workers):
@@ -95,9 +88,7 @@ def run_worker(words: Sequence[str], folder: str) -> str:
         why it ended before its work was done; "" = it did not.
     """
     with tempfile.TemporaryFile() as report:
-        worker = subprocess.Popen(
-            _command(words), cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=report
-        )
+        worker = _started(words, report, cwd=folder)
         try:
             worker.wait()
         except BaseException:
@@ -236,6 +227,11 @@ def _first_line(error: BaseException) -> str:
 
 def _command(words: Sequence[str]) -> list[str]:
     return [sys.executable, "-m", "rcbht_jax", *words]
+
+
+def _started(words: Sequence[str], report: Any, **where: Any) -> subprocess.Popen[bytes]:
+    nothing = subprocess.DEVNULL
+    return subprocess.Popen(_command(words), stdin=nothing, stdout=nothing, stderr=report, **where)
 
 
 def _ending(status: int, report: Any) -> str:

@@ -283,9 +283,6 @@ def balanced(trials: int, most: int, memory: int | None) -> int:
 
 def _labelled(job: SynthesisConfig, scenario: Scenario, simulate: Simulate | None) -> Callable[[Any], Labelled]:
     """What simulates a batch and, if the job has a window, labels it."""
-    if simulate is None and job.window is not None:
-        config, limits = encoder_config(job), label_limits()
-        return partial(records.simulate_labelled, scenario.scene(), engine=job.engine, config=config, limits=limits)
     run = simulate or partial(engines.simulate, scenario.scene(), engine=job.engine)
 
     def labelled(params: Any) -> Labelled:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -95,9 +95,11 @@ def scenario_of(values: dict[str, Any]) -> tuple[Scenario, Any]:
 
 
 def _as_given(like: Any, value: Any) -> Any:
-    """JSON's value in the type of a field's default: a dataclass or an array; other lists as the tuples they were."""
-    if is_dataclass(like) and not isinstance(like, type) and isinstance(value, dict):
-        return type(like)(**{name: _as_given(getattr(like, name, None), one) for name, one in value.items()})
+    """JSON's value in the type of a field's default: a dataclass, an array or a list; other lists as tuples."""
+    if isinstance(value, dict):
+        default = like.get if isinstance(like, Mapping) else partial(getattr, like)
+        found = {name: _as_given(default(name, None), one) for name, one in value.items()}
+        return type(like)(**found) if is_dataclass(like) and not isinstance(like, type) else found
     if not isinstance(value, list):
         return value
     if isinstance(like, np.ndarray):
@@ -106,8 +108,9 @@ def _as_given(like: Any, value: Any) -> Any:
         return same if same.tolist() == value else given  # of another type than the default
     if isinstance(like, jax.Array):
         return jnp.asarray(value, like.dtype)
-    likes = like if isinstance(like, tuple) and len(like) == len(value) else (None,) * len(value)
-    return tuple(_as_given(default, one) for default, one in zip(likes, value, strict=True))
+    likes = like if isinstance(like, tuple | list) and len(like) == len(value) else (None,) * len(value)
+    each = [_as_given(default, one) for default, one in zip(likes, value, strict=True)]
+    return each if isinstance(like, list) else tuple(each)
 
 
 def encoder_config(job: SynthesisConfig) -> EncoderConfig:

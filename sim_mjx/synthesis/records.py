@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,9 +18,7 @@ from rcbht_jax.io.hiro import onsets
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
-from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
-from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import blocks
 from sim_mjx.synthesis.passes import passes_of
@@ -140,42 +137,14 @@ def tilt(joints: Float[Array, "*batch 6"]) -> Float[Array, "*batch"]:
     return kinematics.tilt(kinematics.fk(joints)[1])
 
 
-def simulate_labelled(
-    scene: Scene,
-    params: Any,
-    engine: str,
-    config: EncoderConfig,
-    limits: Float[Array, "6 4"],
-) -> tuple[Rollouts, LabelTracks]:
-    """Simulate a batch of trials and label their wrenches.
+def label(out: Rollouts, config: EncoderConfig, limits: Float[Array, "6 4"]) -> LabelTracks:
+    """Host arrays of labels [trial * K, 6, slot], the wrists of a trial one after another.
+
+    Labels of a diverged trial are undefined.
 
     Args:
-        scene: what is simulated.
-        params: batch of trials of the scene's program.
-        engine: one of ``engines.ENGINES``.
-        config: of the encoder.
-        limits: thresholds, N/s and Nm/s.
-
-    Returns:
-        the trials, and host arrays of labels [trial * K, 6, slot], the wrists of a trial one after another. Labels of
-        a diverged trial are undefined.
-
-    Raises:
-        InputError: unknown engine, or what it needs is not installed.
+        out: the trials. config: of the encoder. limits: thresholds, N/s and Nm/s.
     """
-    engines.check(engine)
-    if engine == "native":
-        out = engines.simulate(scene, params, engine)
-        return out, label(out, config, limits)
-    from sim_mjx.engines import device  # MJX takes seconds to import
-
-    there = device.run(scene, params, engines.IMPLEMENTATIONS[engine])
-    tracks = encode_on_device(config, limits, *by_wrist(there.wrench, there.length))
-    return device.to_host(there), jax.device_get(tracks)
-
-
-def label(out: Rollouts, config: EncoderConfig, limits: Float[Array, "6 4"]) -> LabelTracks:
-    """Labels of trials on the host; see :func:`simulate_labelled`."""
     return jax.device_get(encode_on_device(config, limits, *by_wrist(jnp.asarray(out.wrench), jnp.asarray(out.length))))
 
 

@@ -72,6 +72,8 @@ def status_of(target: Path) -> SynthesisStatus:
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{folder / shards.MANIFEST} is damaged; delete {folder} to begin anew.") from error
     trials, size = int(job["trials"]), int(job["shard"])
+    claimed = {int(task): tries for task, tries in sorted(board.items()) if task.isdecimal()}
+    left = {shard: tries for shard, tries in claimed.items() if shard not in present}
     workers = [
         Worker(one.host, one.pid, int(task) if task.isdecimal() else None, one.seconds)
         for task, tries in sorted(board.items())
@@ -87,15 +89,9 @@ def status_of(target: Path) -> SynthesisStatus:
         per_minute=_rate(folder, size) if any(one.shard is not None for one in workers) else None,
         workers=workers,
         failures=[
-            _failure(int(task), tries)
-            for task, tries in sorted(board.items())
-            if task.isdecimal() and int(task) not in present and any(one.state == "failed" for one in tries)
+            _failure(shard, tries) for shard, tries in left.items() if any(one.state == "failed" for one in tries)
         ],
-        killed=[
-            int(task)
-            for task, tries in sorted(board.items())
-            if task.isdecimal() and int(task) not in present and tries[-1].state == "dead"
-        ],
+        killed=[shard for shard, tries in left.items() if tries[-1].state == "dead"],
     )
 
 

@@ -87,16 +87,16 @@ def outcomes(scenario: Scenario, rows: Arrays, params: Any, longest: float | Non
     Args:
         scenario: what was simulated.
         rows: as of :func:`recordings_of`.
-        params: of the trials, cut to ``longest``. A fault may have given them a limit of their own; one equal to
-            ``longest`` cannot be distinguished from it, so such trials are unfinished.
+        params: of the trials as drawn without ``longest``: a fault may have given them a limit of their own.
         longest: s; None = nothing is cut.
     """
     found = np.where(rows["seated"].all(1), "success", "failure")
-    if longest is None or longest == scenario.timeout:
+    if longest is None:
         return found
-    limit = np.asarray((params.task if scenario.recorded else params).timeout)
-    last = np.round(np.float32(longest) / np.float32(CONTROL_PERIOD))  # as controllers do; the first sample is number 0
-    return np.where((found == "failure") & (limit >= longest) & (rows["length"] > last), "unfinished", found)
+    limit = (params.task if scenario.recorded else params).timeout
+    # rounded as controllers do; the first sample is number 0
+    ends, last = (np.round(np.float32(time) / np.float32(CONTROL_PERIOD)) for time in (limit, longest))
+    return np.where((found == "failure") & (ends > last) & (rows["length"] > last), "unfinished", found)
 
 
 def simulation_of(

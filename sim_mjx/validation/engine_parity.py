@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -18,7 +17,7 @@ from jaxtyping import Bool, Int64
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.labels import LAYERS
-from sim_mjx.assembly.rollout import Rollouts, batch_size
+from sim_mjx.assembly.rollout import Rollouts, single_trials
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
@@ -64,10 +63,7 @@ class _FirstContact:
     """Watches the native engine for the control period in which any pair of each trial first touches."""
 
     def __init__(self, scene: Scene, params: Any) -> None:
-        self._models = [
-            native.model_of(scene, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts))
-            for i in range(batch_size(params))
-        ]
+        self._models = [native.model_of(scene, parts) for parts in single_trials(params.parts)]
         self._data = mujoco.MjData(scene.model)
         self.period = np.full(len(self._models), NEVER)
 

@@ -29,13 +29,11 @@ from sim_mjx.presets.session import SessionPreset
 from sim_mjx.randomization.trials import DomainRandomization, sample_batch
 from sim_mjx.validation import gate, sessions, signature, snaps
 from sim_mjx.validation.dynamics import Dynamics, dynamics
-from sim_mjx.validation.engine_parity import FORCE_LIMIT as FORCE
-from sim_mjx.validation.engine_parity import LABELS_LIMIT, OUTCOME_LIMIT, reference
-from sim_mjx.validation.engine_parity import MOMENT_LIMIT as MOMENT
+from sim_mjx.validation.engine_parity import FORCE_LIMIT, LABELS_LIMIT, MOMENT_LIMIT, OUTCOME_LIMIT, reference
 from sim_mjx.validation.engine_parity import parity as compared
 from sim_mjx.validation.replay import Recorder, seated_snaps
 from sim_mjx.validation.sessions import Target
-from sim_mjx.validation.solver_convergence import FORCE_LIMIT, MOMENT_LIMIT, certify
+from sim_mjx.validation.solver_convergence import certify
 
 Errors = Float64[np.ndarray, "_sample 2"]  # mm and degrees
 Poses = Float64[np.ndarray, "sample 6"]  # joint angles, rad; or place and roll, pitch, yaw of the tool, m and rad
@@ -71,7 +69,7 @@ def parity(
     params, scene = _trials(session, trials, seed, longest), session.scene()
     expected, contact = reference(scene, params)
     differences = compared(expected, contact, engines.simulate(scene, params, engine))
-    limits = {"force": FORCE, "moment": MOMENT, "labels": LABELS_LIMIT, "outcome": OUTCOME_LIMIT}
+    limits = {"force": FORCE_LIMIT, "moment": MOMENT_LIMIT, "labels": LABELS_LIMIT, "outcome": OUTCOME_LIMIT}
     return {"engine": engine, **asdict(differences), "limits": limits, "holds": differences.holds}
 
 

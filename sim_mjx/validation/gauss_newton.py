@@ -10,9 +10,7 @@ Source: Marquardt, "An Algorithm for Least-Squares Estimation of Nonlinear Param
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -84,39 +82,8 @@ def fit(
         >>> {name: round(value, 2) for name, value in found.values.items()}
         {'slope': 3.0, 'offset': 1.0}
     """
-    check(search)
-    if iterations < 1 or not FINEST <= step <= 0.5:
-        raise InputError(f"iterations is {iterations} and step {step}; expected at least 1, and {FINEST} to 0.5.")
-
-    def simulate(points: Float64[np.ndarray, "candidate parameter"]) -> Residuals:
-        return np.asarray(objective([values_of(point, search.bounds) for point in points]), np.float64)
-
-    point = np.clip(point_of(search), INSIDE, 1 - INSIDE)
-    (here,) = simulate(point[None])
-    if not np.isfinite(here).all():
-        raise InputError("The simulation of the start gives no finite residuals; begin elsewhere.")
-    count, width, sign, history = 1, step, 1.0, []
-    jacobian = np.zeros((len(here), len(point)))
-    for _ in range(iterations):
-        history.append(Iteration(count, float(here @ here), width))
-        if progress is not None:
-            progress(history[-1], values_of(point, search.bounds))
-        jacobian = _differences(simulate, point, here, sign * width)
-        tried = _steps(point, jacobian, here)
-        found = simulate(tried)
-        count += len(point) + len(tried)
-        losses = np.where(np.isfinite(found).all(1), (found**2).sum(1), np.inf)
-        best = int(np.argmin(losses))
-        enough = losses[best] < (1 - LEAST_GAIN) * float(here @ here)
-        if losses[best] < here @ here:
-            point, here = tried[best], found[best]
-        if not enough:
-            width, sign = width / 2, -sign
-            if width < FINEST:
-                break
-    ends = zip(search.bounds, point.tolist(), strict=True)
-    at_bound = [name for name, share in ends if not INSIDE < share < 1 - INSIDE]
-    return LeastSquares(values_of(point, search.bounds), float(here @ here), count, history, jacobian, at_bound)
+    report = None if progress is None else lambda _, at, values: progress(at, values)
+    return fit_together(objective, [search], iterations=iterations, step=step, progress=report)[0]
 
 
 def fit_together(
@@ -133,7 +100,7 @@ def fit_together(
 
     Args:
         objective, iterations, step: as of :func:`fit`. searches: one per fit.
-        progress: as of :func:`fit`, with the number of the fit as first argument; called by one fit at a time.
+        progress: as of :func:`fit`, with the number of the fit as first argument.
 
     Raises:
         InputError: as of :func:`fit`, or no search is given.
@@ -147,81 +114,58 @@ def fit_together(
     """
     if not searches:
         raise InputError("searches is empty; expected at least one search.")
-    shared, one_at_a_time = _Shared(objective, len(searches)), threading.Lock()
-
-    def one(number: int) -> LeastSquares:
-        def report(at: Iteration, values: Values) -> None:
-            if progress is not None:
-                with one_at_a_time:
-                    progress(number, at, values)
-
-        try:
-            ask = partial(shared.ask, number)
-            return fit(ask, searches[number], iterations=iterations, step=step, progress=report)
-        except BaseException as error:
-            shared.fail(error)
-            raise
-        finally:
-            shared.leave()
-
-    with ThreadPoolExecutor(len(searches)) as pool:
-        return list(pool.map(one, range(len(searches))))
+    if iterations < 1 or not FINEST <= step <= 0.5:
+        raise InputError(f"iterations is {iterations} and step {step}; expected at least 1, and {FINEST} to 0.5.")
+    report = progress or (lambda *_: None)
+    running = [_fit(search, iterations, step, partial(report, at)) for at, search in enumerate(searches)]
+    done: dict[int, LeastSquares] = {}
+    asked = {at: next(one) for at, one in enumerate(running)}
+    while asked:
+        batch = [values for at in asked for values in asked[at]]
+        ends = np.cumsum([len(candidates) for candidates in asked.values()])
+        found = np.split(np.asarray(objective(batch), np.float64), ends[:-1])
+        answers, asked = dict(zip(asked, found, strict=True)), {}
+        for at, residuals in answers.items():
+            try:
+                asked[at] = running[at].send(residuals)
+            except StopIteration as end:
+                done[at] = end.value
+    return [done[at] for at in range(len(searches))]
 
 
-class _Shared:
-    """Simulates the candidates of fits in threads together, once every running fit has given its own."""
-
-    def __init__(self, objective: Objective, fits: int) -> None:
-        self.objective, self.fits = objective, fits
-        self.asked: dict[int, list[Values]] = {}
-        self.answers: dict[int, Residuals] = {}
-        self.failed: BaseException | None = None
-        self.turn = threading.Condition()
-
-    def ask(self, number: int, candidates: list[Values]) -> Residuals:
-        with self.turn:
-            self.asked[number] = candidates
-            self._answer()
-            self.turn.wait_for(lambda: number in self.answers or self.failed is not None)
-            if self.failed is not None:
-                raise self.failed
-            return self.answers.pop(number)
-
-    def fail(self, error: BaseException) -> None:
-        """End all fits at once with the error that one of them raised."""
-        with self.turn:
-            self.failed = self.failed or error
-            self.turn.notify_all()
-
-    def leave(self) -> None:
-        """End a fit, so that the others no longer wait for it."""
-        with self.turn:
-            self.fits -= 1
-            self._answer()
-
-    def _answer(self) -> None:
-        if self.failed is not None or not self.asked or len(self.asked) < self.fits:
-            return
-        numbers = sorted(self.asked)
-        try:
-            found = self.objective([values for number in numbers for values in self.asked[number]])
-            ends = np.cumsum([len(self.asked[number]) for number in numbers])
-            self.answers = dict(zip(numbers, np.split(np.asarray(found, np.float64), ends[:-1]), strict=True))
-        except BaseException as error:  # every fit must end, whichever of their threads simulated
-            self.failed = error
-        self.asked = {}
-        self.turn.notify_all()
-
-
-def _differences(
-    simulate: Callable[[Float64[np.ndarray, "candidate parameter"]], Residuals],
-    point: Point,
-    here: Float64[np.ndarray, " residual"],
-    step: float,
-) -> Jacobian:
-    """Derivatives by one simulation per parameter, by ``step``, or by ``-step`` where that would leave the cube."""
-    ahead = np.where((point + step >= 0.0) & (point + step <= 1.0), step, -step)
-    return ((simulate(point + np.diag(ahead)) - here) / ahead[:, None]).T
+def _fit(
+    search: Search, iterations: int, step: float, progress: Callable[[Iteration, Values], None]
+) -> Generator[list[Values], Residuals, LeastSquares]:
+    """One fit: yields candidates and is sent their residuals."""
+    check(search)
+    point = np.clip(point_of(search), INSIDE, 1 - INSIDE)
+    (here,) = yield [values_of(point, search.bounds)]
+    if not np.isfinite(here).all():
+        raise InputError("The simulation of the start gives no finite residuals; begin elsewhere.")
+    count, width, sign, history = 1, step, 1.0, []
+    jacobian = np.zeros((len(here), len(point)))
+    for _ in range(iterations):
+        history.append(Iteration(count, float(here @ here), width))
+        progress(history[-1], values_of(point, search.bounds))
+        forward = point + sign * width
+        ahead = np.where((forward >= 0.0) & (forward <= 1.0), sign * width, -sign * width)
+        beside = yield [values_of(one, search.bounds) for one in point + np.diag(ahead)]
+        jacobian = ((beside - here) / ahead[:, None]).T
+        tried = _steps(point, jacobian, here)
+        found = yield [values_of(one, search.bounds) for one in tried]
+        count += len(point) + len(tried)
+        losses = np.where(np.isfinite(found).all(1), (found**2).sum(1), np.inf)
+        best = int(np.argmin(losses))
+        enough = losses[best] < (1 - LEAST_GAIN) * float(here @ here)
+        if losses[best] < here @ here:
+            point, here = tried[best], found[best]
+        if not enough:
+            width, sign = width / 2, -sign
+            if width < FINEST:
+                break
+    ends = zip(search.bounds, point.tolist(), strict=True)
+    at_bound = [name for name, share in ends if not INSIDE < share < 1 - INSIDE]
+    return LeastSquares(values_of(point, search.bounds), float(here @ here), count, history, jacobian, at_bound)
 
 
 def _steps(

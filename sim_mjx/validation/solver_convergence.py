@@ -11,20 +11,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 from jaxtyping import Float, Int64
 from mujoco import rollout as mj_rollout
 
-from sim_mjx.assembly.rollout import Rollouts, batch_size
+from sim_mjx.assembly.rollout import Rollouts, batch_size, single_trials
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.engines.native import Rows, States, Steps
+from sim_mjx.validation.engine_parity import FORCE_LIMIT, MOMENT_LIMIT
 
 REFERENCE = (100, 50)  # iterations of the solver and of its line search
-FORCE_LIMIT, MOMENT_LIMIT = 0.05, 0.005  # N, Nm
+THREADS = os.cpu_count() or 1
 Periods = Int64[np.ndarray, " trial"]  # control periods
 Errors = Float[np.ndarray, "trial time reading"]  # N and Nm, six readings per wrist
 
@@ -70,7 +70,8 @@ def certify(
     """
     scene = scene_of(iterations=settings[0], ls_iterations=settings[1])
     exact = scene_of(iterations=REFERENCE[0], ls_iterations=REFERENCE[1])
-    with _Probe(exact, params) as probe:
+    with mj_rollout.Rollout(nthread=THREADS if THREADS > 1 else 0) as pool:
+        probe = _Probe(exact, params, pool)
         production = native.simulate(scene, params, watch=probe.compare)
     expected = native.simulate(exact, params)
     agreeing = _agree_until(production, expected)
@@ -78,7 +79,7 @@ def certify(
     return Certificate(
         batch_size(params),
         int(np.isfinite(production.onset[:, 1]).sum()),
-        probe.largest(),
+        probe.largest,
         _largest(_path_errors(production, expected, agreeing)),
         float(same.mean()),
         float((production.seated == expected.seated).all(1).mean()),
@@ -88,22 +89,10 @@ def certify(
 class _Probe:
     """Repeats each control period of a running simulation with the reference settings."""
 
-    def __init__(self, exact: Scene, params: Any) -> None:
-        self._exact, self._worst = exact, Difference(0.0, 0.0, 0, 0.0)
-        self._models = [
-            native.model_of(exact, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts))
-            for i in range(batch_size(params))
-        ]
-        threads = os.cpu_count() or 1
-        self._datas = [mujoco.MjData(exact.model) for _ in range(threads)]
-        self._pool = mj_rollout.Rollout(nthread=threads if threads > 1 else 0)
-
-    def __enter__(self) -> _Probe:
-        self._pool.__enter__()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._pool.__exit__(*error)
+    def __init__(self, exact: Scene, params: Any, pool: mj_rollout.Rollout) -> None:
+        self._exact, self._pool, self.largest = exact, pool, Difference(0.0, 0.0, 0, 0.0)
+        self._models = [native.model_of(exact, parts) for parts in single_trials(params.parts)]
+        self._datas = [mujoco.MjData(exact.model) for _ in range(THREADS)]
 
     def compare(self, trials: Rows, state: States, wanted: Steps, readings: Steps) -> None:
         """One control period of some trials; see ``native.Watch``."""
@@ -111,13 +100,10 @@ class _Probe:
         _, exact = self._pool.rollout(models, self._datas, state, wanted, nstep=self._exact.substeps)
         wrench = (self._exact.forces[:, None] + np.arange(6)).ravel()
         here = _largest(np.abs(readings - exact)[:, :, wrench])
-        worst, moment = self._worst, max(self._worst.moment, here.moment)
+        worst, moment = self.largest, max(self.largest.moment, here.moment)
         if here.force > worst.force:  # a full physics state begins with the time
             worst = Difference(here.force, moment, int(trials[here.trial]), float(state[here.trial, 0]))
-        self._worst = replace(worst, moment=moment)
-
-    def largest(self) -> Difference:
-        return self._worst
+        self.largest = replace(worst, moment=moment)
 
 
 def _agree_until(production: Rollouts, expected: Rollouts) -> Periods:

@@ -85,7 +85,7 @@ def fit(
         InputError: impossible settings, or the checkpoint is damaged or belongs to another search.
     """
     check(search)
-    state, best = _begin(search), Fit({}, math.inf, [])
+    state, best = cma.start(point_of(search), search.spread), Fit({}, math.inf, [])
     if checkpoint is not None:
         state, best = _load(checkpoint, search) or (state, best)
     for number in range(len(best.generations) + 1, search.generations + 1):
@@ -95,7 +95,8 @@ def fit(
         if losses.shape != (search.population,):
             raise ValueError(f"the objective gave {losses.shape} losses for {search.population} candidates")
         state = cma.update(state, points, losses, number)
-        generation = Generation(number, _lowest(losses), _median(losses), state.step)
+        finite = losses[np.isfinite(losses)] if np.isfinite(losses).any() else np.array([math.inf])
+        generation = Generation(number, float(finite.min()), float(np.median(finite)), state.step)
         best = _better(best, candidates, losses, generation)
         if checkpoint is not None:
             _save(checkpoint, search, state, best)
@@ -125,10 +126,6 @@ def check(search: Search) -> None:
     for name, value in search.start.items():
         if name not in search.bounds or not search.bounds[name].low <= value <= search.bounds[name].high:
             raise InputError(f"The search starts at {name} = {value}; expected a value within its range.")
-
-
-def _begin(search: Search) -> State:
-    return cma.start(point_of(search), search.spread)
 
 
 def point_of(search: Search) -> Float64[np.ndarray, " _parameter"]:
@@ -163,16 +160,6 @@ def _ask(state: State, search: Search, number: int) -> Points:
     spread, turn = np.linalg.eigh(state.covariance)
     normal = np.random.default_rng((search.seed, number)).normal(size=(search.population, len(state.mean)))
     return state.mean + state.step * (normal * np.sqrt(np.maximum(spread, 0.0))) @ turn.T
-
-
-def _lowest(losses: Losses) -> float:
-    finite = losses[np.isfinite(losses)]
-    return float(finite.min()) if finite.size else math.inf
-
-
-def _median(losses: Losses) -> float:
-    finite = losses[np.isfinite(losses)]
-    return float(np.median(finite)) if finite.size else math.inf
 
 
 def _better(best: Fit, candidates: list[Values], losses: Losses, generation: Generation) -> Fit:

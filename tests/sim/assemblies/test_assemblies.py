@@ -30,6 +30,7 @@ from sim_mjx.engines.native import model_of
 from sim_mjx.registry import Scenario, get_scenario, pair
 from sim_mjx.robots import ROBOTS, Robot
 from sim_mjx.validation.engine_parity import FORCE_LIMIT, MOMENT_LIMIT
+from tests.support.trees import assert_trees_equal
 
 NOMINAL = 3
 ON = {"peg-in-hole": "panda", "clip": "ur5e", "plug": "hiro"}  # each assembly once, each robot once
@@ -144,6 +145,15 @@ def test_a_part_that_is_pulled_away_is_no_success(assembly: str) -> None:
     assert not seated((0.0, 0.0, 3e-3))
     assert not seated((-4e-3, 0.0, 0.0))
     assert part.marks
+
+
+def test_a_range_of_one_lag_changes_nothing_but_the_lag() -> None:
+    scenario = get_scenario("clip@panda")
+    usual, late = (scenario.draw_batch(0, range(8), scenario.spec(lag=lag)) for lag in ((1, 3), (4, 4)))
+    assert set(usual[0].command_delay.tolist()) == {1, 2, 3}
+    assert set(late[0].command_delay.tolist()) == {4}
+    assert_trees_equal(usual[0], replace(late[0], command_delay=usual[0].command_delay))
+    assert [fault.kind for fault in usual[1]] == [fault.kind for fault in late[1]]
 
 
 def test_trials_do_not_depend_on_their_batch() -> None:

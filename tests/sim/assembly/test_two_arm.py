@@ -172,6 +172,17 @@ def test_force_control_moves_the_left_hand_with_the_push() -> None:
     np.testing.assert_array_equal(hold(off, home, home, goal + 5.0, phase), home)
 
 
+def test_a_robot_that_is_stopped_keeps_both_arms_still() -> None:
+    """The parts are in contact then, and the left hand would go on giving way to the force."""
+    stopped = DomainRandomization(nominal_share=0.0, faults=("early-stop",), stop_at=(0.8, 0.8), logs_on=0.5)
+    params = trials("two", 1, stopped)
+    run = native.simulate(SCENE, params)
+    still = round(float(params.task.stop[0]) / CONTROL_PERIOD) + 20  # the servos have followed
+    assert np.isfinite(run.onset[0, 1])
+    assert run.length[0] > still + 100
+    assert np.abs(np.ptp(run.joints[0, still : run.length[0]], axis=0)).max() < 2e-5
+
+
 def test_contact_chatters_on_both_wrists_at_once() -> None:
     """The force between the parts varies by one factor per tick; nothing varies where nothing touches."""
     drawn, _ = get_scenario("two").draw(0, 0, REPEATED)

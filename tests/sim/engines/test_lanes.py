@@ -167,7 +167,8 @@ def test_shards_that_share_lanes_are_those_that_have_them_alone() -> None:
     found = {shard.key: shard for shard in made}
     assert set(found) == set(sizes)
     for key, rows in sizes.items():
-        out, tracks = records.simulate_labelled(SCENE, some(params, rows), "mjx", config, limits)
+        out = device.simulate(SCENE, some(params, rows), "jax")
+        tracks = records.label(out, config, limits)
         for name, expected in records.of_trials(out, recorded=False).items():
             np.testing.assert_array_equal(found[key].rows[name], expected)
         again = records.of_labels(found[key].tracks, len(rows))

@@ -72,14 +72,16 @@ def test_a_phase_may_have_the_name_of_the_end() -> None:
 
 def test_a_shape_of_another_kind_is_its_bounding_box() -> None:
     model = mujoco.MjModel.from_xml_string(
-        '<mujoco><asset><mesh name="m" vertex="0 0 0  1 0 0  0 1 0  0 0 2"/></asset><worldbody>'
+        '<mujoco><asset><mesh name="m" vertex="0 0 0  1 0 0  0 1 0  0 0 2"/>'
+        '<mesh name="flat" inertia="shell" vertex="0 0 0  1 0 0  1 1 0  0 1 0" face="0 1 2  0 2 3"/></asset><worldbody>'
         '<geom type="mesh" mesh="m" pos="3 0 0"/><geom type="ellipsoid" size="1 2 3"/><geom type="plane" size="1 1 1"/>'
-        "</worldbody></mujoco>"
+        '<geom type="mesh" mesh="flat" contype="0" conaffinity="0"/></worldbody></mujoco>'
     )
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    mesh, ellipsoid, plane = (outline(model, data, geom, SIDE) for geom in range(3))
+    mesh, ellipsoid, plane, flat = (outline(model, data, geom, SIDE) for geom in range(4))
     assert len(plane) == 0
+    np.testing.assert_allclose([flat.min(0), flat.max(0)], [[0, 0], [1, 0]], atol=1e-2)  # seen from its edge
     np.testing.assert_allclose([ellipsoid.min(0), ellipsoid.max(0)], [[-1, -3], [1, 3]])
     corners = np.array([[3.0, 0.0], [4.0, 0.0], [3.0, 2.0]])  # of the mesh, from the side
     assert (mesh.min(0) <= corners.min(0) + 1e-9).all()

@@ -105,9 +105,10 @@ def test_any_allowed_range_gives_a_trial_inside_it(chosen: tuple[str, tuple[floa
     assert fault.kind == kind
 
 
-def test_ranges_may_be_lists_and_nothing_else_than_two_numbers() -> None:
+def test_ranges_may_be_lists_or_arrays_and_nothing_else_than_two_numbers() -> None:
     listed = given_as(NOMINAL, friction=[0.9, 1.1], faults=["pose"], lag=[4, 5])
     plain = replace(NOMINAL, friction=(0.9, 1.1), faults=("pose",), lag=(4, 5))
+    assert listed == given_as(plain, friction=np.array([0.9, 1.1]), nominal_share=np.array(plain.nominal_share))
     assert listed == plain
     assert same(sample(ONE_ARM["B"], 0, 0, listed)[0], sample(ONE_ARM["B"], 0, 0, plain)[0])
     for values, sentence in (

@@ -254,7 +254,8 @@ def test_waves_are_equally_large_and_fit_into_the_memory(
     ("longest", "limit", "ended"),
     [
         (None, 40.0, "failure"), (0.3, 40.0, "unfinished"), (39.9, 40.0, "unfinished"), (40.0, 40.0, "failure"),
-        (0.3, 0.2999, "failure"), (0.3, 0.3, "unfinished"), (41.0, 50.0, "unfinished"), (41.0, 40.0, "failure"),
+        (0.3, 0.2999, "failure"), (0.3, 0.3, "failure"), (40.0, 50.0, "unfinished"), (41.0, 50.0, "unfinished"),
+        (41.0, 40.0, "failure"),
     ],
 )  # fmt: skip
 def test_a_trial_that_is_ended_before_the_controllers_limit_is_unfinished(
@@ -269,7 +270,7 @@ def test_a_trial_that_is_ended_before_the_controllers_limit_is_unfinished(
     }
     scenario = get_scenario("hooked-A")
     params, _ = scenario.draw_batch(0, range(3), scenario.spec())
-    params = replace(params, task=replace(params.task, timeout=np.full(3, end)))
+    params = replace(params, task=replace(params.task, timeout=np.full(3, limit)))
     assert tables.outcomes(scenario, rows, params, longest).tolist() == [ended, "failure", "success"]
 
 

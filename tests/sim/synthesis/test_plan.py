@@ -83,6 +83,8 @@ class Vary(LatchVariation):
     weights: np.ndarray = field(default_factory=lambda: np.array([1, 2], np.int32))
     sizes: Sizes = Sizes()
     every: tuple[Sizes, ...] = (Sizes(), Sizes())
+    levels: list[float] = field(default_factory=lambda: [1.0, 2.0])
+    named: dict[str, tuple[float, ...]] = field(default_factory=lambda: {"one": (1.0, 2.0)})
 ARR = replace(CLIP, name="arr", variation=Vary)
 """
 

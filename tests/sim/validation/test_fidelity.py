@@ -26,6 +26,7 @@ from sim_mjx.cli.fidelity_fit import BOUNDS
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
 from sim_mjx.randomization import overrides
+from sim_mjx.synthesis import plan
 from sim_mjx.validation import dynamics, fidelity, gate, sessions, signature, snaps
 
 SAMPLES = 400
@@ -347,7 +348,7 @@ def test_mistakes_are_one_sentence(
 
 
 def test_the_fit_lowers_the_loss_and_writes_parameters(
-    hiro_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    hiro_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "c.json"
     words = ["fidelity", "fit", str(hiro_store), "--session", "C", "-o", str(out), "--trials", "1"]
@@ -362,6 +363,10 @@ def test_the_fit_lowers_the_loss_and_writes_parameters(
     assert (second["generations"], second["loss"] <= first["loss"]) == (2, True)
     assert main.main([*words, "--seed", "5"]) == 2
     assert "other data or options (seed 0, not 5)" in capsys.readouterr().err
+    with monkeypatch.context() as other:  # losses of other code cannot be compared with these
+        other.setattr(plan, "code_hash", lambda: "other")
+        assert main.main([*words, "--generations", "3"]) == 2
+        assert "about.sim_mjx_sha256" in capsys.readouterr().err
     assert main.main([*words, "-o", str(tmp_path / "s.json"), "--snaps", "--generations", "1"]) == 0
     for wrong, sentence in (
         (["--parameters", "parts.colour"], "no physical parameter"),

@@ -13,7 +13,7 @@ from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.label_store import list_tracks, read_tracks, write_tracks
 from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.pipeline import synthesise
-from sim_mjx.validation import label_repair
+from sim_mjx.validation import health
 from tests.sim.validation.test_health import JOB, doctor, flip
 from tests.support.fake_simulation import tree
 
@@ -98,9 +98,9 @@ def test_a_store_whose_recordings_come_out_otherwise_keeps_its_tracks(
     copy: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flip(copy / "wrench")
-    before, real = tree(copy), label_repair.store.read_attrs
+    before, real = tree(copy), health.store.read_attrs
     monkeypatch.setattr(
-        label_repair.store, "read_attrs", lambda path: {**real(path), "content_sha256": str(path)}
+        health.store, "read_attrs", lambda path: {**real(path), "content_sha256": str(path)}
     )  # as on a machine that computes otherwise
     assert main(["doctor", str(copy), "--repair"]) == 2
     assert "label tracks by-hand, by-hand-2, mine would be lost" in capsys.readouterr().err
