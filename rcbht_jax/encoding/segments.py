@@ -54,6 +54,23 @@ def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Seg
     return line_of(total, moment, n, spread, period, t0, count)
 
 
+def window_lines(wrench: Array, length: Array, window: int, dt: float) -> tuple[Array, Array, Segment]:
+    """Samples that count, slope and line of every window of recordings ``[recording, window, axis]``.
+
+    Args:
+        wrench: float ``[recording, time, axis]``, N or Nm, made of whole windows.
+        length: int32 ``[recording]``, samples that count.
+        window: samples of one.
+        dt: seconds between samples.
+    """
+    recordings, samples, axes = wrench.shape
+    first = jnp.arange(samples // window, dtype=jnp.int32) * window
+    size = jnp.clip(length[:, None] - first[None], 0, window)
+    size = jnp.broadcast_to(size[..., None], (*size.shape, axes))
+    rows = jnp.moveaxis(wrench.reshape(recordings, len(first), window, axes), 2, 0)
+    return size, *line(rows, size, dt, jnp.broadcast_to(first[None, :, None], size.shape))
+
+
 def line_of(
     total: Array, moment: Array, n: Array, spread: Array, period: Array, t0: Array, count: Array,
     divide: Divide = quotient,
