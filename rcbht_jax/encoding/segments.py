@@ -47,6 +47,7 @@ def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Se
 def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Segment]:
     """What :func:`fit` finds without thresholds: slopes ``[...]``, N/s or Nm/s, and segments whose label is 0."""
     dtype = samples.dtype
+    count = jnp.where(t0 < 0, 0, count)  # never negative, but no compiler knows: one lane's barrier hides no constant
     n = jnp.maximum(count, 2).astype(dtype)
     total, moment = sums(samples, count, (n - 1) / 2)
     spread = jnp.asarray(squared_offsets(samples.shape[0], dt), dtype)[jnp.maximum(count, 2)]
