@@ -16,17 +16,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from rcbht_jax.encoding import composition, division, pipe
+from rcbht_jax.encoding import composition, division, encoder, pipe
 from rcbht_jax.encoding.choices import check_choices, make_plain
-from rcbht_jax.encoding.encoder import (
-    EncoderState,
-    PackedLabels,
-    join_tracks,
-    pack_segments,
-    track_of,
-    unpack,
-    unpack_segments,
-)
+from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, pack_segments, unpack, unpack_segments
 from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
 from rcbht_jax.encoding.segments import gradient_label, varying_as, whole_windows
 from rcbht_jax.encoding.thresholds import by_lane
@@ -38,7 +30,6 @@ _ABOVE = 4  # segments held above the run: composer and accumulator of compositi
 _RUN_INTS, _RUN_REALS = 3, 2  # t0, t1, samples of the line; its mean and slope, before those that are still kept
 _INTS, REALS = _RUN_INTS + 3 * _ABOVE, _RUN_REALS + 4 * _ABOVE
 SHORTEST = 2  # samples of a word
-DRAIN_STEPS = 5  # the run, then each of the held segments in turn
 Rounds = list[list[Segment]]  # the outputs of the five stages in each step of a drain
 
 
@@ -188,7 +179,7 @@ def flush(
     """
     state, out = step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
-    return join_tracks(first, drain(config, by_lane(limits, 5, state.time.shape, state.reals.dtype), state))
+    return encoder.join_tracks(first, drain(config, by_lane(limits, 5, state.time.shape, state.reals.dtype), state))
 
 
 def scan_lanes(
@@ -261,7 +252,8 @@ def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderSta
 
 def tracks_of(rounds: Rounds, now: Array) -> LabelTracks:
     """The three layers of each step of a drain as labels ``[*lanes, step]``."""
-    return LabelTracks(*(track_of(x, jnp.broadcast_to(now[..., None], x.label.shape)) for x in stacked(rounds, -1)))
+    emit = jnp.broadcast_to(now[..., None], (*now.shape, len(rounds)))
+    return LabelTracks(*(encoder.track_of(x, emit, division.exact) for x in stacked(rounds, -1)))
 
 
 def drain_stages(config: FitConfig, limits: Array, state: EncoderState, last: Segment | None = None) -> Rounds:
@@ -269,7 +261,7 @@ def drain_stages(config: FitConfig, limits: Array, state: EncoderState, last: Se
     t0, t1, line, held = running(config, state)
     arrival = pipe.keep(t1 > t0, primitive_of(config, limits, t0, t1, line) if last is None else last)
     rounds = []
-    for number in range(DRAIN_STEPS):
+    for number in range(1 + _ABOVE):  # the run, then each of the held segments in turn
         held, out = _above(config, held, arrival, state.time, force=number)
         arrival = pipe.keep(jnp.zeros_like(t0, bool), arrival)
         rounds.append(out)
