@@ -30,6 +30,7 @@ _ABOVE = 4  # segments held above the run: composer and accumulator of compositi
 _RUN_INTS, _RUN_REALS = 3, 2  # t0, t1, samples of the line; its mean and slope, before those that are still kept
 _INTS, REALS = _RUN_INTS + 3 * _ABOVE, _RUN_REALS + 4 * _ABOVE
 SHORTEST = 2  # samples of a word
+LONGEST = 1000  # windows of a lookback: each window is compared with as many, and more take minutes to compile
 Rounds = list[list[Segment]]  # the outputs of the five stages in each step of a drain
 
 
@@ -48,7 +49,7 @@ class FitConfig:
         noise_below: single compositions shorter than this many seconds become noise.
         lead_below: a primitive longer than this many seconds does not pair with an impulse after it; None = all do.
         evidence: seconds for which a line must be off by one tolerance (or half as long by 1.4 tolerances) to break.
-        lookback: seconds back from now within which a break may still be found, at least two windows.
+        lookback: seconds back from now within which a break may still be found, 2 to 1000 windows.
 
     Raises:
         InputError: a value is of another type or out of range.
@@ -76,6 +77,11 @@ class FitConfig:
         check_choices(self.window, self.dt, **{name: getattr(self, name) for name in seconds})
         if wrong := [f"{name} is {getattr(self, name)} s" for name in seconds[3:] if not getattr(self, name) > 0]:
             raise InputError(f"{'; '.join(wrong)}; expected a positive time.")
+        if self.kept >= LONGEST * self.window:
+            raise InputError(
+                f"The lookback is {self.lookback} s, which is more than {LONGEST} windows of {self.window} samples; "
+                "choose a larger window, or a shorter lookback."
+            )
 
     @property
     def needed(self) -> int:

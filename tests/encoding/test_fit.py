@@ -297,6 +297,7 @@ def test_words_come_in_time() -> None:
         {"impulse_below": float("inf")},
         {"evidence": 0.0},
         {"lookback": 0.0},
+        {"dt": 1e-6},  # 10,000 windows of a lookback took hours
     ],
 )
 def test_configurations_that_make_no_sense_are_refused(options: dict) -> None:
