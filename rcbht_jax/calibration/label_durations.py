@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.compiling import jit
+from rcbht_jax._util.values import check_usable
 from rcbht_jax.encoding import encoder, fit, segments
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
 from rcbht_jax.encoding.fit import FitConfig
@@ -277,10 +278,9 @@ def fit_windows(config: AnyConfig, wrench: NDArray[np.floating], length: NDArray
         raise InputError(f"A length is {wrong}; expected 0 to {wrench.shape[1]} samples.")
     count = -(-int(length.max()) // config.window)
     padded = np.zeros((len(length), count * config.window, AXES), wrench.dtype)
+    check_usable(wrench, length)
     for row, samples in enumerate(length):
         padded[row, :samples] = wrench[row, :samples]
-        if not np.isfinite(padded[row]).all():
-            raise InputError(f"Recording {row} holds values that are not finite numbers; remove or interpolate them.")
     counts = length.astype(np.int32)
     slope, vmax, vmin = device_lines(config, jnp.asarray(padded), jnp.asarray(counts))
     return Windows(np.asarray(slope), np.asarray(vmax), np.asarray(vmin), counts)
@@ -291,12 +291,5 @@ def device_lines(
     config: AnyConfig, wrench: Float[jax.Array, "recording time 6"], length: Int[jax.Array, " recording"]
 ) -> tuple[Float[jax.Array, "recording window 6"], ...]:
     """Slopes, larger and smaller ends of the lines; the wrench is made of whole windows."""
-    recordings, samples, axes = wrench.shape
-    count = samples // config.window
-    first = jnp.arange(count, dtype=jnp.int32) * config.window
-    size = jnp.clip(length[:, None] - first[None], 0, config.window)
-    size = jnp.broadcast_to(size[..., None], (recordings, count, axes))
-    rows = jnp.moveaxis(wrench.reshape(recordings, count, config.window, axes), 2, 0)
-    t0 = jnp.broadcast_to(first[None, :, None], size.shape)
-    slope, x = segments.line(rows, size, config.dt, t0)
+    _, slope, x = segments.window_lines(wrench, length, config.window, config.dt)
     return slope, x.vmax, x.vmin

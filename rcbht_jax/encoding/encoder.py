@@ -337,12 +337,8 @@ def drain_segments(
 ) -> tuple[list[Segment], list[Segment], list[Segment]]:
     """What the eight held segments still publish, per layer: 2, 5 and 8 segments in order of time, maybe empty."""
     pa, pb, hm, ma, mb, hl, la, lb = held
-
-    def push_primitive(h: Segment, x: Segment) -> tuple[Segment, Segment]:
-        return composition.push_primitive(h, x, config.gate, config.lead)
-
-    def push_composition(h: Segment, x: Segment) -> tuple[Segment, Segment]:
-        return composition.push_composition(h, x, config.short)
+    push_primitive = partial(composition.push_primitive, gate=config.gate, lead=config.lead)
+    push_composition = partial(composition.push_composition, short=config.short)
 
     def through_pipe(layer: int, a: Segment, b: Segment, arrivals: list[Segment]) -> list[Segment]:
         rules = config.rules(layer)

@@ -16,17 +16,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from rcbht_jax.encoding import composition, division, pipe
+from rcbht_jax.encoding import composition, division, encoder, pipe
 from rcbht_jax.encoding.choices import check_choices, make_plain
-from rcbht_jax.encoding.encoder import (
-    EncoderState,
-    PackedLabels,
-    join_tracks,
-    pack_segments,
-    track_of,
-    unpack,
-    unpack_segments,
-)
+from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, pack_segments, unpack, unpack_segments
 from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
 from rcbht_jax.encoding.segments import gradient_label, varying_as, whole_windows
 from rcbht_jax.encoding.thresholds import by_lane
@@ -38,7 +30,7 @@ _ABOVE = 4  # segments held above the run: composer and accumulator of compositi
 _RUN_INTS, _RUN_REALS = 3, 2  # t0, t1, samples of the line; its mean and slope, before those that are still kept
 _INTS, REALS = _RUN_INTS + 3 * _ABOVE, _RUN_REALS + 4 * _ABOVE
 SHORTEST = 2  # samples of a word
-DRAIN_STEPS = 5  # the run, then each of the held segments in turn
+LONGEST = 1000  # windows of a lookback: each window is compared with as many, and more take minutes to compile
 Rounds = list[list[Segment]]  # the outputs of the five stages in each step of a drain
 
 
@@ -57,7 +49,7 @@ class FitConfig:
         noise_below: single compositions shorter than this many seconds become noise.
         lead_below: a primitive longer than this many seconds does not pair with an impulse after it; None = all do.
         evidence: seconds for which a line must be off by one tolerance (or half as long by 1.4 tolerances) to break.
-        lookback: seconds back from now within which a break may still be found, at least two windows.
+        lookback: seconds back from now within which a break may still be found, 2 to 1000 windows.
 
     Raises:
         InputError: a value is of another type or out of range.
@@ -85,6 +77,11 @@ class FitConfig:
         check_choices(self.window, self.dt, **{name: getattr(self, name) for name in seconds})
         if wrong := [f"{name} is {getattr(self, name)} s" for name in seconds[3:] if not getattr(self, name) > 0]:
             raise InputError(f"{'; '.join(wrong)}; expected a positive time.")
+        if self.kept >= LONGEST * self.window:
+            raise InputError(
+                f"The lookback is {self.lookback} s, which is more than {LONGEST} windows of {self.window} samples; "
+                "choose a larger window, or a shorter lookback."
+            )
 
     @property
     def needed(self) -> int:
@@ -188,7 +185,7 @@ def flush(
     """
     state, out = step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
-    return join_tracks(first, drain(config, by_lane(limits, 5, state.time.shape, state.reals.dtype), state))
+    return encoder.join_tracks(first, drain(config, by_lane(limits, 5, state.time.shape, state.reals.dtype), state))
 
 
 def scan_lanes(
@@ -261,7 +258,8 @@ def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderSta
 
 def tracks_of(rounds: Rounds, now: Array) -> LabelTracks:
     """The three layers of each step of a drain as labels ``[*lanes, step]``."""
-    return LabelTracks(*(track_of(x, jnp.broadcast_to(now[..., None], x.label.shape)) for x in stacked(rounds, -1)))
+    emit = jnp.broadcast_to(now[..., None], (*now.shape, len(rounds)))
+    return LabelTracks(*(encoder.track_of(x, emit, division.exact) for x in stacked(rounds, -1)))
 
 
 def drain_stages(config: FitConfig, limits: Array, state: EncoderState, last: Segment | None = None) -> Rounds:
@@ -269,7 +267,7 @@ def drain_stages(config: FitConfig, limits: Array, state: EncoderState, last: Se
     t0, t1, line, held = running(config, state)
     arrival = pipe.keep(t1 > t0, primitive_of(config, limits, t0, t1, line) if last is None else last)
     rounds = []
-    for number in range(DRAIN_STEPS):
+    for number in range(1 + _ABOVE):  # the run, then each of the held segments in turn
         held, out = _above(config, held, arrival, state.time, force=number)
         arrival = pipe.keep(jnp.zeros_like(t0, bool), arrival)
         rounds.append(out)

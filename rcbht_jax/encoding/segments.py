@@ -47,11 +47,29 @@ def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Se
 def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Segment]:
     """What :func:`fit` finds without thresholds: slopes ``[...]``, N/s or Nm/s, and segments whose label is 0."""
     dtype = samples.dtype
+    count = jnp.where(t0 < 0, 0, count)  # never negative, but no compiler knows: one lane's barrier hides no constant
     n = jnp.maximum(count, 2).astype(dtype)
     total, moment = sums(samples, count, (n - 1) / 2)
     spread = jnp.asarray(squared_offsets(samples.shape[0], dt), dtype)[jnp.maximum(count, 2)]
     n, spread, period = jax.lax.optimization_barrier((n, spread, jnp.full_like(n, dt)))
     return line_of(total, moment, n, spread, period, t0, count)
+
+
+def window_lines(wrench: Array, length: Array, window: int, dt: float) -> tuple[Array, Array, Segment]:
+    """Samples that count, slope and line of every window of recordings ``[recording, window, axis]``.
+
+    Args:
+        wrench: float ``[recording, time, axis]``, N or Nm, made of whole windows.
+        length: int32 ``[recording]``, samples that count.
+        window: samples of one.
+        dt: seconds between samples.
+    """
+    recordings, samples, axes = wrench.shape
+    first = jnp.arange(samples // window, dtype=jnp.int32) * window
+    size = jnp.clip(length[:, None] - first[None], 0, window)
+    size = jnp.broadcast_to(size[..., None], (*size.shape, axes))
+    rows = jnp.moveaxis(wrench.reshape(recordings, len(first), window, axes), 2, 0)
+    return size, *line(rows, size, dt, jnp.broadcast_to(first[None, :, None], size.shape))
 
 
 def line_of(

@@ -17,6 +17,7 @@ wrench as well.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -133,18 +134,13 @@ def overlaps(edges: Array, cells: int, size: int) -> Array:
 
 def _slopes(config: EncoderConfig, wrench: Array, length: Array) -> tuple[Array, Array]:
     """Slope ``[lane, window]`` and whether the window counts."""
-    trials, samples, axes = wrench.shape
-    windows = -(-samples // config.window)
-    padded = jnp.pad(wrench, ((0, 0), (0, windows * config.window - samples), (0, 0)))
-    rows = jnp.moveaxis(padded.reshape(trials, windows, config.window, axes), (2, 3), (0, 2))
-    start = jnp.arange(windows, dtype=jnp.int32) * config.window
-    size = jnp.clip(length[:, None] - start[None], 0, config.window)
-    size = jnp.broadcast_to(size[:, None], (trials, axes, windows))
-    slope, _ = segments.line(rows, size, config.dt, jnp.zeros_like(size))
-    lanes = trials * axes
+    short = -wrench.shape[1] % config.window
+    padded = jnp.pad(wrench, ((0, 0), (0, short), (0, 0)))
+    size, slope, _ = segments.window_lines(padded, length, config.window, config.dt)
+    lanes = wrench.shape[0] * wrench.shape[2]
+    size, slope = (jnp.moveaxis(each, 2, 1).reshape(lanes, -1) for each in (size, slope))
     # A window of fewer than two samples has no line; its value must not reach a derivative.
-    counts = (size >= 2).reshape(lanes, windows)
-    return jnp.where(counts, slope.reshape(lanes, windows), 1), counts
+    return jnp.where(size >= 2, slope, 1), size >= 2
 
 
 def _hard_spans(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[_Spans, ...]:
@@ -157,12 +153,8 @@ def _hard_spans(config: EncoderConfig, limits: Array, wrench: Array, length: Arr
         flat = jax.tree.map(lambda leaf: leaf.reshape(trials * axes, -1).T, track)
         return Segment(flat.label.astype(jnp.int32), flat.t0, flat.t1, flat.vmax, flat.vmin, flat.avg, flat.grad)
 
-    def push_primitive(h: Segment, x: Segment) -> tuple[Segment, Segment]:
-        return composition.push_primitive(h, x, config.gate, config.lead)
-
-    def push_composition(h: Segment, x: Segment) -> tuple[Segment, Segment]:
-        return composition.push_composition(h, x, config.short)
-
+    push_primitive = partial(composition.push_primitive, gate=config.gate, lead=config.lead)
+    push_composition = partial(composition.push_composition, short=config.short)
     p, m, l = (lanes(track) for track in (tracks.primitive, tracks.mc, tracks.llb))
     empty = jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), p)
     held, pairs = jax.lax.scan(push_primitive, empty, p)

@@ -22,9 +22,9 @@ from rcbht_jax.introspection.chain import FeatureView, online_features_batch
 from rcbht_jax.introspection.introspector import PHASE, PHASE_IN_TRIAL
 from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
 from rcbht_jax.labels import AXES
+from rcbht_jax.learning.class_groups import learnable
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.progress import ProgressCalibration
-from rcbht_jax.learning.rare_classes import learnable
 from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import FAILURE, LabelledIntervals, TaskSpec, labelled_intervals, track_of
 from rcbht_jax.types import Recordings

@@ -9,8 +9,7 @@ from rcbht_jax._util.arms import BOTH, rows_of_arm
 from rcbht_jax._util.printable import plural, reasons_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.class_groups import groups_of_classes
-from rcbht_jax.learning.rare_classes import learnable
+from rcbht_jax.learning.class_groups import groups_of_classes, learnable
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import Recordings

@@ -16,9 +16,8 @@ from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
-from rcbht_jax.learning.class_groups import fewest_groups, groups_by
+from rcbht_jax.learning.class_groups import fewest_groups, groups_by, learnable, naming_left_out
 from rcbht_jax.learning.confounds import confounds
-from rcbht_jax.learning.rare_classes import learnable, naming_left_out
 from rcbht_jax.learning.svm import Grid, Split, Weight, grouped_folds
 from rcbht_jax.learning.tasks import (
     LabelledIntervals,

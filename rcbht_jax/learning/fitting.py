@@ -10,10 +10,9 @@ import numpy as np
 
 from rcbht_jax._util.values import expect
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.learning.class_groups import groups_by, inner_groups
+from rcbht_jax.learning.class_groups import groups_by, inner_groups, learnable, naming_left_out
 from rcbht_jax.learning.evaluation import Grammars, candidates
 from rcbht_jax.learning.model_io import TrainedModel
-from rcbht_jax.learning.rare_classes import learnable, naming_left_out
 from rcbht_jax.learning.svm import Grid, fit, select
 from rcbht_jax.learning.tasks import TaskSpec, TrackBatches, labelled_intervals, track_of
 from rcbht_jax.learning.wrench_facts import WrenchFacts

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.learning.scaling import fit_scale
-from rcbht_jax.learning.svm import grouped_folds
+from rcbht_jax.learning.svm import grouped_folds, solved
 
 
 def rank_kernel(
@@ -61,10 +60,7 @@ def predict_kernel(
     cost: float,
 ) -> Int[np.ndarray, " test"]:
     """Class index of the test items, by an SVM with this kernel."""
-    with needs_extra("learn"):
-        from sklearn.svm import SVC
-
-    model = SVC(C=cost, kernel="precomputed").fit(kernel[np.ix_(train, train)], y[train])
+    model = solved(kernel[np.ix_(train, train)], y[train], "precomputed", cost)
     return model.predict(kernel[np.ix_(test, train)]).astype(np.int64)
 
 
@@ -91,18 +87,12 @@ def cost_scores(
     Raises:
         InputError: a class has fewer groups than there are folds.
     """
-    with needs_extra("learn"):
-        from sklearn.svm import SVC
-
     splits = [split for repeat in range(repeats) for split in grouped_folds(y, groups, folds, seed + repeat)]
     accuracy, margin = np.zeros((2, len(costs), len(splits)))
     for column, (a, b) in enumerate(splits):
         for row, cost in enumerate(costs):
-            decision = (
-                SVC(C=cost, kernel="precomputed")
-                .fit(kernel[np.ix_(a, a)], y[a])
-                .decision_function(kernel[np.ix_(b, a)])
-            )
+            model = solved(kernel[np.ix_(a, a)], y[a], "precomputed", cost)
+            decision = model.decision_function(kernel[np.ix_(b, a)])
             own = np.arange(decision.shape[1]) == y[b, None]
             accuracy[row, column] = (decision.argmax(1) == y[b]).mean()
             margin[row, column] = np.minimum(decision[own] - np.where(own, -np.inf, decision).max(1), 1).mean()

@@ -180,7 +180,10 @@ class _Sums:
             classes=np.array([np.stack([a.sum(0), b.sum(0), (a & b).sum(0)], 1) for a, b in same], np.int64),
             matches=np.array([[_matches(matrix, least) for least in OVERLAPS] for matrix in overlaps], np.int64),
             segments=np.array([len(true) + len(guess) for true, guess in pairs], np.int64),
-            edit=np.array([_edit_score(true.label, guess.label) if len(true) else 0.0 for true, guess in pairs]),
+            edit=np.array([
+                1 - edit_distance(true.label, guess.label) / max(len(true), len(guess)) if len(true) else 0.0
+                for true, guess in pairs
+            ]),
             covered=np.array([
                 float((matrix.max(1, initial=0) * (true.end - true.start)).sum())
                 for matrix, (true, _) in zip(overlaps, pairs, strict=True)
@@ -225,10 +228,6 @@ def _matches(overlaps: NDArray[np.float64], least: float) -> int:
             taken[best] = True
             right += 1
     return right
-
-
-def _edit_score(true: NDArray[np.integer[Any]], guess: NDArray[np.integer[Any]]) -> float:
-    return 1 - edit_distance(true, guess) / max(len(true), len(guess))
 
 
 def edit_distance(first: NDArray[np.integer[Any]], second: NDArray[np.integer[Any]]) -> int:

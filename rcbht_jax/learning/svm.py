@@ -212,7 +212,7 @@ def fit(
         count = np.bincount(y, sample_weight)
         sample_weight = sample_weight * (count.sum() / (len(count) * count))[y]
     balanced = spec.balanced and sample_weight is None
-    machine = _solved(scaled, y, spec.kernel, spec.cost, balanced, -1, gamma, sample_weight)
+    machine = solved(scaled, y, spec.kernel, spec.cost, balanced, -1, gamma, sample_weight)
     # scikit-learn turns the sign around when there are two classes only.
     sign = -1.0 if len(classes) == 2 else 1.0
     return SvmModel(
@@ -229,13 +229,13 @@ def fit(
     )
 
 
-def _solved(
+def solved(
     x: Matrix,
     y: Ints,
     kernel: str,
     cost: float,
-    balanced: bool,
-    iterations: int,
+    balanced: bool = False,
+    iterations: int = -1,
     gamma: float = 1.0,
     sample_weight: Weight = None,
 ) -> Any:
@@ -391,7 +391,7 @@ def predictions_of_kernel(
     predicted: list[NDArray[np.int64]] = []
     share = len(y) / (np.bincount(y).max() * len(np.unique(y))) if balanced else 1.0
     for cost in costs:
-        machine = _solved(train, y, "precomputed", cost, balanced, max(_MIN_ITERATIONS, _PER_ITEM * len(y)))
+        machine = solved(train, y, "precomputed", cost, balanced, max(_MIN_ITERATIONS, _PER_ITEM * len(y)))
         if predicted and machine.fit_status_ == 1:
             break
         predicted.append(machine.predict(test).astype(np.int64))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+import jax
 import numpy as np
 from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
@@ -13,9 +14,7 @@ from rcbht_jax.labels import AXES
 from rcbht_jax.reference.encode import encode, sample_times
 from rcbht_jax.reference.tracks import to_tracks
 from rcbht_jax.robots.snap_assembly import RECORDED
-from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
-
-_FIELDS = tuple(LabelTrack.__dataclass_fields__)
+from rcbht_jax.types import LabelTracks, Recordings
 
 
 def as_written(values: Float32[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
@@ -74,17 +73,10 @@ def encode_dataset(
             clean=clean,
         )
         rows.append(to_tracks(labels, recordings.dt))
-    return LabelTracks(*(_stack([getattr(row, layer) for row in rows]) for layer in ("primitive", "mc", "llb")))
+    return jax.tree.map(_stacked, *rows)
 
 
-def _stack(tracks: list[LabelTrack]) -> LabelTrack:
-    slots = max(track.label.shape[1] for track in tracks)
-
-    def padded(name: str) -> NDArray[np.generic]:
-        leaves = [getattr(track, name) for track in tracks]
-        out = np.zeros((len(leaves), leaves[0].shape[0], slots), leaves[0].dtype)
-        for row, leaf in zip(out, leaves, strict=True):
-            row[:, : leaf.shape[1]] = leaf
-        return out
-
-    return LabelTrack(**{name: padded(name) for name in _FIELDS})
+def _stacked(*leaves: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Arrays ``[axis, slot]`` as ``[recording, axis, slot]``, with zeros in the slots that a recording lacks."""
+    slots = max(leaf.shape[1] for leaf in leaves)
+    return np.stack([np.pad(leaf, ((0, 0), (0, slots - leaf.shape[1]))) for leaf in leaves])

@@ -101,6 +101,19 @@ def test_any_chunking_equals_the_batch_bit_for_bit(
             assert published(track, (axis,)) == published(whole, (0, axis))
 
 
+@pytest.mark.parametrize("window", [3, 5])
+def test_a_stream_of_one_axis_equals_the_batch_bit_for_bit(window: int) -> None:
+    """A compiler knew the samples of a whole window of a single lane, and divided by their reciprocal."""
+    config, limits = EncoderConfig(window=window), preset("hiro", ["Fz"])
+    wrench = wrench_of(1, "noise", axes=1).astype(np.float32) - 300
+    stream = Encoder(config, limits)
+    parts = [*stream.push(wrench), stream.flush()]
+    streamed = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
+    batch = rj.encode(wrench, 200, config=config, thresholds=limits)
+    for whole, track in zip(layers(batch), layers(streamed), strict=True):
+        assert published(track, (0,)) == published(whole, (0,))
+
+
 @settings(max_examples=6)
 @given(seed=st.integers(0, 1000), lengths=st.lists(st.integers(0, 700), min_size=1, max_size=12))
 def test_data_set_equals_its_recordings_one_by_one(seed: int, lengths: list[int]) -> None:

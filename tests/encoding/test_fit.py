@@ -297,11 +297,23 @@ def test_words_come_in_time() -> None:
         {"impulse_below": float("inf")},
         {"evidence": 0.0},
         {"lookback": 0.0},
+        {"dt": 1e-6},  # 10,000 windows of a lookback took hours
     ],
 )
 def test_configurations_that_make_no_sense_are_refused(options: dict) -> None:
     with pytest.raises((InputError, TypeCheckError)):
         FitConfig(**options)
+
+
+def test_a_recording_of_one_axis_equals_itself_beside_another_bit_for_bit() -> None:
+    """In a drain of a single lane a compiler's quotient was a digit off."""
+    limits = FitLimits(preset("hiro", ["Fz"]).limits, np.array([0.2]))
+    walk = np.cumsum(np.random.default_rng(0).normal(size=(300, 1)) * 0.5, 0).astype(np.float32) + 100_000
+    for samples in range(100, 300, 10):
+        alone = batch(FitConfig(), walk, samples, limits)
+        beside = encode_batch(FitConfig(), limits, np.stack([walk, walk]), np.array([samples, samples], np.int32))
+        for one, two in zip(layers(alone), layers(beside), strict=True):
+            assert published(one, (0, 0)) == published(two, (0, 0))
 
 
 @pytest.mark.parametrize("tolerance", [np.zeros(3), np.full(3, np.nan), np.ones(4)])

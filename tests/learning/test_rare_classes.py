@@ -16,9 +16,9 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.introspection.training import HeadSpec, train_head
 from rcbht_jax.io.store import read_recordings, write_recordings
+from rcbht_jax.learning.class_groups import learnable
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
 from rcbht_jax.learning.fitting import train
-from rcbht_jax.learning.rare_classes import learnable
 from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
