@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -28,6 +29,15 @@ def check_calibration(calibration: object) -> None:
     """
     if calibration not in CALIBRATIONS:
         raise InputError(f"calibration is {calibration!r}; expected one of {', '.join(CALIBRATIONS)}.")
+
+
+def held_half(rows: Int[np.ndarray, " row"], seed: Any) -> Int[np.ndarray, " held"]:
+    """A random half of some rows, rounded down, which trains nothing and sets thresholds.
+
+    >>> held_half(np.arange(5), seed=0)
+    array([1, 3])
+    """
+    return np.sort(np.random.default_rng(seed).permutation(rows)[(len(rows) + 1) // 2 :])
 
 
 def sustained_peak(probability: Float[np.ndarray, " snapshot"], steps: int) -> float:
@@ -121,9 +131,7 @@ def peaks(
     probability: Float[np.ndarray, " snapshot"], groups: Shaped[np.ndarray, " snapshot"], steps: int
 ) -> Float[np.ndarray, " trial"]:
     """:func:`sustained_peak` of every trial, in the order of the names in ``groups``."""
-    counts = np.unique(groups, return_counts=True)[1]
-    trials = np.split(probability[np.argsort(groups, kind="stable")], counts.cumsum()[:-1]) if len(counts) else []
-    return np.array([sustained_peak(trial, steps) for trial in trials])
+    return np.array([sustained_peak(probability[groups == trial], steps) for trial in np.unique(groups)])
 
 
 def held_out(

@@ -14,7 +14,7 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import TooFewRecordingsError, conformal_threshold, trials_needed
-from rcbht_jax.introspection.nominal import Monitor
+from rcbht_jax.introspection.nominal import Monitor, first_above
 
 with needs_extra("learn"):
     from sklearn.base import clone
@@ -161,7 +161,7 @@ def judge(
     onset = np.full(len(watched.scores), np.nan) if onset is None else onset
     limit = np.array([thresholds.get(str(group), np.nan) for group in watched.groups])
     alarm = np.array(
-        [_first(score, level, watched.rate) for score, level in zip(watched.scores, limit, strict=True)], float
+        [first_above(score, level, watched.rate) for score, level in zip(watched.scores, limit, strict=True)], float
     )
     counted = watched.seen & ~np.isnan(limit)
     whole, usual = watched.peaks(), watched.peaks(usual=True)
@@ -187,9 +187,3 @@ def judge(
     names, number = np.unique(watched.groups, return_inverse=True)  # missing values, which are not equal, become one
     by_group = {str(name): row(number == index) for index, name in enumerate(names)}
     return {**row(np.ones(len(limit), bool)), "groups": by_group}
-
-
-def _first(score: Float[np.ndarray, " time"], level: float, rate: float) -> float:
-    """Seconds to the first score above the level; inf = none."""
-    above = np.flatnonzero(score > level)
-    return float((above[0] + 1) / rate) if len(above) else np.inf

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.alarms import held_half
 from rcbht_jax.introspection.fault_monitor import (
     COLUMNS,
     NOMINAL,
     FaultMonitor,
     FaultMonitorConfig,
     SubtaskSnapshots,
-    _held_half,
     schedule_snapshots,
 )
 
@@ -100,7 +100,7 @@ def test_the_split_trains_on_every_trial_but_half_of_the_nominal_ones() -> None:
     """What the held-out half is like moves the levels, and neither the classifiers nor the choice of the hold."""
     lessons, cause = streams(200, 20, 6.0), causes(200, 20)
     config = replace(CONFIG, calibration="split")
-    held = _held_half(cause == NOMINAL, 0)
+    held = np.isin(np.arange(len(cause)), held_half(np.flatnonzero(cause == NOMINAL), 0))
     assert (held.sum(), held[200:].any()) == (100, False)
     moved = replace(lessons, features=lessons.features + 1.5 * held[lessons.trial][:, None])
     monitor, other = (FaultMonitor.fit(one, cause, subtasks=[1], config=config) for one in (lessons, moved))
