@@ -269,15 +269,11 @@ class Introspector(Copyable):
         events: list[Event] = []
         end = self.received + len(chunk)
         while len(chunk):
-            chunk = self._buffer.fill(chunk, self._due())
+            due = len(chunk) if self._every is None else self._every - self.received % self._every
+            chunk = self._buffer.fill(chunk, due)  # no more than the window has room for
             self._time = None if time is None else stamp_before(time, end - self.received, self.config.dt)
             events += self._advance()
         return events
-
-    def _due(self) -> int:
-        """Samples until the window is complete or a belief is due, whichever comes first."""
-        room = self._buffer.room
-        return room if self._every is None else min(room, self._every - self.received % self._every)
 
     def _now(self) -> float:
         return stamp_of(self.received, self.received, self._time, self.config.dt)
