@@ -273,8 +273,7 @@ def _read(
     if not chosen.any():
         raise InputError(f"{store} has no recording with {' and '.join(where)}.")
     rows = np.flatnonzero(chosen)
-    names = recordings.arm[rows]
-    own, remarks = rows_of_arm(names, arm or common_arm(names.tolist(), learned))
+    own, remarks = rows_of_arm(recordings.arm[rows], arm or common_arm(recordings.arm.tolist(), learned))
     one = recordings.take(rows[own])
     return one, remarks, learned_arm(str(one.arm[0]), recordings.arm)
 
