@@ -270,7 +270,7 @@ class FaultMonitor:
                     first["words"][trial], next((t for p, t in pairs if alarm.update(p, t)), np.inf)
                 )
         limit = np.array([self.limits.get(subtask, np.inf) for subtask in snapshots.subtask.tolist()])
-        late = snapshots.elapsed > limit
+        late = snapshots.elapsed > limit + 1e-9  # durations and elapsed times are rounded differently
         np.minimum.at(first["clock"], snapshots.trial[late], time[late])
         return first
 

@@ -130,6 +130,14 @@ def test_the_clock_of_a_later_sub_task_starts_when_that_begins() -> None:
     np.testing.assert_allclose(monitor.alarms(new, 3)["clock"], 1.0 + 1.6)
 
 
+def test_a_sub_task_that_always_lasts_as_long_is_not_late() -> None:
+    """Differences of stamps are rounded, and the clock raised the alarm in every nominal trial."""
+    durations = {1: np.full(120, 3.3 - 1.3)}
+    assert durations[1][0] < 2.0
+    monitor = FaultMonitor.fit(streams(100, 20, 6.0), causes(100, 20), durations=durations, config=CONFIG)
+    assert np.isinf(monitor.alarms(streams(100, 0, 0.0), 100)["clock"]).all()
+
+
 def test_a_nominal_trial_that_did_not_end_does_not_stop_the_clock() -> None:
     """A single one made the limit NaN, which no time exceeds."""
     lessons, cause = streams(100, 20, 6.0), causes(100, 20)
