@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,7 +82,10 @@ def hold_out(
     for held in range(part.max() + 1):
         train = np.flatnonzero(nominal & (part != held)).tolist()
         test = np.flatnonzero(part == held).tolist()
-        fitted = _fitted(monitor, [series[row] for row in train], groups[train])
+        fitted = None
+        with suppress(TooFewRecordingsError):
+            if len(train) >= FEWEST:
+                fitted = clone(monitor).fit([series[row] for row in train], groups=groups[train])
         if fitted is not None:
             for row in test:
                 scores[row] = fitted.scores(series[row])
@@ -97,16 +101,6 @@ def hold_out(
             f"{found}. Choose other groups (--group)."
         )
     return Watched(tuple(scores), nominal, groups, usual, calibration, float(monitor.rate))
-
-
-def _fitted(
-    monitor: Monitor, series: list[Float[np.ndarray, "_ axis"]], groups: Shaped[np.ndarray, " recording"]
-) -> Monitor | None:
-    """A monitor of nominal recordings; None = they are too few, or would be without one of their groups."""
-    try:
-        return clone(monitor).fit(series, groups=groups) if len(series) >= FEWEST else None
-    except TooFewRecordingsError:
-        return None
 
 
 def parts(groups: Shaped[np.ndarray, " recording"], folds: int) -> Int[np.ndarray, " recording"]:
