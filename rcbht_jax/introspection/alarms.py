@@ -35,9 +35,19 @@ def held_half(rows: Int[np.ndarray, " row"], seed: Any) -> Int[np.ndarray, " hel
     """A random half of some rows, rounded down, which trains nothing and sets thresholds.
 
     >>> held_half(np.arange(5), seed=0)
-    array([1, 3])
+    array([0, 1])
     """
     return np.sort(np.random.default_rng(seed).permutation(rows)[(len(rows) + 1) // 2 :])
+
+
+def first_above(scores: Float[np.ndarray, " time"], threshold: float, rate: float) -> float:
+    """Seconds from the beginning of a recording to the first score above a threshold; inf = none.
+
+    >>> first_above(np.array([0.1, 0.9]), 0.5, 20.0)
+    0.1
+    """
+    above = np.flatnonzero(scores > threshold)
+    return float((above[0] + 1) / rate) if len(above) else np.inf
 
 
 def sustained_peak(probability: Float[np.ndarray, " snapshot"], steps: int) -> float:
@@ -131,7 +141,9 @@ def peaks(
     probability: Float[np.ndarray, " snapshot"], groups: Shaped[np.ndarray, " snapshot"], steps: int
 ) -> Float[np.ndarray, " trial"]:
     """:func:`sustained_peak` of every trial, in the order of the names in ``groups``."""
-    return np.array([sustained_peak(probability[groups == trial], steps) for trial in np.unique(groups)])
+    counts = np.unique(groups, return_counts=True)[1]
+    trials = np.split(probability[np.argsort(groups, kind="stable")], counts.cumsum()[:-1]) if len(counts) else []
+    return np.array([sustained_peak(trial, steps) for trial in trials])
 
 
 def held_out(

@@ -32,9 +32,9 @@ from rcbht_jax._util.signals import (
     warn_if_turned,
     whole_series,
 )
-from rcbht_jax._util.values import number
+from rcbht_jax._util.values import Copyable, number
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.alarms import check_calibration, check_groups, conformal_threshold, held_half
+from rcbht_jax.introspection.alarms import check_calibration, check_groups, conformal_threshold, first_above, held_half
 from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest, unbiased
 from rcbht_jax.learning.estimators import keep_names
 
@@ -113,9 +113,9 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         if self.calibration == "split":
             held = held_half(everyone, self.random_state)
             train = np.setdiff1d(everyone, held)
-            half = [parts[row] for row in train]
-            self._prepare(half, names[train])  # what the held-out half had a part in would void its guarantee
-            model = self._learn(half, names[train])
+            half = [parts[row] for row in train], names[train]
+            self._prepare(*half)  # what the held-out half had a part in would void its guarantee
+            model = self._learn(*half)
             peaks = np.array([self._peak(model, parts[row]) for row in held])
         else:
             check_groups(given, names % int(self.folds))
@@ -157,7 +157,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
     def stream(self) -> MonitorStream:
         """A new recording, sample by sample."""
         check_is_fitted(self, "peaks_")
-        return MonitorStream(self, self._model)
+        return MonitorStream(self)
 
     @property
     def score_step(self) -> int:
@@ -182,8 +182,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         for held in np.unique(fold):
             rest = np.flatnonzero(fold != held)
             # A bank of fewer groups has larger usual distances between groups: in units of these, peaks are too small.
-            known = model.take(rest) if isinstance(model, Bank) else None
-            other = known or self._learn([parts[row] for row in rest], groups[rest])
+            other = model.take(rest) if isinstance(model, Bank) else self._learn([parts[i] for i in rest], groups[rest])
             for row in np.flatnonzero(fold == held):
                 peaks[row] = self._peak(other, parts[row])
         return peaks
@@ -223,34 +222,24 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         """Score of each moment by itself, before it is averaged over ``memory``."""
 
 
-def first_above(scores: Float[np.ndarray, " time"], threshold: float, rate: float) -> float:
-    """Seconds from the beginning of a recording to the first score above a threshold; inf = none.
-
-    >>> first_above(np.array([0.1, 0.9]), 0.5, 20.0)
-    0.1
-    """
-    above = np.flatnonzero(scores > threshold)
-    return float((above[0] + 1) / rate) if len(above) else np.inf
-
-
-class MonitorStream:
+class MonitorStream(Copyable):
     """Scores of one recording as it arrives; they equal those of the whole recording, whatever the chunks.
 
-    Args:
-        monitor: its parameters; :meth:`Monitor.stream` makes one that is fitted.
-        model: what scores.
+    The ``model`` scores; None = the one that the monitor has learned.
 
-    Example:
-        >>> rng = np.random.default_rng(0)
-        >>> monitor = NominalMonitor().fit(rng.normal(size=(8, 60, 2)))
-        >>> stream, series = monitor.stream(), rng.normal(size=(50, 2))
-        >>> in_pieces = np.concatenate([stream.push(series[:7]), stream.push(series[7:])])
-        >>> bool((in_pieces == monitor.scores(series)).all())
-        True
+    >>> rng = np.random.default_rng(0)
+    >>> monitor = NominalMonitor().fit(rng.normal(size=(8, 60, 2)))
+    >>> stream, series = monitor.stream(), rng.normal(size=(50, 2))
+    >>> in_pieces = np.concatenate([stream.push(series[:7]), stream.push(series[7:])])
+    >>> bool((in_pieces == monitor.scores(series)).all())
+    True
     """
 
-    def __init__(self, monitor: Monitor, model: Any) -> None:
-        self._monitor, self._model, axes = monitor, model, monitor.n_features_in_
+    _fixed = ("_monitor", "_model")
+
+    def __init__(self, monitor: Monitor, model: Any = None) -> None:
+        self._monitor, axes = monitor, monitor.n_features_in_
+        self._model = monitor._model if model is None else model
         self._samples = np.zeros((0, axes))  # of a block that is not complete
         self._head = np.zeros((0, axes))  # the first blocks
         self._before = np.zeros((0, axes))  # the latest blocks
@@ -385,10 +374,9 @@ class NominalMonitor(Monitor):
         kinds = [part - seen[np.minimum(time, len(head) - 1)]]
         joined, first = np.concatenate([before, part]), time[0] - len(before)
         kinds += [part - joined[np.maximum(time - lag, 0) - first] for lag in self._lags]
-        changes = np.stack(kinds, 2)
         levels = part[:, list(self.levels_), None]
         values = np.concatenate([levels, np.zeros((*levels.shape[:2], len(self._lags)))], 2)
-        return np.concatenate([changes, values], 1)
+        return np.concatenate([np.stack(kinds, 2), values], 1)
 
     def _prepare(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> None:
         self.levels_ = unbiased(parts, groups) if self.levels is None else tuple(map(int, self.levels))

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.alarms import TooFewRecordingsError, conformal_threshold, trials_needed
-from rcbht_jax.introspection.nominal import Monitor, first_above
+from rcbht_jax.introspection.alarms import TooFewRecordingsError, conformal_threshold, first_above, trials_needed
+from rcbht_jax.introspection.nominal import Monitor
 
 with needs_extra("learn"):
     from sklearn.base import clone
