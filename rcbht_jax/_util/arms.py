@@ -63,6 +63,8 @@ def common_arm(names: Iterable[str], learned: Iterable[str]) -> str:
     Example:
         >>> common_arm(["left", "right"], ["left"]), common_arm(["left", "right"], ["", "right"])
         ('left', 'right')
+        >>> common_arm([UNNAMED], ["left"])
+        ''
     """
     named, there = tuple(learned), set(map(str, names))
     unnamed = there == {UNNAMED}
