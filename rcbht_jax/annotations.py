@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -46,10 +47,6 @@ def _checked_row(row: Any) -> tuple[int, str, str, float, float]:
     return checked
 
 
-def _empty(dtype: type) -> NDArray[Any]:
-    return np.zeros(0, dtype)
-
-
 @dataclass(frozen=True, eq=False)
 class Annotations(ByValue):
     """A table of labelled intervals, sorted by recording, track and start. Host arrays.
@@ -64,11 +61,11 @@ class Annotations(ByValue):
         ({'phase': ('approach', 'contact')}, [[0.0, 1.5]])
     """
 
-    recording: Int[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.int32))
-    track: Int[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.int16))  # index into labels
-    code: Int[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.int32))  # index into labels[track]
-    start: Float[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.float64))  # s
-    end: Float[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.float64))  # s; NaN = unknown
+    recording: Int[np.ndarray, " interval"] = field(default_factory=partial(np.zeros, 0, np.int32))
+    track: Int[np.ndarray, " interval"] = field(default_factory=partial(np.zeros, 0, np.int16))  # index into labels
+    code: Int[np.ndarray, " interval"] = field(default_factory=partial(np.zeros, 0, np.int32))  # in labels[track]
+    start: Float[np.ndarray, " interval"] = field(default_factory=partial(np.zeros, 0, np.float64))  # s
+    end: Float[np.ndarray, " interval"] = field(default_factory=partial(np.zeros, 0, np.float64))  # s; NaN = unknown
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # labels of each track, in their order
 
     def __len__(self) -> int:

@@ -46,7 +46,7 @@ def chosen_arm(names: Iterable[str], wanted: str) -> str:
     """
     arms = arms_in(names)
     if wanted and wanted not in arms and any(arms):
-        raise InputError(f"The recordings have no arm {wanted!r}, only {', '.join(arms)}.")
+        raise InputError(f"The recordings have no arm {wanted!r}, only {', '.join(arms)}; choose one of these (--arm).")
     return wanted if wanted in arms else arms[0]
 
 
@@ -54,7 +54,7 @@ def common_arm(names: Iterable[str], learned: Iterable[str]) -> str:
     """The arm that all readers of one stream learned, "" = the usual one; other arguments as of :func:`chosen_arm`.
 
     Args:
-        names: of the arms of recordings.
+        names: of the arms of recordings; those that name none have the arm that any reader learned.
         learned: the arm of each reader, as it was named.
 
     Raises:
@@ -63,15 +63,18 @@ def common_arm(names: Iterable[str], learned: Iterable[str]) -> str:
     Example:
         >>> common_arm(["left", "right"], ["left"]), common_arm(["left", "right"], ["", "right"])
         ('left', 'right')
+        >>> common_arm([UNNAMED], ["left"])
+        ''
     """
-    named = tuple(learned)
-    arms = arms_in(chosen_arm(names, arm) for arm in named) if any(named) else ("",)
-    if len(arms) > 1:
+    named, there = tuple(learned), set(map(str, names))
+    unnamed = there == {UNNAMED}
+    arms = arms_in(filter(None, named)) if unnamed else arms_in(chosen_arm(there, arm) for arm in named)
+    if len(arms) > 1 and any(named):
         raise InputError(
-            f"Model, segmenter and monitor learned different arms, {' and '.join(arms)}; use those of one arm, or name "
+            f"Model, segmenter and monitor read different arms, {' and '.join(arms)}; use those of one arm, or name "
             "one with --arm."
         )
-    return arms[0]
+    return "" if unnamed or not any(named) else arms[0]
 
 
 def learned_arm(learned: str, names: Iterable[str]) -> str:

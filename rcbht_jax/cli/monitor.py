@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.arms import learned_arm, rows_of_arm
+from rcbht_jax._util.arms import common_arm, learned_arm, rows_of_arm
 from rcbht_jax._util.cells import number_of
 from rcbht_jax._util.printable import padded, plural, printable, room
 from rcbht_jax.cli.command import Arm, Command, Flag, MadeBy, Store, option, progress_bar
@@ -129,7 +130,7 @@ class MonitorWatch(Command):
         from rcbht_jax.introspection.nominal_file import load
 
         file = load(self.monitor)
-        recordings, remarks, _ = _read(self.store, self.where, self.arm or file.arm)
+        recordings, remarks, _ = _read(self.store, self.where, self.arm, [file.arm])
         series = _series(recordings)
         monitor, level = file.monitor, file.monitor.threshold(self.false_alarms)
         check_axes(recordings.axes, recordings.units, file.axes, file.units, str(self.store))
@@ -255,8 +256,13 @@ def _row(row: dict[str, Any]) -> str:
     return "  ".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in cells)
 
 
-def _read(store: Path, where: tuple[str, ...], arm: str) -> tuple[Recordings, list[str], str]:
-    """The chosen recordings of one arm, a remark that names it where there are others, and what a file calls it."""
+def _read(
+    store: Path, where: tuple[str, ...], arm: str, learned: Sequence[str] = ()
+) -> tuple[Recordings, list[str], str]:
+    """The chosen recordings of one arm, a remark that names it where there are others, and what a file calls it.
+
+    Where no ``arm`` is named, it is the one that a monitor ``learned``.
+    """
     from rcbht_jax.io.store import read_recordings
 
     recordings = read_recordings(store)
@@ -270,7 +276,7 @@ def _read(store: Path, where: tuple[str, ...], arm: str) -> tuple[Recordings, li
     if not chosen.any():
         raise InputError(f"{store} has no recording with {' and '.join(where)}.")
     rows = np.flatnonzero(chosen)
-    own, remarks = rows_of_arm(recordings.arm[rows], arm)
+    own, remarks = rows_of_arm(recordings.arm[rows], arm or common_arm(recordings.arm.tolist(), learned))
     one = recordings.take(rows[own])
     return one, remarks, learned_arm(str(one.arm[0]), recordings.arm)
 

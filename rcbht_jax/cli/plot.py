@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.arms import chosen_arm, title_among
+from rcbht_jax._util.arms import chosen_arm, common_arm, title_among
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
-    Arm,
     BeliefRate,
     Command,
     LabelledStore,
@@ -144,7 +143,13 @@ class PlotBeliefs(Command):
     trial: Trial
     out: OutFigure
     model: Model = Path("online.model")
-    arm: Arm = ""
+    arm: Annotated[
+        str,
+        option(
+            "Arm whose wrench to use, if the store has several.",
+            "that of the model, else the last by name, as the right one",
+        ),
+    ] = ""
     source: SourcePrefix = ""
     starts: Starts = "harmonised"
     rate: BeliefRate = None
@@ -163,7 +168,8 @@ class PlotBeliefs(Command):
         detect = self.starts == "detected"
         model, recordings = load(self.model), read_recordings(self.store)
         model.check_axes(recordings.axes, recordings.units, str(self.store))
-        arm = chosen_arm(recordings.arm.tolist(), self.arm)
+        names = recordings.arm.tolist()
+        arm = chosen_arm(names, self.arm or common_arm(names, [model.arm]))
         title = title_among(arm, recordings.arm)
         recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
         seen = None  # an older file does not say it

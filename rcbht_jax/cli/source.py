@@ -55,7 +55,7 @@ class Source(RuleCommand):
         str,
         option(
             "Arm whose wrench to use, if the store has several.",
-            "that of the monitor or the segmenter, else the last by name, as the right one",
+            "that of the model, monitor or segmenter, else the last by name, as the right one",
         ),
     ] = ""
     starts: Starts = "harmonised"
@@ -147,7 +147,7 @@ class Source(RuleCommand):
         self.check()
         model = None if self.model is None else load(self.model)
         readers, read = readers_of(self.segmenter, self.monitor, self.certainty, self.false_alarms)
-        arms = [""] * (model is not None) + [one.arm for one in read]
+        arms = [one.arm for one in (model, *read) if one is not None]
         live, messages = self.source == "-", self._messages(model, arms)
         compile_cache.use(self.compile_cache)
         if live:  # its beginning must not be read faster than it is played

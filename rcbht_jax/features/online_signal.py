@@ -14,15 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rcbht_jax.features.signal_families import COLUMNS, FAMILIES, MOMENTS, ResampledSignal
-from rcbht_jax.labels import PRIMITIVE_GROUP, Group
+from rcbht_jax.features.signal_families import COLUMNS, FAMILIES, MOMENTS, SIGNS, ResampledSignal
 from rcbht_jax.types import Array, LabelTrack
 
 READINGS = 256
 _DOUBLINGS = 22  # of the stride at most: more than sample numbers can count
 _FINE = 1024  # steps per stride to which the length of a long interval is rounded, so that products stay in 32 bits
-_RISING, _FALLING = (np.isin(PRIMITIVE_GROUP, pair) for pair in ((Group.P, Group.PIMP), (Group.N, Group.NIMP)))
-_SIGNS = _RISING.astype(np.float32) - _FALLING  # [label code], the first for no label at all
 
 
 @jax.tree_util.register_dataclass
@@ -75,7 +72,7 @@ def extend(readings: DecimatedSignal, dt: float, begin: Array, words: LabelTrack
     """Read primitives ``[axis, slot]``, in time order, of an interval that began at ``begin`` and has grown to them."""
     at, value, span, line = _samples(readings, begin), readings.value, readings.span, readings.line
     spans = jnp.stack([words.t0, words.t1])
-    signs = jnp.asarray(_SIGNS)[words.label.astype(jnp.int32)]
+    signs = jnp.asarray(SIGNS, jnp.float32)[words.label.astype(jnp.int32)]
     lines = jnp.stack([signs, words.vmax, words.vmin, words.avg, words.grad])
     for slot in range(words.label.shape[-1]):
         new_span, new_line = spans[..., slot], lines[..., slot]

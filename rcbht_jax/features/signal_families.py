@@ -29,6 +29,8 @@ from rcbht_jax.types import Array
 MOMENTS = 120  # samples of the resampled signal
 PARTS = (3, 8)  # numbers of equal parts that piecewise statistics describe, coarse and fine
 QUANTILES = 11
+# Of each label code: 1 rising, -1 falling, 0 constant or no label at all.
+SIGNS = 1 * np.isin(PRIMITIVE_GROUP, (Group.P, Group.PIMP)) - np.isin(PRIMITIVE_GROUP, (Group.N, Group.NIMP))
 NEAR = 1e-6  # share of the range or the level below which differences are rounding errors
 
 Values = Float[Array, "*interval axis moment"]
@@ -98,9 +100,7 @@ def read_at(words: ClippedSpans, moment: Float[np.ndarray, "interval moment"], d
         np.take_along_axis(words.value[name], index, -1) for name in ("middle", "avg", "grad", "vmin", "vmax")
     )
     level = np.clip(avg + slope * ((moment[:, None] - middle) * dt), vmin, vmax)
-    group = PRIMITIVE_GROUP[np.take_along_axis(words.code, index, -1)]
-    rising, falling = (np.isin(group, pair) for pair in ((Group.P, Group.PIMP), (Group.N, Group.NIMP)))
-    return ResampledSignal.of(rising.astype(np.int64) - falling, level, slope)
+    return ResampledSignal.of(SIGNS[np.take_along_axis(words.code, index, -1)], level, slope)
 
 
 def _centred(values: Values) -> Values:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -28,6 +29,25 @@ def check_calibration(calibration: object) -> None:
     """
     if calibration not in CALIBRATIONS:
         raise InputError(f"calibration is {calibration!r}; expected one of {', '.join(CALIBRATIONS)}.")
+
+
+def held_half(rows: Int[np.ndarray, " row"], seed: Any) -> Int[np.ndarray, " held"]:
+    """A random half of some rows, rounded down, which trains nothing and sets thresholds.
+
+    >>> held_half(np.arange(5), seed=0)
+    array([0, 1])
+    """
+    return np.sort(np.random.default_rng(seed).permutation(rows)[(len(rows) + 1) // 2 :])
+
+
+def first_above(scores: Float[np.ndarray, " time"], threshold: float, rate: float) -> float:
+    """Seconds from the beginning of a recording to the first score above a threshold; inf = none.
+
+    >>> first_above(np.array([0.1, 0.9]), 0.5, 20.0)
+    0.1
+    """
+    above = np.flatnonzero(scores > threshold)
+    return float((above[0] + 1) / rate) if len(above) else np.inf
 
 
 def sustained_peak(probability: Float[np.ndarray, " snapshot"], steps: int) -> float:

@@ -286,14 +286,14 @@ def describe_recording(
         raise InputError(f"The smallest change is {share:g} of an axis's range; expected a number between 0 and 1.")
     (row,) = rows_of(row, len(recordings)).tolist()
     wrench = recordings.wrench[row, : recordings.length[row]]
-    if len(wrench) < 2:
-        return []
-    primitives = encode(wrench, rate=1 / recordings.dt, rule="fit").primitive
-    low, high = np.percentile(wrench, USUAL, axis=0)
-    least = np.where(high > low, np.maximum(share * (high - low), NOISE * noise_of([wrench])), np.inf)
-    units = dict(zip(recordings.axes, recordings.units, strict=True))
-    sentences = describe(primitives, recordings.axes, units, recordings.dt, least.tolist())
-    sentences += _snaps(recordings, wrench, least, snaps)
+    sentences = []
+    if len(wrench) > 1:
+        primitives = encode(wrench, rate=1 / recordings.dt, rule="fit").primitive
+        low, high = np.percentile(wrench, USUAL, axis=0)
+        least = np.where(high > low, np.maximum(share * (high - low), NOISE * noise_of([wrench])), np.inf)
+        units = dict(zip(recordings.axes, recordings.units, strict=True))
+        sentences = describe(primitives, recordings.axes, units, recordings.dt, least.tolist())
+        sentences += _snaps(recordings, wrench, least, snaps)
     track = recordings.annotations.choose(track)
     if track:
         marks = recordings.annotations.of_recording(row).of(track)

@@ -25,7 +25,14 @@ from jaxtyping import Bool, Float, Int, Shaped
 from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.alarms import Alarm, check_calibration, conformal_threshold, held_out, sustained_peak
+from rcbht_jax.introspection.alarms import (
+    Alarm,
+    check_calibration,
+    conformal_threshold,
+    held_half,
+    held_out,
+    sustained_peak,
+)
 from rcbht_jax.learning.class_groups import groups_of_classes
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec
@@ -209,7 +216,9 @@ class FaultMonitor:
             subtask: _limit(subtask, lasted[streamed & calm], config.clock_false_alarms)
             for subtask, lasted in (durations or {}).items()
         }
-        held = _held_half(calm & streamed, seed) if config.calibration == "split" else np.zeros(len(cause), bool)
+        held = np.zeros(len(cause), bool)
+        if config.calibration == "split":
+            held[held_half(np.flatnonzero(calm & streamed), seed)] = True
         shown = (snapshots.time >= visible[snapshots.trial]) & ~held[snapshots.trial]
         machines, probability = {}, np.zeros(len(snapshots.trial))
         for subtask in np.unique(snapshots.subtask).tolist() if subtasks is None else subtasks:
@@ -261,7 +270,7 @@ class FaultMonitor:
                     first["words"][trial], next((t for p, t in pairs if alarm.update(p, t)), np.inf)
                 )
         limit = np.array([self.limits.get(subtask, np.inf) for subtask in snapshots.subtask.tolist()])
-        late = snapshots.elapsed > limit
+        late = snapshots.elapsed > limit + 1e-9  # durations and elapsed times are rounded differently
         np.minimum.at(first["clock"], snapshots.trial[late], time[late])
         return first
 
@@ -294,13 +303,6 @@ def _limit(subtask: int, lasted: Float[np.ndarray, " trial"], share: float) -> f
             f"too many for a time limit with {share:g} false alarms per trial; leave these trials out, or accept more."
         )
     return limit
-
-
-def _held_half(calm: Bool[np.ndarray, " trial"], seed: int) -> Bool[np.ndarray, " trial"]:
-    """A random half of the trials, rounded down."""
-    held, rows = np.zeros(len(calm), bool), np.random.default_rng(seed).permutation(np.flatnonzero(calm))
-    held[rows[(len(rows) + 1) // 2 :]] = True
-    return held
 
 
 def _training_rows(

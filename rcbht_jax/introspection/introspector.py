@@ -136,6 +136,14 @@ class Introspector(Copyable):
 
     Beliefs depend on the samples and on :meth:`begin`; dividing the samples into other chunks does not change one bit.
 
+    Attributes:
+        axes: names of the axes.
+        units: of each axis.
+        config: options of the encoder.
+        believed: options of the encoder whose words the beliefs read: the same.
+        heads: the classifiers.
+        certainty: the certainty level ``k``.
+
     Example:
         >>> import rcbht_jax as rj
         >>> recordings = rj.Recordings.example()  # four failures, four successes
@@ -150,7 +158,7 @@ class Introspector(Copyable):
         InputError: no model, a rate faster than the samples, levels out of range, or no classifier to detect with.
     """
 
-    _fixed = ("model", "_chain", "_limits", "_heads", "_state")
+    _fixed = ("model", "heads", "_chain", "_limits", "_heads", "_state")
 
     def __init__(
         self,
@@ -163,10 +171,10 @@ class Introspector(Copyable):
         words: bool = False,
     ) -> None:
         expect("The model", model, IntrospectionModel)
-        self.model = model
+        self.model, self.heads, self.axes, self.units = model, model.heads, model.axes, model.units
+        self.config = self.believed = model.encoder
         self.certainty, self._words = k, words
         self._chain = Chain.of(model)
-        self._config = model.encoder
         self._every = _samples_between(rate, model.encoder)
         self._limits = jax.device_put(model.stacked_limits.astype(np.float32), host_device())
         self._heads = tuple(jax.device_put(head_arrays(head), host_device()) for head in model.heads)
@@ -182,13 +190,13 @@ class Introspector(Copyable):
         self._failure: tuple[str, str] | None = None  # label and level of the latest event
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
-        self.labels: NDArray[np.int32] = np.zeros((3, 3, len(model.axes)), np.int32)
+        self.labels: NDArray[np.int32] = np.zeros((3, 3, len(self.axes)), np.int32)
         self._restart()
 
     def _restart(self) -> None:
-        state = _begin(self._config, self._chain.views, self.labels.shape[2])
+        state = _begin(self.config, self._chain.views, self.labels.shape[2])
         self._state: StreamState = jax.device_put(state, host_device())
-        self._buffer = WindowBuffer(self._config.window, self.labels.shape[2], np.float32)
+        self._buffer = WindowBuffer(self.config.window, self.labels.shape[2], np.float32)
         self._begins: NDArray[np.int32] = np.zeros(len(self._chain.scopes), np.int32)
         self._time: float | None = None
         self.labels = np.zeros_like(self.labels)
@@ -197,31 +205,6 @@ class Introspector(Copyable):
     def received(self) -> int:
         """Samples received so far."""
         return self._buffer.taken
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return self.model.axes
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Unit of each axis."""
-        return self.model.units
-
-    @property
-    def config(self) -> AnyConfig:
-        """Options of the encoder."""
-        return self._config
-
-    @property
-    def believed(self) -> AnyConfig:
-        """Options of the encoder whose words the beliefs read: the same."""
-        return self._config
-
-    @property
-    def heads(self) -> tuple[Head, ...]:
-        """The classifiers."""
-        return self.model.heads
 
     def warm_up(self) -> None:
         """Compile the chain now (seconds), instead of in the first :meth:`push`; the stream is unchanged."""
@@ -235,8 +218,8 @@ class Introspector(Copyable):
         return self._held(ends=False)
 
     def _held(self, ends: bool) -> list[Word]:
-        tracks = held(self._config, self._limits, self._state.encoder, self._buffer, ends)
-        return words_of_tracks(tracks, self.axes, self.received, self._now(), self._config.dt)
+        tracks = held(self.config, self._limits, self._state.encoder, self._buffer, ends)
+        return words_of_tracks(tracks, self.axes, self.received, self._now(), self.config.dt)
 
     def finish(self) -> list[Event]:
         """Words still held at the end of a stream, if words are reported; :meth:`reset` begins the next stream."""
@@ -282,22 +265,18 @@ class Introspector(Copyable):
                 :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         time = None if time is None else finite("The time", time)
-        chunk = self._buffer.checked(read_chunk(samples, self._config.dt, self.axes))
+        chunk = self._buffer.checked(read_chunk(samples, self.config.dt, self.axes))
         events: list[Event] = []
         end = self.received + len(chunk)
         while len(chunk):
-            chunk = self._buffer.fill(chunk, self._due())
-            self._time = None if time is None else stamp_before(time, end - self.received, self._config.dt)
+            due = len(chunk) if self._every is None else self._every - self.received % self._every
+            chunk = self._buffer.fill(chunk, due)  # no more than the window has room for
+            self._time = None if time is None else stamp_before(time, end - self.received, self.config.dt)
             events += self._advance()
         return events
 
-    def _due(self) -> int:
-        """Samples until the window is complete or a belief is due, whichever comes first."""
-        room = self._buffer.room
-        return room if self._every is None else min(room, self._every - self.received % self._every)
-
     def _now(self) -> float:
-        return stamp_of(self.received, self.received, self._time, self._config.dt)
+        return stamp_of(self.received, self.received, self._time, self.config.dt)
 
     def _call(self) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
         # The buffer is copied: the call may still read it when the next samples come.
@@ -316,7 +295,7 @@ class Introspector(Copyable):
             new = np.asarray(published.ints).reshape(3, 3, -1)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
             if self._words:
-                events += words_of_window(new, self.axes, self.received, self._now(), self._config.dt)
+                events += words_of_window(new, self.axes, self.received, self._now(), self.config.dt)
         return events
 
     def _answer(self, probabilities: list[NDArray[np.float32]]) -> list[Event]:
@@ -345,7 +324,7 @@ class Introspector(Copyable):
         if self._phases is None:
             return []
         belief = self.latest[self._detector]
-        began = self._phases.update(belief.probabilities, belief.sample * self._config.dt)  # stamps may be dates
+        began = self._phases.update(belief.probabilities, belief.sample * self.config.dt)  # stamps may be dates
         return self.begin(detected=True) if began else []
 
     def _of_alarm(self, head: Head) -> float:
@@ -353,7 +332,7 @@ class Introspector(Copyable):
         return self.latest[head.name].probabilities[head.classes.index(head.alarm)]
 
     def _alarm(self, head: Head, probability: float, sample: int, time: float) -> list[Event]:
-        change = self._alarms[head.name].update(probability, sample * self._config.dt)  # stamps may be dates
+        change = self._alarms[head.name].update(probability, sample * self.config.dt)  # stamps may be dates
         if change is None:
             return []
         return [(AnomalyRaised if change else AnomalyCleared)(sample, time, head.name, probability)]

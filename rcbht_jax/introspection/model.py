@@ -166,6 +166,11 @@ class IntrospectionModel:
         return tuple(self.extra.get("units", [UNIT_OF.get(axis, "") for axis in self.axes]))
 
     @property
+    def arm(self) -> str:
+        """Whose wrench it learned; "" = the last by name, as the right one, or not known, as of older files."""
+        return str(self.extra.get("arm", ""))
+
+    @property
     def subtasks(self) -> str:
         """The task whose sub-tasks the classifiers see, the first if there are several; "" = whole trials alone."""
         return next((head.name for head in self.heads if head.scope == "subtask"), "")
@@ -222,7 +227,7 @@ def load(path: Path | str) -> IntrospectionModel:
         axes = len(checked_limits(config, limits))
         heads = tuple(_read_head(path, head, archive, f"{n}.", axes) for n, head in enumerate(meta["heads"]))
         check_objects(meta, "extra")
-        checked_texts("its digest and version", [meta["data_hash"], meta["version"]])
+        checked_texts("its digest, version and arm", [meta["data_hash"], meta["version"], meta["extra"].get("arm", "")])
         for name in ("axes", "units"):
             checked_texts(f"its {name}", meta["extra"].get(name, []))
         rest = {k: meta[k] for k in ("data_hash", "version", "extra")}

@@ -65,7 +65,7 @@ def make_bank(
             f"{drift:g}; expected at least two recordings, one neighbour, and no negative times."
         )
     groups = groups if len(np.unique(groups)) > 1 else np.arange(len(described))
-    held = _held(described)
+    held = of_one_length(described)
     time = held.shape[1]
     squares = [
         np.mean((held[groups == name] - np.median(held[groups != name], 0)) ** 2, (0, 1)) for name in np.unique(groups)
@@ -101,7 +101,7 @@ def unbiased(parts: list[Float[np.ndarray, "_ axis"]], groups: Int[np.ndarray, "
     names, counts = np.unique(groups, return_counts=True)
     if (counts > 1).sum() < FEWEST_GROUPS:
         return ()
-    held = _held(parts)
+    held = of_one_length(parts)
     medians = np.stack([np.median(held[groups == name], 0) for name in names])
     others = np.stack([np.median(held[groups != name], 0) for name in names])
     offset = np.sqrt(((medians - others).mean(1) ** 2).mean(0))
@@ -110,7 +110,7 @@ def unbiased(parts: list[Float[np.ndarray, "_ axis"]], groups: Int[np.ndarray, "
     return tuple(np.flatnonzero(offset < OFFSET * np.sqrt((within**2).mean((0, 1)))).tolist())
 
 
-def _held(parts: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def of_one_length(parts: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Recordings ``[recording, time, ...]`` of one length: those that have ended stay as they ended."""
     time = np.arange(max(len(part) for part in parts))
     return np.stack([part[np.minimum(time, len(part) - 1)] for part in parts])

@@ -32,9 +32,9 @@ from rcbht_jax._util.signals import (
     warn_if_turned,
     whole_series,
 )
-from rcbht_jax._util.values import number
+from rcbht_jax._util.values import Copyable, number
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.alarms import check_calibration, check_groups, conformal_threshold
+from rcbht_jax.introspection.alarms import check_calibration, check_groups, conformal_threshold, first_above, held_half
 from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest, unbiased
 from rcbht_jax.learning.estimators import keep_names
 
@@ -109,19 +109,19 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
             raise InputError(f"Groups have the shape {given.shape}; expected one for each of {len(series)} recordings.")
         names = group_numbers(given)
         given, names = (given, names) if names.any() else (everyone, everyone)
-        parts = [block_means(part, self.score_step) for part in series]
+        parts, self.n_features_in_ = [block_means(part, self.score_step) for part in series], series[0].shape[1]
         if self.calibration == "split":
-            train = np.sort(np.random.default_rng(self.random_state).permutation(len(parts))[: (len(parts) + 1) // 2])
-            half = [parts[row] for row in train]
-            self._prepare(half, names[train])  # what the held-out half had a part in would void its guarantee
-            model = self._learn(half, names[train])
-            held = np.setdiff1d(np.arange(len(parts)), train)
+            held = held_half(everyone, self.random_state)
+            train = np.setdiff1d(everyone, held)
+            half = [parts[row] for row in train], names[train]
+            self._prepare(*half)  # what the held-out half had a part in would void its guarantee
+            model = self._learn(*half)
             peaks = np.array([self._peak(model, parts[row]) for row in held])
         else:
             check_groups(given, names % int(self.folds))
             self._prepare(parts, names)
             peaks = self._cross_peaks(model := self._learn(parts, names), parts, names)
-        self._model, self.peaks_, self.n_features_in_ = model, peaks, series[0].shape[1]
+        self._model, self.peaks_ = model, peaks
         keep_names(self, axes)
         return self
 
@@ -152,8 +152,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         Raises:
             InputError: as :meth:`threshold` and :meth:`scores`.
         """
-        above = np.flatnonzero(self.scores(series) > self.threshold(alpha))
-        return float((above[0] + 1) / self.rate) if len(above) else np.inf
+        return first_above(self.scores(series), self.threshold(alpha), self.rate)
 
     def stream(self) -> MonitorStream:
         """A new recording, sample by sample."""
@@ -183,19 +182,13 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         for held in np.unique(fold):
             rest = np.flatnonzero(fold != held)
             # A bank of fewer groups has larger usual distances between groups: in units of these, peaks are too small.
-            known = model.take(rest) if isinstance(model, Bank) else None
-            other = known or self._learn([parts[row] for row in rest], groups[rest])
+            other = model.take(rest) if isinstance(model, Bank) else self._learn([parts[i] for i in rest], groups[rest])
             for row in np.flatnonzero(fold == held):
                 peaks[row] = self._peak(other, parts[row])
         return peaks
 
     def _peak(self, model: Any, part: Float[np.ndarray, "time channel"]) -> float:
-        return float(moving_mean(self._surprise(model, part), self._count(self.memory)).max())
-
-    def _surprise(self, model: Any, part: Float[np.ndarray, "time channel"]) -> Float[np.ndarray, " time"]:
-        time = np.arange(len(part))
-        head = part[: self._count(self._longest_head)]
-        return self._score(model, self._describe(part, head, part[:0], time), time)
+        return float(MonitorStream(self, model).advance(part).max())
 
     @property
     def _longest_head(self) -> float:
@@ -229,8 +222,10 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         """Score of each moment by itself, before it is averaged over ``memory``."""
 
 
-class MonitorStream:
+class MonitorStream(Copyable):
     """Scores of one recording as it arrives; they equal those of the whole recording, whatever the chunks.
+
+    The ``model`` scores; None = the one that the monitor has learned.
 
     >>> rng = np.random.default_rng(0)
     >>> monitor = NominalMonitor().fit(rng.normal(size=(8, 60, 2)))
@@ -240,8 +235,11 @@ class MonitorStream:
     True
     """
 
-    def __init__(self, monitor: Monitor) -> None:
+    _fixed = ("_monitor", "_model")
+
+    def __init__(self, monitor: Monitor, model: Any = None) -> None:
         self._monitor, axes = monitor, monitor.n_features_in_
+        self._model = monitor._model if model is None else model
         self._samples = np.zeros((0, axes))  # of a block that is not complete
         self._head = np.zeros((0, axes))  # the first blocks
         self._before = np.zeros((0, axes))  # the latest blocks
@@ -266,16 +264,17 @@ class MonitorStream:
         joined = np.concatenate([self._samples, new])
         whole = len(joined) // step * step
         self._samples = joined[whole:]
-        means = [self._last, *self._advance(block_means(joined[:whole], step))] if whole else [self._last]
+        means = [self._last, *self.advance(block_means(joined[:whole], step))] if whole else [self._last]
         self._last = float(means[-1])
         return np.array(means, np.float64)[(waiting + 1 + np.arange(len(new))) // step]
 
-    def _advance(self, part: Float[np.ndarray, "time channel"]) -> Float[np.ndarray, " time"]:
+    def advance(self, part: Float[np.ndarray, "time channel"]) -> Float[np.ndarray, " time"]:
+        """Scores of new averaged samples, one each."""
         monitor = self._monitor
         time = self._time + np.arange(len(part))
         room = max(monitor._count(monitor._longest_head) - len(self._head), 0)
         self._head = np.concatenate([self._head, part[:room]])
-        raw = monitor._score(monitor._model, monitor._describe(part, self._head, self._before, time), time)
+        raw = monitor._score(self._model, monitor._describe(part, self._head, self._before, time), time)
         longest = max(monitor._lags, default=0)
         self._before = np.concatenate([self._before, part])[-longest:] if longest else self._before
         kept, count = len(self._recent), monitor._count(monitor.memory)
@@ -375,21 +374,23 @@ class NominalMonitor(Monitor):
         kinds = [part - seen[np.minimum(time, len(head) - 1)]]
         joined, first = np.concatenate([before, part]), time[0] - len(before)
         kinds += [part - joined[np.maximum(time - lag, 0) - first] for lag in self._lags]
-        changes = np.stack(kinds, 2)
         levels = part[:, list(self.levels_), None]
         values = np.concatenate([levels, np.zeros((*levels.shape[:2], len(self._lags)))], 2)
-        return np.concatenate([changes, values], 1)
+        return np.concatenate([np.stack(kinds, 2), values], 1)
 
     def _prepare(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> None:
         self.levels_ = unbiased(parts, groups) if self.levels is None else tuple(map(int, self.levels))
         if not set(self.levels_) <= set(range(axes := parts[0].shape[1])):
             raise InputError(f"levels are {self.levels}; expected numbers of axes, 0 to {axes - 1}.")
 
-    def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
+    def _described(self, parts: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+        """Features of whole recordings ``[time, channel, kind]``."""
         first = self._count(self.baseline)
-        described = [self._describe(part, part[:first], part[:0], np.arange(len(part))) for part in parts]
+        return [self._describe(part, part[:first], part[:0], np.arange(len(part))) for part in parts]
+
+    def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
         slack = float(self.slack * self.rate / self.score_step)
-        return make_bank(described, groups, slack, float(self.drift), int(self.neighbours))
+        return make_bank(self._described(parts), groups, slack, float(self.drift), int(self.neighbours))
 
     def _score(
         self, model: Bank, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.alarms import TooFewRecordingsError, conformal_threshold, trials_needed
+from rcbht_jax.introspection.alarms import TooFewRecordingsError, conformal_threshold, first_above, trials_needed
 from rcbht_jax.introspection.nominal import Monitor
 
 with needs_extra("learn"):
@@ -81,7 +82,10 @@ def hold_out(
     for held in range(part.max() + 1):
         train = np.flatnonzero(nominal & (part != held)).tolist()
         test = np.flatnonzero(part == held).tolist()
-        fitted = _fitted(monitor, [series[row] for row in train], groups[train])
+        fitted = None
+        with suppress(TooFewRecordingsError):
+            if len(train) >= FEWEST:
+                fitted = clone(monitor).fit([series[row] for row in train], groups=groups[train])
         if fitted is not None:
             for row in test:
                 scores[row] = fitted.scores(series[row])
@@ -97,16 +101,6 @@ def hold_out(
             f"{found}. Choose other groups (--group)."
         )
     return Watched(tuple(scores), nominal, groups, usual, calibration, float(monitor.rate))
-
-
-def _fitted(
-    monitor: Monitor, series: list[Float[np.ndarray, "_ axis"]], groups: Shaped[np.ndarray, " recording"]
-) -> Monitor | None:
-    """A monitor of nominal recordings; None = they are too few, or would be without one of their groups."""
-    try:
-        return clone(monitor).fit(series, groups=groups) if len(series) >= FEWEST else None
-    except TooFewRecordingsError:
-        return None
 
 
 def parts(groups: Shaped[np.ndarray, " recording"], folds: int) -> Int[np.ndarray, " recording"]:
@@ -161,7 +155,7 @@ def judge(
     onset = np.full(len(watched.scores), np.nan) if onset is None else onset
     limit = np.array([thresholds.get(str(group), np.nan) for group in watched.groups])
     alarm = np.array(
-        [_first(score, level, watched.rate) for score, level in zip(watched.scores, limit, strict=True)], float
+        [first_above(score, level, watched.rate) for score, level in zip(watched.scores, limit, strict=True)], float
     )
     counted = watched.seen & ~np.isnan(limit)
     whole, usual = watched.peaks(), watched.peaks(usual=True)
@@ -187,9 +181,3 @@ def judge(
     names, number = np.unique(watched.groups, return_inverse=True)  # missing values, which are not equal, become one
     by_group = {str(name): row(number == index) for index, name in enumerate(names)}
     return {**row(np.ones(len(limit), bool)), "groups": by_group}
-
-
-def _first(score: Float[np.ndarray, " time"], level: float, rate: float) -> float:
-    """Seconds to the first score above the level; inf = none."""
-    above = np.flatnonzero(score > level)
-    return float((above[0] + 1) / rate) if len(above) else np.inf

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.neighbours import of_one_length
 from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
 
 with needs_extra("learn"):
@@ -67,8 +68,7 @@ class QuantileBand(_BandMonitor):
     def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Band:
         if not 0 < self.share <= 1:
             raise InputError(f"share is {self.share}; expected a number above 0 and at most 1.")
-        time = max(len(part) for part in parts)
-        held = np.stack([part[np.minimum(np.arange(time), len(part) - 1)] for part in parts])
+        held = of_one_length(parts)
         if self.normal:
             middle, half = held.mean(0), held.std(0)
         else:
@@ -143,11 +143,7 @@ class IsolationForestMonitor(NominalMonitor):
     trees: Any = 100
 
     def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Any:
-        first = self._count(self.baseline)
-        rows = []
-        for part in parts:
-            time = np.arange(len(part))
-            rows.append(_table(self._describe(part, part[:first], part[:0], time), time))
+        rows = [_table(described, np.arange(len(described))) for described in self._described(parts)]
         return IsolationForest(n_estimators=int(self.trees), random_state=self.random_state).fit(np.concatenate(rows))
 
     def _score(

@@ -14,6 +14,7 @@ from rcbht_jax._util.printable import plural
 from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
+from rcbht_jax.introspection.segmenter_columns import decision_period
 from rcbht_jax.learning.class_groups import column_groups
 from rcbht_jax.learning.segment_metrics import (
     UNKNOWN,
@@ -95,7 +96,7 @@ class Segmentation:
         y = np.concatenate(self.truth)
         count, groups = self.protocol.folds_of(column_groups(self.protocol.group, self.recordings)[self.annotated])
         folds = f"{count} folds" if count < groups else "one group held out at a time"
-        dull = int((self.annotated & ~_teaching(self.truth)).sum())
+        dull = int((self.annotated & ~_teaching(_decided(self.truth, self.recordings.dt))).sum())
         besides = f", but not on {dull} of a single class," if dull else ","
         how = f"trained on one recording at a time{besides} tested on all others" if self.protocol.one_shot else folds
         return {
@@ -140,14 +141,15 @@ def segment(
     def trained(rows: NDArray[np.int64]) -> WrenchSegmenter:
         return clone(segmenter).fit(recordings.take(rows), [truth[row] for row in rows])
 
-    teaching = _teaching(truth)
+    decided = _decided(truth, recordings.dt)
+    teaching = _teaching(decided)
     if protocol.one_shot and not teaching.any():
-        raise InputError(f"No recording has two classes of {track}, so none can be trained on alone.")
+        raise InputError(f"No recording has two classes of {track} at decisions, so none can be trained on alone.")
     turns: list[tuple[int, int, NDArray[np.int64]]] = []  # a training recording, the labelled recording, its labels
     splits = list(_splits(np.flatnonzero(known), groups, protocol))
     if not protocol.one_shot:
         for train, test in splits:  # before the first model: training takes long
-            _check_classes([truth[row] for row in train], protocol.group, named[test])
+            _check_classes([decided[row] for row in train], protocol.group, named[test])
     for train, test in splits:
         if protocol.one_shot and not teaching[train].any():
             continue
@@ -191,21 +193,26 @@ def _annotated(recordings: Recordings, protocol: Protocol) -> tuple[str, list[ND
     return track, [recordings.annotations.of_samples(row, track, length, recordings.dt) for row, length in lengths]
 
 
-def _teaching(truth: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
-    """Recordings with two classes or more."""
-    return np.array([len(np.setdiff1d(part, [UNKNOWN])) > 1 for part in truth], bool)
+def _decided(truth: Sequence[NDArray[np.int64]], dt: float) -> list[NDArray[np.int64]]:
+    """The classes at the decisions, from which a segmenter learns."""
+    return [part[:: decision_period(dt)] for part in truth]
 
 
-def _check_classes(truth: Sequence[NDArray[np.int64]], group: str, held: NDArray[Any]) -> None:
+def _teaching(decided: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
+    """Recordings with two classes or more at the decisions."""
+    return np.array([len(np.setdiff1d(part, [UNKNOWN])) > 1 for part in decided], bool)
+
+
+def _check_classes(decided: Sequence[NDArray[np.int64]], group: str, held: NDArray[Any]) -> None:
     """Raise an error if the recordings that train in one turn, while others are held out, have a single class."""
-    if (count := len(np.setdiff1d(np.concatenate(truth), [UNKNOWN]))) > 1:
+    if (count := len(np.setdiff1d(np.concatenate(decided), [UNKNOWN]))) > 1:
         return
     names = list(dict.fromkeys(map(str, held.tolist())))
     listed = ", ".join(names[:5]) + ", ..." * (len(names) > 5)
     raise InputError(
-        f"While {group} {listed} is held out, the labels of the others, {plural(len(truth), 'recording')}, have "
-        f"{plural(count, 'class', 'classes')}; two are needed: choose another number of folds or another column of "
-        "groups, or annotate more recordings."
+        f"While {group} {listed} is held out, the labels of the others, {plural(len(decided), 'recording')}, have "
+        f"{plural(count, 'class', 'classes')} at the decisions, one about every 25 ms; two are needed: choose another "
+        "number of folds or another column of groups, or annotate more recordings."
     )
 
 

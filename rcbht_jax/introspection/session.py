@@ -21,7 +21,7 @@ from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
-from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
+from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample
 from rcbht_jax.io.tare import bias_of
 
 Floats = NDArray[np.floating[Any]]
@@ -147,7 +147,10 @@ class Session(Copyable):
             return events
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]
-        return self._silence(message)
+        if self._silent:
+            return []
+        self._silent = True
+        return [self._notice("silent", f"no reading for {message.seconds:g} s of wall time")]
 
     def _sample(self, sample: Sample) -> list[Event]:
         resampled, before = self._resampler.feed(sample), self.time
@@ -164,7 +167,7 @@ class Session(Copyable):
             events.append(self._notice("gap", f"{MOST_SAMPLES} samples were counted; everything starts anew"))
         if resampled.anew or count > MOST_SAMPLES:
             self._end = before if self.taken > 1 else self._end  # a single sample had a stray stamp
-            events += self._release(before) + self.introspector.finish()
+            events += self._push(self._tare.release(), before) + self.introspector.finish()
             events += self.introspector.reset()  # not of the tare: after a gap the arm may be in contact
             self.ended = len(events)
             if isinstance(self.introspector, Together) and self.time > self._end:  # else the source began anew
@@ -192,16 +195,6 @@ class Session(Copyable):
                 events += self.introspector.push(part, time - later * self.introspector.config.dt)
         return events
 
-    def _release(self, time: float) -> list[Event]:
-        """Events of the samples of a trial that ends before its tare; ``time`` is the stamp of the last one."""
-        return self._push(self._tare.release(), time)
-
-    def _silence(self, silence: Silence) -> list[Event]:
-        if self._silent:
-            return []
-        self._silent = True
-        return [self._notice("silent", f"no reading for {silence.seconds:g} s of wall time")]
-
     def _notice(self, kind: Any, text: str, count: int = 1) -> Notice:
         self.counts[kind] += count
         return Notice(self.introspector.received, self.time, kind, text, count)
@@ -209,7 +202,7 @@ class Session(Copyable):
     def finish(self) -> list[Event]:
         """Events at the end of the stream: remaining notices, and the words still held, if words are reported."""
         reports = [self._notice(report.kind, report.text, report.count) for report in self._resampler.finish()]
-        return reports + self._release(self.time) + self.introspector.finish()
+        return reports + self._push(self._tare.release(), self.time) + self.introspector.finish()
 
     def run(self, messages: Iterable[Message]) -> Iterator[Event]:
         """Events of all messages."""

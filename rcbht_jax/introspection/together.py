@@ -47,6 +47,14 @@ class Together(Copyable):
             :class:`rcbht_jax.introspection.nominal_watch.NominalWatch` and
             :class:`rcbht_jax.introspection.segmenter_stream.SegmenterStream`; each gets its axes by name.
 
+    Attributes:
+        axes: names of the axes.
+        units: of each axis.
+        config: options of the encoder of the words.
+        believed: options of the encoder whose words the beliefs read.
+        heads: the classifiers, also that of a segmenter.
+        certainty: probability above which a belief counts as certain.
+
     Raises:
         InputError: their axes or their sampling periods differ, a reader has learned an axis in another unit, or two
             classifiers have the same name.
@@ -59,6 +67,8 @@ class Together(Copyable):
         >>> [event.published for event in events if type(event).__name__ == "Snap"]
         [None, 2.04]
     """
+
+    _fixed = ("heads",)
 
     def __init__(
         self,
@@ -73,7 +83,13 @@ class Together(Copyable):
                 f"The stream has {', '.join(words.axes)} at {1 / words.config.dt:g} Hz; the model reads "
                 f"{', '.join(main.axes)} at {1 / main.config.dt:g} Hz."
             )
-        self._heads = tuple(reader.head for reader in readers if isinstance(reader, SegmenterStream))
+        self.axes: tuple[str, ...] = main.axes
+        self.units: tuple[str, ...] = main.units
+        self.certainty: float = main.certainty
+        self.config: AnyConfig = self._words.config
+        self.believed: AnyConfig = main.believed
+        segmenters = (reader.head for reader in readers if isinstance(reader, SegmenterStream))
+        self.heads: tuple[Head | SegmenterHead, ...] = (*main.heads, *segmenters)
         names = [head.name for head in self.heads]
         if twice := [name for name in names if names.count(name) > 1]:
             raise InputError(f"Two classifiers of the stream are named {twice[0]}; use one of them.")
@@ -83,36 +99,6 @@ class Together(Copyable):
             learned = getattr(reader, "units", ())  # of a reader that has learned from recordings
             check_axes(read, [main.units[column] for column in columns], read, learned, "The stream")
         self._waiting: list[Reader] = []
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return self._main.axes
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Unit of each axis."""
-        return self._main.units
-
-    @property
-    def heads(self) -> tuple[Head | SegmenterHead, ...]:
-        """The classifiers, also that of a segmenter."""
-        return (*self._main.heads, *self._heads)
-
-    @property
-    def certainty(self) -> float:
-        """Probability above which a belief counts as certain."""
-        return self._main.certainty
-
-    @property
-    def config(self) -> AnyConfig:
-        """Options of the encoder of the words."""
-        return self._words.config
-
-    @property
-    def believed(self) -> AnyConfig:
-        """Options of the encoder whose words the beliefs read."""
-        return self._main.believed
 
     @property
     def labels(self) -> Int[np.ndarray, "3 3 axis"]:

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, Shaped
 
+from rcbht_jax._util.arms import learned_arm
 from rcbht_jax._util.digest import data_hash, wrench_digests
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
@@ -337,15 +338,16 @@ def train_model(
     extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
     extra |= {"axes": list(recordings.axes), "units": list(recordings.units)}
     kept = limits if isinstance(limits, FitLimits) else np.asarray(limits_of(limits), np.float64)
-    seen = _trained_on(recordings, specs)
+    rows = _trained_on(recordings, specs)
+    extra["arm"] = learned_arm(str(recordings.arm[rows[0]]), recordings.arm)
+    seen = wrench_digests(recordings.wrench, recordings.length)[rows]
     return IntrospectionModel(config, kept, heads, data_hash(recordings), extra=extra, digests=seen)
 
 
-def _trained_on(recordings: Recordings, specs: tuple[HeadSpec, ...]) -> UInt8[np.ndarray, "recording byte"]:
-    """Digests of the recordings that any classifier has learnt from."""
+def _trained_on(recordings: Recordings, specs: tuple[HeadSpec, ...]) -> Int[np.ndarray, " row"]:
+    """The recordings that any classifier has learnt from."""
     tasks = (learnable(labelled_intervals(recordings, spec.task))[0] for spec in specs)
-    rows = np.unique(np.concatenate([items.intervals[0].recording for items in tasks]))
-    return wrench_digests(recordings.wrench, recordings.length)[rows]
+    return np.unique(np.concatenate([items.intervals[0].recording for items in tasks]))
 
 
 def _names(specs: tuple[HeadSpec, ...]) -> list[str]:

@@ -104,6 +104,9 @@ class WordIntrospector(Copyable):
         axes: names; default those of a wrench.
         units: of each axis; default N and Nm for the axes of a wrench, else none.
 
+    Attributes:
+        believed: options of the encoder whose words beliefs would read: the same.
+
     Raises:
         InputError: thresholds that are not in order, or for other axes, or axes that are not different names.
 
@@ -125,7 +128,8 @@ class WordIntrospector(Copyable):
         axes: Sequence[str] = AXES,
         units: Sequence[str] | None = None,
     ) -> None:
-        self.config, self.axes = config, distinct(axes)
+        self.config = self.believed = config
+        self.axes = distinct(axes)
         self.units = tuple(UNIT_OF.get(axis, "") for axis in self.axes) if units is None else tuple(units)
         shape = (*checked_limits(config, thresholds).shape[:-1], 4)
         if shape != (len(self.axes), 4) or len(self.units) != len(self.axes):
@@ -138,11 +142,6 @@ class WordIntrospector(Copyable):
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
         self.labels: NDArray[np.int32] = np.zeros((3, 3, len(self.axes)), np.int32)
         self._time: float | None = None
-
-    @property
-    def believed(self) -> AnyConfig:
-        """Options of the encoder whose words beliefs would read: the same."""
-        return self.config
 
     @property
     def received(self) -> int:

@@ -265,7 +265,10 @@ def classify(
     features = extract_features(tracks, items, model.feature_spec, len(recordings))
     if features.names != model.feature_names:
         arms = " and the ".join(title_of(part.arm) or "one without a name" for part in items.intervals)
-        why = f"it learned other arms than the {arms}" if spec.arms == BOTH else "train it anew"
+        # Names begin with that of an arm; those of an older version may differ otherwise.
+        given, learned = ({name.partition(".")[0] for name in one} for one in (features.names, model.feature_names))
+        other = spec.arms == BOTH and given != learned
+        why = f"it learned other arms than the {arms}" if other else "train it anew"
         raise InputError(
             f"the labels give {len(features.names)} features and the model of version {model.version} reads "
             f"{len(model.feature_names)} others; {why}."

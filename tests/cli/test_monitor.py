@@ -210,9 +210,11 @@ def test_a_stream_plays_the_arm_that_was_learned(store: Path, capsys: pytest.Cap
         own = said(*reader)
         assert own == said(*reader, "--arm", "L")
         assert own != said(*reader, "--arm", "R")
+    unnamed = lines(capsys, "monitor", "watch", store, "-m", monitor, "--where", "skill=5", "--false-alarms", 0.1)
+    assert {event["arm"] for event in unnamed} == {"R"}, "the one arm of a store may be the one that was learned"
     both = ["--monitor", str(store.parent / "five.monitor"), "--segmenter", str(segmenter)]
     assert main(["stream", str(two), "--false-alarms", "0.1", *both]) == 2
-    assert "learned different arms, R and L; use those of one arm, or name one with --arm" in capsys.readouterr().err
+    assert "read different arms, R and L; use those of one arm, or name one with --arm" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -315,3 +315,21 @@ def test_the_arm_that_is_played_is_named(tmp_path, capsys, command, words, named
     assert main([command, str(store), "--robot", "hiro", *words, *port]) == 0
     remarks = [line for line in capsys.readouterr().err.splitlines() if line.startswith("Counted")]
     assert remarks == [f"Counted is the {named} alone."] * bool(named)
+
+
+def test_the_arm_that_a_model_learned_is_played(tmp_path, capsys):
+    """The model of a left arm read the wrench of the right one, without a remark."""
+    two = rj.Recordings.from_arrays([trial(1, 3), trial(0, 4)], rate=200, trial=["one"] * 2, arm=["L", "R"])
+    write_recordings(tmp_path / "two.zarr", two, {})
+    model_files.save(tmp_path / "left", replace(model(), extra={"arm": "L"}))
+    model_files.save(tmp_path / "unnamed", model())
+
+    def said(name: str, *words: str) -> list[str]:
+        assert main(["stream", str(tmp_path / "two.zarr"), "--model", str(tmp_path / name), *words]) == 0
+        return capsys.readouterr().out.splitlines()
+
+    left, right = (said("unnamed", "--arm", arm) for arm in "LR")
+    assert (said("left"), said("unnamed"), said("left", "--arm", "R")) == (left, right, right)
+    drawn = ["plot", "beliefs", str(tmp_path / "two.zarr"), "one", "--model", str(tmp_path / "left")]
+    assert main([*drawn, "-o", str(tmp_path / "b.png")]) == 0
+    assert "left arm" in capsys.readouterr().out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -184,3 +185,9 @@ def test_a_smooth_rise_is_given_in_full_at_any_rate(rate: float) -> None:
         [(_, text)] = describe_recording(recordings, 0)
         rise = float(text.split()[2])
         assert abs(rise - whole) <= 0.1 * whole
+
+
+def test_one_sample_keeps_its_annotations() -> None:
+    one = Recordings.from_arrays([np.zeros((1, 2))], 200.0, axes=["Fx", "Fz"])
+    marks = Annotations.from_rows([(0, "phase", "touch", 0.0, 0.005)])
+    assert describe_recording(replace(one, annotations=marks), 0) == [(0.0, "[phase: touch]")]

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.alarms import held_half
 from rcbht_jax.introspection.fault_monitor import (
     COLUMNS,
     NOMINAL,
     FaultMonitor,
     FaultMonitorConfig,
     SubtaskSnapshots,
-    _held_half,
     schedule_snapshots,
 )
 
@@ -100,7 +100,7 @@ def test_the_split_trains_on_every_trial_but_half_of_the_nominal_ones() -> None:
     """What the held-out half is like moves the levels, and neither the classifiers nor the choice of the hold."""
     lessons, cause = streams(200, 20, 6.0), causes(200, 20)
     config = replace(CONFIG, calibration="split")
-    held = _held_half(cause == NOMINAL, 0)
+    held = np.isin(np.arange(len(cause)), held_half(np.flatnonzero(cause == NOMINAL), 0))
     assert (held.sum(), held[200:].any()) == (100, False)
     moved = replace(lessons, features=lessons.features + 1.5 * held[lessons.trial][:, None])
     monitor, other = (FaultMonitor.fit(one, cause, subtasks=[1], config=config) for one in (lessons, moved))
@@ -128,6 +128,14 @@ def test_the_clock_of_a_later_sub_task_starts_when_that_begins() -> None:
     new = streams(2, 1, 0.0)
     np.testing.assert_allclose(new.elapsed, [*np.arange(1, 11) * DT, *np.arange(1, 21) * DT] * 3)
     np.testing.assert_allclose(monitor.alarms(new, 3)["clock"], 1.0 + 1.6)
+
+
+def test_a_sub_task_that_always_lasts_as_long_is_not_late() -> None:
+    """Differences of stamps are rounded, and the clock raised the alarm in every nominal trial."""
+    durations = {1: np.full(120, 3.3 - 1.3)}
+    assert durations[1][0] < 2.0
+    monitor = FaultMonitor.fit(streams(100, 20, 6.0), causes(100, 20), durations=durations, config=CONFIG)
+    assert np.isinf(monitor.alarms(streams(100, 0, 0.0), 100)["clock"]).all()
 
 
 def test_a_nominal_trial_that_did_not_end_does_not_stop_the_clock() -> None:

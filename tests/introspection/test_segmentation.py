@@ -159,10 +159,22 @@ def test_a_recording_of_a_single_class_teaches_nothing_alone():
     )
     assert result.score.accuracy > 0.8
     rest = replace(data, annotations=replace(rows, **{f: getattr(rows, f)[rows.code == 0] for f in FIELDS}))
-    with pytest.raises(InputError, match="No recording has two classes of phase, so none can be trained on alone"):
+    with pytest.raises(InputError, match="two classes of phase at decisions, so none can be trained on alone"):
         segment(rest, WrenchSegmenter(**TREES), Protocol(one_shot=True))
-    with pytest.raises(InputError, match="is held out, the labels of the others, 3 recordings, have 1 class; two are"):
+    with pytest.raises(InputError, match="is held out, the labels of the others, 3 recordings, have 1 class at"):
         segment(rest, WrenchSegmenter(**TREES), Protocol(folds=0))
+
+
+def test_a_class_between_two_decisions_teaches_nothing():
+    """The error of the fit named neither the turn nor a remedy, and one shot stopped where others could be learned."""
+    data = Recordings.from_arrays(np.random.default_rng(0).normal(size=(3, 200, 1)), rate=1000)
+    ends = (0.111, 0.111, 0.2)
+    rows = [row for k, end in enumerate(ends) for row in ((k, "phase", "a", 0, 0.101), (k, "phase", "b", 0.101, end))]
+    data = replace(data, annotations=Annotations.from_rows(rows))
+    with pytest.raises(InputError, match=r"^While trial trial-2 .* 2 recordings, have 1 class at the decisions"):
+        segment(data, WrenchSegmenter(**TREES), Protocol(folds=0))
+    result = segment(data, WrenchSegmenter(**TREES), Protocol(one_shot=True))
+    assert "but not on 2 of a single class" in result.to_json()["protocol"]
 
 
 def test_the_turn_that_trains_on_a_single_class_is_named(monkeypatch: pytest.MonkeyPatch):

@@ -17,7 +17,7 @@ from rcbht_jax.features.online import names, weights
 from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE, TRIAL, TRIAL_RELATIVE
 from rcbht_jax.introspection import training
 from rcbht_jax.introspection.chain import FeatureView
-from rcbht_jax.introspection.model import Head
+from rcbht_jax.introspection.model import Head, load, save
 from rcbht_jax.introspection.training import (
     HeadSpec,
     learn,
@@ -148,10 +148,14 @@ def test_what_a_head_sees_depends_on_its_sentence():
     assert not {*ABSOLUTE} & {*SUBTASK_RELATIVE, *TRIAL_RELATIVE}
 
 
-def test_a_model_keeps_the_digests_of_its_training_recordings_alone():
-    """A report said of trials that were held out that their beliefs are optimistic."""
+def test_a_model_keeps_the_digests_of_its_training_recordings_alone_and_their_arm(tmp_path):
+    """A report said of trials that were held out that their beliefs are optimistic; another arm was streamed."""
     wrench = np.random.default_rng(0).normal(size=(6, 60, 6)).astype(np.float32)
-    data = Recordings.from_arrays(wrench, 200, outcome=["success", "failure"] * 3, source=["a", "a", "b"] * 2)
+    data = Recordings.from_arrays(
+        wrench, 200, outcome=["success", "failure"] * 3, source=["a", "a", "b"] * 2, arm=["L"] * 6
+    )
     spec = HeadSpec(TaskSpec("outcome", sources=("a",)), families=("histogram",))
-    digests = training.train_model(data, (spec,)).digests
-    np.testing.assert_array_equal(digests, wrench_digests(data.wrench, data.length)[[0, 1, 3, 4]])
+    save(tmp_path / "m", training.train_model(data, (spec,)))
+    model = load(tmp_path / "m")
+    np.testing.assert_array_equal(model.digests, wrench_digests(data.wrench, data.length)[[0, 1, 3, 4]])
+    assert model.arm == "L"

@@ -54,7 +54,7 @@ def test_all_arms_stand_side_by_side_under_their_names() -> None:
 
 @pytest.mark.parametrize("name", ["R", "both", "Left"])
 def test_an_arm_that_is_not_there_is_refused_with_those_that_are(name: str) -> None:
-    with pytest.raises(InputError, match=r"have no arm .*, only right, left\."):
+    with pytest.raises(InputError, match=r"have no arm .*, only right, left; choose one of these \(--arm\)\."):
         chosen_arm(["left", "right"], name)
 
 
