@@ -30,7 +30,7 @@ WITH_INTERVALS = (
     "peers-folds", "peers-sessions", "grammar-folds", "grammar-sessions", "calibration", "calibration-near",
     "calibration-bank", "probes", "two-arm", "ablations", "online", "detected", "abnormal", "failure-types",
     "external-kitting", "external-first", "external-caps", "fit-classes", "fit-transfer", "faults-across",
-    "frozen-choice", "types-across-recall", "time-known", "sim-to-real", "sim-to-real-choices", "zero-shot",
+    "types-across-recall", "time-known", "sim-to-real", "sim-to-real-choices", "zero-shot",
 )  # fmt: skip
 # Pages whose scores are all generated.
 BY_HAND = (
@@ -73,8 +73,6 @@ CELLS = [
      ".3f headline > rows > REAL states, A to B | frozen > score > mean"),
     ("ablations", "states, real trials, streamed, at their end; beginnings given", "95 % interval",
      ".3f table2 > rows > REAL at 10 Hz > all > full-sequence accuracy > mean"),
-    ("frozen-choice", "fine | relative", "failure types",
-     ".3f frozen_choice > rows > fine | relative > scores > failure types"),
     ("causal", "detected | elapsed time", "B to A",
      ".3f causal > rows > B to A > detected | elapsed time > macro step accuracy > mean"),
     ("causal-simulated", "detected | frozen, phase", "simulated and A to B",
