@@ -14,7 +14,7 @@ Line = tuple[int, list[str]]  # its number and its cells
 
 
 class Between:
-    """Separates the rows of a table from the lines between and below them.
+    """Tells the rows of a table from the lines between and below them.
 
     Where rows begin with numbers or dates, words at the beginning of the last lines are no samples.
 

@@ -122,7 +122,7 @@ class _Decoder:
                 timer.cancel()
             if line.endswith(b"\n"):
                 return json.loads(line)
-            with suppress(subprocess.TimeoutExpired):  # its own exit status explains more than that of a kill
+            with suppress(subprocess.TimeoutExpired):  # its own exit status tells more than that of a kill
                 child.wait(1)
             status = self._end()
             if late.is_set():  # the processor had time left: the file need not be at fault
