@@ -1,7 +1,12 @@
 """Figures of the committed results, written to docs/images; nothing is measured here.
 
 Run: python -m experiments.figures.all
-PICTURES names the commands that draw the other pictures there.
+PICTURES names the commands that draw the other pictures there. Their stores and models come from::
+
+    rcbht import hiro FOLDER hiro.zarr; rcbht encode hiro.zarr --rule fit
+    rcbht train-online hiro.zarr --session B --detect -o b.model
+    rcbht simulate hooked.zarr --preset hooked-B --trials 5
+    rcbht simulate clip.zarr --assembly clip --robot ur5e --trials 20  # peg-in-hole and plug: --robot panda
 """
 
 from __future__ import annotations
@@ -225,7 +230,7 @@ FIGURES = {
     "snap-hook": lambda: hook.bench(committed("hook_bench")),
     "calibration-curves": lambda: calibration_curves.draw(rows_of("calibration_curves")),
 }
-# Pictures of trials and of experiments that draw while they measure, and the command that writes each.
+# Pictures of trials and of experiments that draw while they measure, and the command of each, without -o.
 REAL = "REAL_HIRO_ONE_SA_SUCCESS"
 PICTURES = {
     "trial": "rcbht plot trial hiro.zarr 20121127-HIROSA-S-13 --tracks online-W5-fit",

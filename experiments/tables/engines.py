@@ -232,32 +232,22 @@ def native_cores(result: Result) -> Lines:
 
 @table("scaling", "scaling")
 def scaling(result: Result) -> Lines:
-    """All devices of a machine against one."""
-    places = {"": result} | {f"{place}: ": other for place, other in result.get("other machines", {}).items()}
+    """All devices of one machine against one of them; the result has other machines, too."""
     yield "", "one GPU, s", "all, s", "of linear", "same bits"
-    for place, part in places.items():
-        yield from _shared(place, part)
-
-
-def _shared(place: str, part: Result) -> Lines:
-    """Rows of the work that the devices of one machine shared."""
-    shared = []
-    if simulated := part.get("simulation"):
-        counts = [f"{simulated[which]['trials']:,}" for which in ("one", "all")]
-        seconds = [f"{simulated[which]['of_work']:.1f}" for which in ("one", "all")]
-        title = f"{place}trials of {simulated['preset']} with labels, stored: {counts[0]}, {counts[1]}"
-        yield (title, *seconds, f"{simulated['of linear']:.2f}", "–")
-    if found := part.get("search"):
-        shared.append((f"search: {found['candidates']:,} thresholds on {found['trials']} trials", found))
-    for row in part.get("labels", []):
+    simulated, found = result["simulation"], result["search"]
+    counts = ", ".join(f"{simulated[which]['trials']:,}" for which in ("one", "all"))
+    seconds = [f"{simulated[which]['of_work']:.1f}" for which in ("one", "all")]
+    title = f"trials of {simulated['preset']} with labels, stored: {counts}"
+    yield (title, *seconds, f"{simulated['of linear']:.2f}", "–")
+    shared = [(f"search: {found['candidates']:,} thresholds on {found['trials']} trials", found)]
+    for row in result["labels"]:
         kind = "compact labels" if "compact" in row else "dense labels"
-        both = dict.fromkeys(f"{row[which]:,}" for which in ("recordings", "together"))
+        both = ", ".join(f"{row[which]:,}" for which in ("recordings", "together"))
         flight = f", {row['calls']} calls in flight" if row.get("calls", 1) > 1 else ""
-        shared.append((f"{kind}: {', '.join(both)} recordings, window {row['window']}{flight}", row))
+        shared.append((f"{kind}: {both} recordings, window {row['window']}{flight}", row))
     for title, row in shared:
-        bits = {True: "yes", False: "no", None: "–"}[row.get("same bits")]
         times = [f"{row[which]:.4f}" for which in ("seconds_one", "seconds_all")]
-        yield (place + title, *times, f"{row['of linear']:.2f}", bits)
+        yield title, *times, f"{row['of linear']:.2f}", "yes" if row["same bits"] else "no"
 
 
 @table("repeatability", "repeatability")

@@ -1,4 +1,4 @@
-"""The README's table, the choice of the frozen method, and streamed states with beginnings given and detected."""
+"""The README's table, and streamed states with beginnings given and detected."""
 
 from __future__ import annotations
 
@@ -37,18 +37,6 @@ def _results(rows: Iterable[HeadlineRow], way: str) -> Lines:
         others = (score(row.relative, False), score(row.duration, False), f"{score(peer, False)} {name}")
         link = f"[{row.method[:SHORT]}]({way}{row.source}.json)"
         yield (row.title, row.paper or NONE, f"**{score(row.score)}**{seen}", *others, link)
-
-
-@table("frozen-choice", "frozen_choice")
-def choice(result: Result) -> Lines:
-    """Options of the frozen method, best first."""
-    rows = sorted(result["rows"].items(), key=lambda item: -item[1]["mean"])
-    tasks = list(rows[0][1]["scores"])
-    yield ("encoders", "families", "mean", *tasks)
-    for name, row in rows:
-        grammars, families = name.split(" | ")
-        cells = [f"{row['scores'][task]:.3f}{ends(*row['intervals'][task])}" for task in tasks]
-        yield (grammars, families, f"{row['mean']:.3f}", *cells)
 
 
 @table("causal", "causal")

@@ -9,7 +9,6 @@ from typing import Any
 from experiments._lib.catalogue import EXPERIMENTS
 from experiments._lib.report_rows import NAME
 from experiments._lib.results_io import COMMITTED
-from experiments.figures.all import FIGURES, PICTURES
 from experiments.tables.cells import NONE, Lines, ends, table
 from rcbht_jax.errors import InputError
 
@@ -73,13 +72,3 @@ def experiments(way: str) -> Lines:
         command = " ".join(("python -m", f"experiments.{experiment.module}", *experiment.options))
         command = command.replace("{work}", "WORK")
         yield f"`{command}`", about, needs, minutes, files or NONE
-
-
-@table("pictures", links=True)
-def pictures(way: str) -> Lines:
-    """The command that draws each picture of the documentation."""
-    drawn = dict.fromkeys(FIGURES, "python -m experiments.figures.all") | PICTURES
-    folder = way.removesuffix("../experiments/results/") + "images/"  # seen from a page inside docs
-    yield "picture", "command"
-    for name, command in sorted(drawn.items()):
-        yield f"[{name}]({folder}{name}.png)", f"`{command}`"

@@ -162,48 +162,22 @@ def _default(points: list[dict[str, Any]]) -> dict[str, Any]:
 @table("words-noise", "rate_distortion")
 def noise(result: dict[str, Any]) -> Lines:
     """Share of long primitives that stay, edit distance and equal time under noise."""
-    return _stability(result, "noise", "noise, tolerances")
+    return _stability(result, "noise", "noise, tolerances", ("0.125", "0.5", "1"))  # of which the picture has more
 
 
 @table("words-resampled", "rate_distortion")
 def resampled(result: dict[str, Any]) -> Lines:
     """The same between a recording and its copy at another rate."""
-    return _stability(result, "resampled", "Hz")
+    return _stability(result, "resampled", "Hz", ("40", "100", "500", "1000"))
 
 
-@table("fit-tried-rate", "fit_tried")
-def tried_rate(result: dict[str, Any]) -> Lines:
-    """Words and numbers for each second and axis at a residual of 1 %, with breaks of its own and shared ones."""
-    yield "", "breaks", "words", "numbers"
-    for name, row in result["rows"].items():
-        if name.startswith("rate | "):
-            _, of, kind = name.split(" | ")
-            found = (row[f"{what} per second at residual"][TARGET] for what in ("words", "numbers"))
-            yield (of, kind, *(NONE if value is None else f"{value:.2f}" for value in found))
-
-
-@table("fit-tried-noise", "fit_tried")
-def tried_noise(result: dict[str, Any]) -> Lines:
-    """Share of long primitives that stay, equal time and words for each second under noise."""
-    rows = {name: row for name, row in result["rows"].items() if name.startswith("noise | ")}
-    levels = [f"{level:g}" for level in result["noise, tolerances"]]
-    head = ("stays / equal time / words per second", "noise, tolerances", "residual / words per second without")
-    yield (*head, *levels)
-    for name, row in rows.items():
-        _, of, kind = name.split(" | ")
-        clean = result["rows"][f"clean | {of} | {kind}"]
-        cells = ((_agreed(row[level], key) for key in ("kept", "time", "words per second")) for level in levels)
-        shown = (" / ".join(cell) for cell in cells)
-        yield (of, kind, f"{clean['residual']:.4f} / {clean['words per second']:.2f}", *shown)
-
-
-def _stability(result: dict[str, Any], kind: str, what: str) -> Lines:
+def _stability(result: dict[str, Any], kind: str, what: str, levels: tuple[str, ...]) -> Lines:
     rows = {name: row for name, row in result["rows"].items() if name.startswith(f"{kind} | ")}
     yield ("", "words", what, *AGREEMENT.values())
-    for name, levels in rows.items():
+    for name, row in rows.items():
         _, of, rule = name.split(" | ")
-        for level, row in levels.items():
-            yield (of, rule, level, *(_agreed(row["primitive"], key) for key in AGREEMENT))
+        for level in levels:
+            yield (of, rule, level, *(_agreed(row[level]["primitive"], key) for key in AGREEMENT))
 
 
 def _agreed(found: dict[str, Any], key: str) -> str:

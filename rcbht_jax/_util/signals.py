@@ -153,8 +153,8 @@ def warn_if_turned(recordings: Any, samples: int, axes: int, names: tuple[str, .
     >>> warn_if_turned(np.zeros((600, 6)), 600, 6)
     """
     one = recordings[0] if isinstance(recordings, list | tuple) else recordings
-    told = is_xarray(one) and ("axis" in one.dims or bool(_times(one.dims)))
-    if not (names or told) and 0 < samples < axes and axes > MANY:
+    known = is_xarray(one) and ("axis" in one.dims or bool(_times(one.dims)))
+    if not (names or known) and 0 < samples < axes and axes > MANY:
         given = f"There are {axes} axes and only {samples} samples"
         warnings.warn(f"{given}; recordings are [time, axis], so turn those that are [axis, time].", stacklevel=3)
 
@@ -267,7 +267,7 @@ def check_axes(
 
 
 def _plain_names(names: Iterable[Any]) -> tuple[str, ...]:
-    """Names of axes as texts, all different; of several levels, no rule says which one tells a force from a moment."""
+    """Names of axes as texts, all different; of several levels, no rule can choose the one that names the quantity."""
     given = tuple(names)
     if levels := next((name for name in given if isinstance(name, tuple)), None):
         text = ".".join(map(str, levels))

@@ -3,8 +3,8 @@
 No annotation is needed. Recordings are cut into blocks of about half a second; on a logarithmic scale the steepness of
 blocks falls into two groups, rest and movement. The limit of a constant is what nearly all windows at rest stay below,
 noise and drift included; the limit of an impulse is the steepness that contacts usually reach. Runs of the fit rule are
-longer than windows, so its limits come from longer lines, which noise tilts less, and its rest is what deviates little
-from the mean of a block.
+longer than windows, so its limits come from longer lines, which noise tilts less, and its rest is what stays close
+to the mean of a block.
 """
 
 from __future__ import annotations

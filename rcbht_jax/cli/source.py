@@ -243,7 +243,7 @@ class Source(RuleCommand):
         Args:
             messages: the stream.
             say: called with what is being waited for.
-            reads: what the model or monitor reads beside which the words are shown; without, the stream tells.
+            reads: what the model or monitor reads beside which the words are shown; without, from the stream.
         """
         from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.limit_files import has_tolerances

@@ -328,7 +328,7 @@ class ExportModel(Command):
 
 
 def _summaries(recordings: Recordings, specs: tuple[HeadSpec, ...], model: IntrospectionModel) -> dict[str, Any]:
-    """What was learned, by classifier: classes, machine, classes left out, and what else tells the classes apart."""
+    """What was learned, by classifier: classes, machine, classes left out, and what else predicts the class."""
     from rcbht_jax.learning.class_groups import learnable
     from rcbht_jax.learning.confounds import confounds
     from rcbht_jax.learning.tasks import labelled_intervals

@@ -86,7 +86,7 @@ class _Growing(NamedTuple):
 
 
 def _share(n: Array) -> Array:
-    """Of an error in what a line of n samples tells of the next one: apart, because a loop with divisions is slow."""
+    """Of an error in the sample that a line of n samples predicts: apart, because a loop with divisions is slow."""
     return quotient(jnp.ones_like(n), (n + 1) * (n + 2))
 
 

@@ -73,10 +73,10 @@ def noise_of(parts: Sequence[Float[np.ndarray, "_time axis"]]) -> Float[np.ndarr
     is that of white noise by which lines through the repeats would break as often: larger by the root of the repeats.
 
     Args:
-        parts: recordings, units of the axes; those of fewer than three samples tell nothing.
+        parts: recordings, units of the axes; those of fewer than three samples do not count.
 
     Returns:
-        float64, units of the axes; 0 if no recording tells.
+        float64, units of the axes; 0 if no recording counts.
 
     Example:
         >>> noise = np.random.default_rng(0).normal(0, 0.5, (10_000, 1))

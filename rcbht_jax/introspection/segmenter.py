@@ -90,7 +90,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         Args:
             recordings: one row per recording, of any axes.
             y: class of each sample of each recording; UNKNOWN = not annotated. Recordings without an annotated
-                decision teach nothing but the limits of the words.
+                decision set the limits of the words, and train nothing else.
 
         Raises:
             InputError: fewer than two classes in all or at the decisions, labels whose lengths differ from the
@@ -122,8 +122,8 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             raise InputError(
                 f"At the decisions, one in {plural(every, 'sample')}, the labels have {found}; two are needed."
             )
-        taught = np.flatnonzero([len(part) > 0 for part in decided])
-        completed, labels, group = _completed(recordings.take(taught), [y[row] for row in taught.tolist()], rng)
+        trained = np.flatnonzero([len(part) > 0 for part in decided])
+        completed, labels, group = _completed(recordings.take(trained), [y[row] for row in trained.tolist()], rng)
         tables = self._tables(completed)
         labels = [part[::every] for part in labels]
         self.first_ = self._learn(tables, labels)

@@ -64,7 +64,7 @@ def corrected_interval(scores: Floats, test_to_train: float, split: Ints | None 
 
     Nadeau and Bengio (2003): the variance of the mean of J scores is (1/J + n_test/n_train) s^2, with
     J - 1 degrees of freedom. Limits are cut to [0, 1], the range of scores. A split that is repeated, as folds of a few
-    groups are, tells nothing new: J counts different splits, and s^2 is the variance of their means.
+    groups are, adds no information: J counts different splits, and s^2 is the variance of their means.
 
     Args:
         scores: one per split, any shape, in [0, 1].

@@ -188,6 +188,7 @@ def test_layouts(tmp_path: Path) -> None:
         (lambda p: trial(p / "t", 1), "is a single trial"),
         (lambda p: p, "holds no trial"),
         (lambda p: _broken(p), "no usable trial.*line 1"),
+        (lambda p: _linked(p), "holds no trial.*; elsewhere is a link out of the folder"),
     ],
 )
 def test_nothing_to_import(tmp_path: Path, make: object, sentence: str) -> None:
@@ -199,6 +200,13 @@ def test_nothing_to_import(tmp_path: Path, make: object, sentence: str) -> None:
 def _broken(folder: Path) -> Path:
     (trial(folder / "t", 1) / "R_Torques.dat").write_text("x")
     return folder
+
+
+def _linked(folder: Path) -> Path:
+    trial(folder / "set" / "t", 1)
+    (folder / "links").mkdir()
+    (folder / "links" / "elsewhere").symlink_to(folder / "set")
+    return folder / "links"
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,9 @@ def find_trials(directory: Path) -> list[tuple[str, Path]]:
         return [(spelled(directory.resolve().name), child) for child in children]
     sets = [child for child in children if any(_is_trial(folder) for folder in _folders(child, directory))]
     if not sets:
-        raise InputError(f"{directory} holds no trial; expected folders with R_Torques.dat inside, or folders of such.")
+        linked = "".join(f"; {spelled(link.name)} is a link out of the folder" for link in _links_out(directory)[:1])
+        expected = "expected folders with R_Torques.dat inside, or folders of such"
+        raise InputError(f"{directory} holds no trial; {expected}{linked}.")
     return [(spelled(child.name), folder) for child in sets for folder in _folders(child, directory)]
 
 

@@ -205,8 +205,8 @@ def _exported(source: Path, item: Item, others: list[str]) -> Imported:
     recordings = read_export(item.path)
     names = [f"{trial}/{arm}" for trial, arm in zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True)]
     left = " and ".join(not_read(item.path))
-    told = f"{spelled(item.path.name)} was written by rcbht export; read as it is, but for {left}."
-    report = ImportReport(names, remarks=[told])
+    remark = f"{spelled(item.path.name)} was written by rcbht export; read as it is, but for {left}."
+    report = ImportReport(names, remarks=[remark])
     report.remarks += _unread(source, others)
     report.content_sha256 = _digest(source, [item])
     return Imported(recordings, Mapping(), report, attrs_of_export(item.path))

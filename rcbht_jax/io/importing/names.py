@@ -56,7 +56,7 @@ _AXIS = re.compile(
     r"[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
     r"((?:[._/ \-][\w{}]+)?)$"
 )
-# in any language, where a unit tells the quantity
+# in any language, where a unit names the quantity
 _WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)(\d*)()[._/ \-]*([xyz])()$")
 _AXIS_FIRST = re.compile(r"^(|.*[._/ \-])([xyz])[._/ \-]*([^\W\d_]+)((?:[._/ \-][\w{}]+)?)$")  # x_force
 _ELEMENT = re.compile(
