@@ -225,6 +225,8 @@ class Train(_Learning):
             f"{result['model']}: {', '.join(result['classes'])} from {result['items']} sentences of "
             f"{plural(result['trials'], 'trial')}; {result['kernel']} kernel, C = {result['cost']:g}"
         )
+        if "chosen_on" in result:
+            learnt += f" (kernel, cost and labels chosen on {plural(result['chosen_on'], 'sentence')})"
         return "\n".join([learnt, *left_out(result["dropped"])])
 
 

@@ -18,6 +18,8 @@ from rcbht_jax.learning.task_items import leave_out, trial_names
 from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Recordings
 
+LARGEST = 5000  # items on which hyper-parameters are chosen: each fit takes their square in memory, and more in time
+_FOLDED = 5  # groups of every class that are among them, for the folds
 _DIVISIONS = 200  # that are tried: where any trains all classes, one of the first dozen did
 Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
 
@@ -70,6 +72,38 @@ def inner_groups(y: NDArray[Any], groups: NDArray[Any], trials: NDArray[Any]) ->
 def fewest_groups(y: NDArray[Any], groups: NDArray[Any]) -> int:
     """Number of groups of the class that has the fewest."""
     return int(groups_of_classes(y, groups, np.unique(y)).min())
+
+
+def some_items(
+    y: NDArray[Any], groups: NDArray[Any], trials: NDArray[Any], seed: int, most: int = LARGEST
+) -> NDArray[np.int64]:
+    """Rows of whole trials in a seeded order, as many as come to at most so many items; all rows if these are no more.
+
+    The first five groups of every class are among them, with one trial each, even where these are more.
+
+    Args:
+        y: class ``[item]``.
+        groups: of each ``[item]``, which consist of trials.
+        trials: of each ``[item]``.
+        seed: of the order.
+        most: number of items.
+
+    Example:
+        >>> y, trials = np.tile([0, 1], 500), np.repeat(np.arange(500), 2)
+        >>> rows = some_items(y, trials, trials, seed=0, most=100)
+        >>> len(rows), np.bincount(y[rows]).tolist(), len(np.unique(trials[rows]))
+        (100, [50, 50], 50)
+    """
+    if len(y) <= most:
+        return np.arange(len(y))
+    number, rng = group_numbers(trials), np.random.default_rng(seed)
+    place = rng.permutation(number.max() + 1)[number]  # of the item's trial in the order
+    for one in np.unique(y):
+        rows = np.flatnonzero(y == one)[np.argsort(place[y == one], kind="stable")]
+        _, first = np.unique(group_numbers(groups[rows]), return_index=True)
+        place[np.isin(number, number[rows[np.sort(first)[:_FOLDED]]])] = -1
+    size = np.bincount(place + 1)  # those of place -1, then each trial's
+    return np.flatnonzero((np.cumsum(size) <= most)[place + 1] | (place < 0))
 
 
 def training_all(splits: list[Split], y: NDArray[Any], groups: NDArray[Any], seed: int) -> list[Split]:

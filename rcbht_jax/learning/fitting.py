@@ -10,7 +10,7 @@ import numpy as np
 
 from rcbht_jax._util.values import expect
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.learning.class_groups import groups_by, inner_groups, learnable, naming_left_out
+from rcbht_jax.learning.class_groups import groups_by, inner_groups, learnable, naming_left_out, some_items
 from rcbht_jax.learning.evaluation import Grammars, candidates
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import Grid, fit, select
@@ -33,7 +33,9 @@ def train(
 ) -> TrainedModel:
     """Fit on all intervals of a task, with hyper-parameters selected by grouped cross-validation on these intervals.
 
-    A class that occurs in one trial only is left out, and counted, if two others remain.
+    Of more than 5000 intervals the selection takes whole trials with about as many (``extra["chosen_on"]``), since its
+    time and memory grow with their square. A class that occurs in one trial only is left out, and counted, if two
+    others remain.
 
     Args:
         recordings: the data set.
@@ -69,8 +71,10 @@ def train(
     grid = Grid() if grid is None else grid
     expect("The grid", grid, Grid)
     apart = inner_groups(items.y, groups_by(group, recordings, items), items.trial)
+    rows = some_items(items.y, apart, items.trial, seed)
     with naming_left_out(items):
-        chosen = select(matrices, items.y, apart, grid, seed, weights, progress)
+        some = {name: x[rows] for name, x in matrices.items()}
+        chosen = select(some, items.y[rows], apart[rows], grid, seed, weights, progress)
     best, weight = described[chosen.features]
     svm = fit(best.values, items.y, items.classes, chosen, weight)
     how = dict(encoder or {})
@@ -89,6 +93,7 @@ def train(
         extra={
             "items": len(items.y), "trials": len(np.unique(items.trial)), "dropped": items.dropped, "seed": seed,
             "group": group,
+            **({"chosen_on": len(rows)} if len(rows) < len(items.y) else {}),
         },
         digests=facts.digests[np.unique(np.concatenate([part.recording for part in items.intervals]))],
         axes=recordings.axes,

@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.class_groups import inner_groups
-from rcbht_jax.learning.svm import Grid, Split, Weight, grouped_folds, predictions, select
+from rcbht_jax.learning.class_groups import LARGEST, inner_groups, some_items
+from rcbht_jax.learning.svm import Grid, Split, SvmSpec, Weight, fit, grouped_folds, predictions, select
 
 with needs_extra("learn"):
     from sklearn.ensemble import RandomForestClassifier
 
 Ints = NDArray[np.integer[Any]]
+Rows = NDArray[np.int64]
 Matrix = NDArray[np.floating[Any]]
 Prediction = tuple[NDArray[np.int64], dict[str, Any]]
 Estimator = Callable[[NDArray[np.int64], NDArray[np.int64], int], Prediction]
@@ -46,7 +47,8 @@ def nested_svm(
     """Estimator: an SVM whose kernel, cost, scaling and feature matrix are selected inside the training rows.
 
     Args:
-        candidates, y, groups, grid, weights: as in :func:`rcbht_jax.learning.svm.select`.
+        candidates, y, groups, grid, weights: as in :func:`rcbht_jax.learning.svm.select`. Of many training rows, the
+            selection takes :func:`rcbht_jax.learning.class_groups.some_items`.
         progress: called with 1 after each prediction.
         trials: ``[item]``, of which the groups consist. They take the place of groups in the selection where the
             training rows have too few of these: fewer than two classes with two groups. None = the groups.
@@ -63,16 +65,30 @@ def nested_svm(
             )
 
     def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
-        training = {name: x[train] for name, x in doubles.items()}
-        apart = groups[train] if trials is None else inner_groups(y[train], groups[train], trials[train])
-        spec = select(training, y[train], apart, grid, seed, weights)
+        units = groups[train] if trials is None else trials[train]
+        apart = inner_groups(y[train], groups[train], units)
+        some = some_items(y[train], apart, units, seed)
+        chosen_on = {name: x[train[some]] for name, x in doubles.items()}
+        spec = select(chosen_on, y[train[some]], apart[some], grid, seed, weights)
         weight = (weights or {}).get(spec.features)
-        predicted = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
+        learn = _of_many if len(train) > LARGEST else _of_few
+        predicted = learn(doubles[spec.features], y, train, test, spec, weight)
         if progress:
             progress(1)
         return predicted, asdict(spec)
 
     return predict
+
+
+def _of_few(x: Matrix, y: Ints, train: Rows, test: Rows, spec: SvmSpec, weight: Weight) -> NDArray[np.int64]:
+    return predictions(x, y, train, test, spec, [spec.cost], weight)[0]
+
+
+def _of_many(x: Matrix, y: Ints, train: Rows, test: Rows, spec: SvmSpec, weight: Weight) -> NDArray[np.int64]:
+    """As for few, but for rounding; without the kernel matrix of all items, which would take gigabytes."""
+    classes, code = np.unique(y[train], return_inverse=True)
+    machine = fit(x[train], code, classes.astype(str).tolist(), spec, weight)
+    return classes[machine.predict_index(x[test])].astype(np.int64)
 
 
 def forest(x: Matrix, y: Ints) -> Estimator:
