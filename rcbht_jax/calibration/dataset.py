@@ -20,6 +20,8 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Array, Recordings
 
+_WITHOUT = "the method rest needs no intervals, and a task of whole recordings, such as outcome, has one each"
+
 
 @dataclass(frozen=True)
 class CalibrationData:
@@ -87,14 +89,15 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: A
         counts = np.unique(spans.recording, return_counts=True)[1]
         raise InputError(
             f"Recordings have {counts.min()} to {counts.max()} intervals; thresholds are calibrated on recordings that "
-            "all have the same number, and whose intervals are listed in order."
+            f"all have the same number, and whose intervals are listed in order; {_WITHOUT}."
         )
     start, end = spans.start.reshape(shape), spans.end.reshape(shape)
     if len(gaps := np.argwhere(start[:, 1:] != end[:, :-1])):
         row, before = gaps[0].tolist()
         raise InputError(
             f"Thresholds are calibrated on intervals that follow each other; in recording {rows[row]} interval "
-            f"{before + 1} begins at sample {start[row, before + 1]}, and the one before ends at {end[row, before]}."
+            f"{before + 1} begins at sample {start[row, before + 1]}, and the one before ends at {end[row, before]}; "
+            f"{_WITHOUT}."
         )
     edges = np.concatenate([start, end[:, -1:]], axis=1).astype(np.int32)
     length = recordings.length[rows]

@@ -160,7 +160,7 @@ def _when(times: NDArray[np.floating], done: NDArray[np.floating], share: float)
     after = int(np.searchsorted(done, share))
     gap = done[after] - done[after - 1]
     part = (share - done[after - 1]) / gap
-    return round(float(times[after - 1] + part * (times[after] - times[after - 1])), 3)
+    return float(times[after - 1] + part * (times[after] - times[after - 1]))
 
 
 def with_ringing(series: Sequence[Change]) -> list[Change | Ringing]:
@@ -211,7 +211,9 @@ def sentences(found: Sequence[Change | Ringing], units: Mapping[str, str]) -> li
             groups[-1].append(one)
         else:
             groups.append([one])
-    return [(group[0].start, ", ".join(_text(one, units.get(one.axis, "")) for one in group)) for group in groups]
+    return [
+        (round(group[0].start, 3), ", ".join(_text(one, units.get(one.axis, "")) for one in group)) for group in groups
+    ]
 
 
 def _text(one: Change | Ringing, unit: str) -> str:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from rcbht_jax._util.arms import learned_arm
 from rcbht_jax._util.digest import data_hash, wrench_digests
+from rcbht_jax._util.printable import left_out
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.encoding.thresholds import limits_of, preset
@@ -23,7 +24,7 @@ from rcbht_jax.introspection.chain import FeatureView, online_features_batch
 from rcbht_jax.introspection.introspector import PHASE, PHASE_IN_TRIAL
 from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
 from rcbht_jax.labels import AXES
-from rcbht_jax.learning.class_groups import learnable
+from rcbht_jax.learning.class_groups import TooFewTrials, groups_of_classes, learnable
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.progress import ProgressCalibration
 from rcbht_jax.learning.svm import Grid, select
@@ -212,6 +213,12 @@ def train_head(
     if not np.isclose(config.dt, recordings.dt):
         raise InputError(f"The encoder has a sampling period of {config.dt} s, the recordings of {recordings.dt} s.")
     items, _ = learnable(labelled_intervals(recordings, spec.task))
+    several = int((groups_of_classes(items.y, items.trial, range(len(items.classes))) > 1).sum())
+    if several < 2:
+        raise TooFewTrials(
+            f"The task {spec.task.task} needs two classes that have two trials or more each; {several or 'no'} class "
+            f"has as many.{left_out(items.dropped)}"
+        )
     track = track_of(recordings, spec.task)
     _check_apart(items, recordings, track)
     alarm = FAILURE if spec.task.task == OUTCOME and FAILURE in items.classes else ""

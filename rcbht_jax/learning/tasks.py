@@ -185,7 +185,8 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         order = tuple(sorted(set(found.label.tolist())))
     classes = tuple(name for name in spec.classes or order if (found.label == name).any())
     if len(classes) < 2:
-        trials = plural(len(rows), "chosen trial" if spec.sources or spec.sessions or spec.outcomes else "trial")
+        count = len(np.unique(found.rows[np.isin(found.label, classes), 0])) if classes else len(rows)
+        trials = plural(count, "chosen trial" if spec.sources or spec.sessions or spec.outcomes else "trial")
         found_here = f"the class {classes[0]} alone" if classes else "no known class"
         raise InputError(
             f"the task {spec.task} needs two classes; there is {found_here} in {trials}.{left_out(dropped)}"

@@ -170,6 +170,11 @@ def _about_model(data: DataSet, rows: NDArray[np.int64], model: IntrospectionMod
         trained += "its beliefs about those are optimistic."
     else:
         trained = "The model was trained on none of the recordings in the browser."
+    arms = data.recordings.arm[rows]
+    learned, others = title_among(model.arm, data.recordings.arm), int(((arms != model.arm) & (arms != "")).sum())
+    if model.arm and learned and others:
+        trained += f" It learned the {escape(learned)}: do not rely on its beliefs about the "
+        trained += f"{plural(others, 'recording')} of another arm."
     return f"<p><strong>Beliefs:</strong> {trained} The start of each sub-task is given to it, from the store.</p>"
 
 

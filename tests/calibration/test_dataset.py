@@ -48,6 +48,8 @@ def test_data_are_in_the_order_of_their_sentences_and_whole():
         calibration_data(recordings, items, EncoderConfig(window=5, dt=0.01))
     with pytest.raises(InputError, match="of 2 arms"):
         calibration_data(recordings, replace(items, intervals=items.intervals * 2), CONFIG)
+    with pytest.raises(InputError, match=r"have 1 to 2 intervals; .*; the method rest needs no intervals, and a task"):
+        calibration_data(recordings, items.take(np.arange(3)), CONFIG)
 
 
 def test_the_fingerprint_depends_on_all_that_decides(made):

@@ -65,6 +65,13 @@ def test_even_swings_ring_and_a_single_push_does_not() -> None:
     assert with_ringing(slow) == slow
 
 
+def test_no_ringing_is_faster_than_half_the_sampling_rate() -> None:
+    swings = np.array([0.0, 0.0, 10.0, -10.0, 10.0, -10.0, 10.0, 0.0, 0.0])
+    for first in range(400):
+        found = with_ringing(changes("Fz", (first + np.arange(9)) / 200, swings, 1.0))
+        assert [one.frequency for one in found if isinstance(one, Ringing)] == [pytest.approx(100.0)]
+
+
 def test_a_press_a_snap_and_a_pull_do_not_ring_and_what_rings_after_a_new_push_does() -> None:
     rises = (7.0, -8.0, 20.0, -24.0)
     phases = [Change("Fz", k * 0.5, k * 0.5 + 0.3, rise) for k, rise in enumerate(rises)]

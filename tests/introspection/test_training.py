@@ -159,3 +159,10 @@ def test_a_model_keeps_the_digests_of_its_training_recordings_alone_and_their_ar
     model = load(tmp_path / "m")
     np.testing.assert_array_equal(model.digests, wrench_digests(data.wrench, data.length)[[0, 1, 3, 4]])
     assert model.arm == "L"
+
+
+def test_classes_in_one_trial_only_are_refused_by_the_name_of_their_task():
+    recordings = Recordings.from_arrays(np.zeros((4, 400, 6)), outcome=["failure", "success", "success", "unknown"])
+    spec = HeadSpec(TaskSpec("outcome"))
+    with pytest.raises(InputError, match=r"task outcome needs two .*; 1 class has as many\. Left out: 1 trial \(class"):
+        training.train_head(recordings, spec, EncoderConfig(), preset())

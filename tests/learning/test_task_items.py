@@ -61,3 +61,9 @@ def test_a_column_of_numbers_is_no_task_and_the_error_says_what_is() -> None:
     graded = Recordings.from_arrays(np.zeros((2, 400, 6)), grade=[0, 1])
     with pytest.raises(InputError, match=r"no track or column of text 'grade'; choose one of outcome"):
         labelled_intervals(graded, TaskSpec("grade"))
+
+
+def test_trials_that_are_left_out_do_not_have_the_only_class() -> None:
+    recordings = Recordings.from_arrays(np.zeros((4, 400, 6)), outcome=["success", "unknown", "unknown", "unknown"])
+    with pytest.raises(InputError, match=r"the class success alone in 1 trial\. Left out: 3 trials"):
+        labelled_intervals(recordings, TaskSpec("outcome"))

@@ -267,6 +267,11 @@ def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, block: 
     held_out = page(data, Options(model=dataclasses.replace(seen, data_hash=older.data_hash), trials=("one",)))
     assert "trained on none of the recordings in the browser." in held_out
     assert "Beliefs:" not in page(data, Options(trials=("one",)))
+    arms = dataclasses.replace(data.recordings, arm=np.array(["L", "R", "L", "R"]))
+    other = dataclasses.replace(model(), extra=model().extra | {"arm": "L"})
+    mixed = page(dataclasses.replace(data, recordings=arms), Options(model=other, trials=("one", "two", "four")))
+    assert "It learned the left arm: do not rely on its beliefs about the 2 recordings of another arm." in mixed
+    assert "another arm" not in page(data, Options(model=other, trials=("one",)))  # it names no arm
 
 
 def test_command_refuses_and_replaces(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
