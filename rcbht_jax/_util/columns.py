@@ -248,6 +248,15 @@ def decoded(value: Any) -> Any:
     return value.decode(errors="replace") if isinstance(value, bytes) else value
 
 
+def kind_of(column: NDArray[Any]) -> str:
+    """What a column holds: "text", "dates", "durations" or "numbers".
+
+    >>> kind_of(np.array(["mon"])), kind_of(np.array([True]))
+    ('text', 'numbers')
+    """
+    return _KINDS.get(column.dtype.kind, "numbers")
+
+
 def joined_columns(parts: Sequence[Mapping[str, NDArray[Any]]], counts: Sequence[int]) -> dict[str, NDArray[Any]]:
     """The columns ``[recording]`` of several data sets, one after the other.
 
@@ -267,7 +276,7 @@ def joined_columns(parts: Sequence[Mapping[str, NDArray[Any]]], counts: Sequence
     found = {}
     for name in dict.fromkeys(name for part in parts for name in part):
         there = [part[name] for part in parts if name in part]
-        kinds = sorted({_KINDS.get(column.dtype.kind, "numbers") for column in there}, reverse=True)
+        kinds = sorted(set(map(kind_of, there)), reverse=True)
         if len(kinds) > 1:
             raise InputError(f"data sets to be joined have {' and '.join(kinds)} in the column {name}.")
         empty = _EMPTY.get(kinds[0], np.nan)

@@ -138,21 +138,23 @@ class Evaluate(_Learning):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
+        from rcbht_jax.io.store import unchanged
         from rcbht_jax.learning.evaluation import FOLDS, EvaluationProtocol, evaluate
 
         if self.train_on and (self.folds is not None or self.repeats is not None):
             raise InputError("--folds and --repeats are for cross-validation; leave them out, or leave out --train-on.")
-        grammars, how = self.read_tracks()
-        repeats = EvaluationProtocol.repeats if self.repeats is None else self.repeats
-        protocol = EvaluationProtocol(
-            self.folds, repeats, self.seed, self.grid, self.train_on, self.test_on, self.group
-        )
-        families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-        folds = 1 if self.train_on else (self.folds or FOLDS) * repeats
-        recordings, facts = table_and_facts(self.store)
-        spec = self.spec(recordings)
-        with progress_bar("evaluate", "folds", folds) as bar:
-            result = evaluate(recordings, grammars, spec, families, protocol, how, bar.update, facts=facts)
+        with unchanged(self.store):
+            grammars, how = self.read_tracks()
+            repeats = EvaluationProtocol.repeats if self.repeats is None else self.repeats
+            protocol = EvaluationProtocol(
+                self.folds, repeats, self.seed, self.grid, self.train_on, self.test_on, self.group
+            )
+            families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
+            folds = 1 if self.train_on else (self.folds or FOLDS) * repeats
+            recordings, facts = table_and_facts(self.store)
+            spec = self.spec(recordings)
+            with progress_bar("evaluate", "folds", folds) as bar:
+                result = evaluate(recordings, grammars, spec, families, protocol, how, bar.update, facts=facts)
         return {"tracks": " ".join(grammars), **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -199,15 +201,17 @@ class Train(_Learning):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
+        from rcbht_jax.io.store import unchanged
         from rcbht_jax.learning.fitting import train
         from rcbht_jax.learning.model_io import save
 
-        grammars, how = self.read_tracks()
-        families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-        (recordings, facts), grid = table_and_facts(self.store), self.grid
-        spec = self.spec(recordings)
-        with progress_bar("train", "folds", grid.inner) as bar:
-            model = train(recordings, grammars, spec, families, grid, how, self.seed, bar.update, facts, self.group)
+        with unchanged(self.store):
+            grammars, how = self.read_tracks()
+            families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
+            (recordings, facts), grid = table_and_facts(self.store), self.grid
+            spec = self.spec(recordings)
+            with progress_bar("train", "folds", grid.inner) as bar:
+                model = train(recordings, grammars, spec, families, grid, how, self.seed, bar.update, facts, self.group)
         save(self.out, model)
         chosen = model.svm.spec
         return {

@@ -48,24 +48,24 @@ def unpacked_file(path: Path) -> Iterator[Path]:
         yield plain
 
 
-def take_packed(reader: Any) -> bool:
-    """Whether the messages of a bag are packed one by one; from now on its reader leaves that to the caller.
+def take_packed(reader: Any) -> None:
+    """Let a reader of a bag leave it to the caller to unpack messages that are packed one by one.
 
     >>> take_packed(reader)  # doctest: +SKIP
     """
-    stores = [one.storage for one in reader.readers if hasattr(one, "storage")]
-    packed = [one for one in stores if one.metadata.compression_mode == "message"]
-    for one in packed:
-        one.metadata = one.metadata._replace(compression_mode=None)
-    return bool(packed)
+    for one in (one.storage for one in reader.readers if hasattr(one, "storage")):
+        if one.metadata.compression_mode == "message":
+            one.metadata = one.metadata._replace(compression_mode=None)
 
 
 def unpacked_message(data: bytes) -> bytes:
-    """The content of a packed message.
+    """The content of a message of ROS 2, which may be packed, as the metadata of its bag say, if they are there.
 
-    >>> unpacked_message(zstd.compress(b"abc"))
-    b'abc'
+    >>> unpacked_message(zstd.compress(b"abc")), unpacked_message(b"abc")
+    (b'abc', b'abc')
     """
+    if data[: len(ZSTD)] != ZSTD:  # nor does any message of ROS 2 begin so
+        return data
     try:
         return _unpacked(unpack_zstd, data)
     except zstd.ZstdError as error:

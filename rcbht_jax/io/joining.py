@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from rcbht_jax._util.columns import unit_factor
+from rcbht_jax._util.columns import kind_of, unit_factor
 from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax.annotations import Annotations, corrected_variant
 from rcbht_jax.errors import InputError
@@ -55,7 +55,8 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
 
     Raises:
         InputError: fewer than two stores, one of them twice, a store that cannot be read, other axes, units or periods,
-            or two different recordings of one name; ``out`` is one of the stores, or exists and ``overwrite`` is false.
+            text and numbers in one column, or two different recordings of one name; ``out`` is one of the stores, or
+            exists and ``overwrite`` is false.
     """
     if len(paths) < 2:
         raise InputError(f"Expected at least two stores to join, not {len(paths)}.")
@@ -74,6 +75,7 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
         taken[str(path)], copies[str(path)] = int(new.sum()), int((~new).sum())
         if new.any():
             chosen.append(part.take(np.flatnonzero(new)))
+    _check_columns([path for path in paths if taken[str(path)]], chosen)
     whole = Recordings.join(_corrected(chosen))
     if tare_seconds:
         whole = tare(whole, max(1, round(tare_seconds / whole.dt)))
@@ -92,6 +94,19 @@ def _check(paths: Sequence[Path], parts: Sequence[Recordings]) -> None:
         if (part.axes, part.units) != (parts[0].axes, parts[0].units):
             how = _same_units(path, part, paths[0], parts[0]) if part.axes == parts[0].axes else ""
             raise InputError(f"{path} has {_axes(part)}; {paths[0]} has {_axes(parts[0])}.{how}")
+
+
+def _check_columns(paths: Sequence[Path], parts: Sequence[Recordings]) -> None:
+    """Check that each column holds values of one kind; errors name the stores."""
+    known = dict[str, tuple[str, Path]]()
+    for path, part in zip(paths, parts, strict=True):
+        for name, column in part.columns.items():
+            kind, first = known.setdefault(name, (kind_of(column), path))
+            if kind_of(column) != kind:
+                raise InputError(
+                    f"{path} has {kind_of(column)} in the column {name}, {first} has {kind}; import one again with a "
+                    "map that gives it another name or other values."
+                )
 
 
 def _same_units(path: Path, part: Recordings, first_path: Path, first: Recordings) -> str:

@@ -83,8 +83,8 @@ def _send(sink: IO[bytes], path: Path, parts: Sequence[Part]) -> None:
         tables.append([str(part.folder), asdict(part.layout), part.number, fields, kinds, part.hashed])
         arrays += own.values()
     sink.write(json.dumps([str(path), tables]).encode() + b"\n")
-    for values in arrays:
-        sink.write(values.tobytes())
+    for values in (values for values in arrays if values.nbytes):
+        sink.write(np.ascontiguousarray(values).ravel().view(np.uint8).data)  # one that is contiguous is not copied
     sink.flush()
 
 

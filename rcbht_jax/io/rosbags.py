@@ -140,7 +140,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
             reader.open()
             stack.callback(reader.close)
             bound_chunks(reader)
-            reader.packed = take_packed(reader)
+            take_packed(reader)
         except Exception as error:  # a damaged file fails in any way inside the reader
             text = str(error).replace(str(sources[0]), str(path)).rstrip(".") or type(error).__name__
             raise refused if foreign else InputError(f"{path} is not a readable bag: {text}.") from error
@@ -151,10 +151,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 
 class Bag(AnyReader):
-    """A reader with the problems of its file, and whether each message in it is packed and others are left out."""
+    """A reader with the problems of its file, and whether messages that are not of ROS 2 are left out."""
 
     problems: tuple[str, ...] = ()
-    packed = False
     foreign = False
 
     def listed_topics(self) -> str:
@@ -194,7 +193,7 @@ def messages(reader: Bag, connections: Sequence[Any]) -> Iterator[tuple[Any, int
             yield Malformed(f"the bag ends early ({type(error).__name__}: {str(error)[:80]})")
             return
         try:
-            plain = unpacked_message(raw) if reader.packed else raw
+            plain = unpacked_message(raw) if reader.is2 else raw
             yield connection, received, reader.deserialize(plain, connection.msgtype)
         except Exception as error:
             yield Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")

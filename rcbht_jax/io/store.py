@@ -23,6 +23,7 @@ those that need all of a store, also while it is being written.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -38,7 +39,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts, store_old, store_reader, store_writer
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import VARIABLES, validate
-from rcbht_jax.io.store_reader import Stored
+from rcbht_jax.io.store_reader import Stored, replaced
 from rcbht_jax.io.store_schema import FORMAT, FORMAT_VERSION, HASH, LABELS, SIMULATION, in_parts, open_store, schema_of
 from rcbht_jax.io.summary import Summary, summary_of
 from rcbht_jax.labels import AXES, UNITS
@@ -320,6 +321,24 @@ def read_attrs(path: Path) -> dict[str, Any]:
         InputError: ``path`` does not exist or is not a store of this format.
     """
     return dict(open_store(path).attrs)
+
+
+@contextmanager
+def unchanged(path: Path) -> Iterator[None]:
+    """A block that reads a store several times, and is refused if another one was put in its place meanwhile.
+
+    >>> with unchanged(Path("trials.zarr")):
+    ...     table, batches = read_table(Path("trials.zarr")), list(read_batches(Path("trials.zarr")))
+
+    Raises:
+        InputError: it was replaced, whatever else went wrong; or as for :func:`read_attrs`.
+    """
+    before = read_attrs(path).get(HASH)
+    try:
+        yield
+    finally:
+        if read_attrs(path).get(HASH) != before:
+            raise replaced(path)
 
 
 def count_recordings(path: Path) -> int:

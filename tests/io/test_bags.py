@@ -69,7 +69,6 @@ def test_bags(tmp_path, kind):
     assert max(e.sample for e in events) == 240
 
 
-# Messages of MCAP files are packed by the chunk (test_mcap_file.py); rosbags writes none that are packed one by one.
 @pytest.mark.parametrize(("packed", "kind"), [("FILE", "sqlite3"), ("FILE", "mcap"), ("MESSAGE", "sqlite3")])
 def test_packed_bags(packed, kind, tmp_path):
     """They are read, and what unpacks to far more than it is costs neither disk nor memory."""
@@ -92,6 +91,14 @@ def test_packed_bags(packed, kind, tmp_path):
     found = list(read_bag(path))
     assert [one.text.split(" (")[0] for one in found if isinstance(one, Malformed)] == ["a message cannot be read"] * 2
     assert len(found) == 50
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+def test_messages_that_are_packed_one_by_one_need_no_metadata(kind, tmp_path):
+    """A file alone, as of a bag whose other files are damaged, had no readable message."""
+    wrench = trial(1, 60, 50).astype(np.float64)
+    [file] = write_bag(tmp_path / "b", kind, wrench, packed="MESSAGE").glob("b.*")
+    np.testing.assert_array_equal([s.wrench for s in read_bag(file)], wrench)
 
 
 def test_files_of_a_bag_that_are_none_are_not_waited_for(tmp_path):

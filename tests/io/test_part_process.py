@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -72,6 +73,17 @@ def test_text_without_letters_comes_back(tmp_path: Path, process: PartProcess) -
     np.testing.assert_array_equal(
         parts.read(group, "value", slice(3, 5), FIELDS["value"]), np.array([[2, 1, 0], [5, 4, 3]], np.float32)
     )
+
+
+def test_no_array_is_copied_on_its_way(tmp_path: Path, process: PartProcess) -> None:
+    part = part_in(tmp_path / "table")
+    large = replace(part, values={**part.values, "value": np.zeros((2, 10**6), np.float32)})
+    tracemalloc.start()
+    try:
+        written(process, tmp_path / "table", large)
+        assert tracemalloc.get_traced_memory()[1] < 10**6
+    finally:
+        tracemalloc.stop()
 
 
 def test_it_imports_neither_jax_nor_a_simulator() -> None:

@@ -77,3 +77,13 @@ def test_an_export_is_of_one_store(path: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"{path} {WORDS}"):
         export(data, tmp_path / "out", "csv")
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_read_several_times_is_of_one_store(path: Path) -> None:
+    """Commands that train read the table, the signals and the labels of a store one after the other."""
+    with store.unchanged(path):
+        write(path, 1)  # the same content again
+    with pytest.raises(InputError, match=f"{path} {WORDS}"), store.unchanged(path):
+        write(path, 2)
+    with pytest.raises(InputError, match=f"{path} {WORDS}"), store.unchanged(path):
+        raise IndexError(write(path, 1))  # what follows from it

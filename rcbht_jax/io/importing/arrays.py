@@ -19,7 +19,7 @@ from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.isolated import apart
-from rcbht_jax.io.importing.names import GROUPS, wrenches
+from rcbht_jax.io.importing.names import GROUPS, has_forces, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
 from rcbht_jax.io.importing.words import in_order
 
@@ -195,13 +195,15 @@ def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
 def _like(group: Any, h5py: Any) -> Any:
     """The outermost group whose sub-groups (two or more) hold the same names, or the same wrench, or are trial_0, ...
 
-    None: there is no such group; those of single values alone describe segments.
+    None: there is no such group; those of single values alone describe segments, and those beside a wrench, without
+    one of their own, hold more signals of its recording.
     """
     groups = dict(_groups(group, h5py))
     children = list(groups.values())
     alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0])
     signals = any(child.visititems(_is_long) for child in children)
-    if len(children) > 1 and signals and (alike or _named(groups) or _one_wrench(children, h5py)):
+    beside = _one_wrench([group], h5py) and not any(child.visititems(_is_of_forces) for child in children)
+    if len(children) > 1 and signals and ((alike and not beside) or _named(groups) or _one_wrench(children, h5py)):
         return group
     if len(children) == 1:
         return _like(children[0], h5py)
@@ -213,6 +215,11 @@ def _like(group: Any, h5py: Any) -> Any:
 def _is_long(_: str, item: Any) -> bool | None:
     """Whether a member is an array of several values; None = it is not, and h5py visits the next."""
     return True if getattr(item, "size", 0) and item.size > 1 else None
+
+
+def _is_of_forces(name: str, _: Any) -> bool | None:
+    """Whether a member is called like forces; None = it is not, and h5py visits the next."""
+    return has_forces(name) or None
 
 
 def _one_wrench(groups: Iterable[Any], h5py: Any) -> bool:

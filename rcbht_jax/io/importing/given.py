@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rcbht_jax._util.printable import plural
+from rcbht_jax.io.importing.clock import DAY
 from rcbht_jax.io.importing.table import Interval
 
 _NEAR = 1e-6  # s, by which a rounded time may lie before the first sample
@@ -33,6 +34,9 @@ def from_start(
         period: between two samples, s.
     """
     starts, ends = (np.array([one[place] for one in intervals], np.float64) for place in (2, 3))
+    if origin < DAY and ((starts >= 0) & (starts + DAY < origin + end)).any():
+        doubt = "its times pass midnight, and annotations after it were read as seconds from its first sample"
+        return list(intervals), [f"{doubt}; if that is wrong, write all times with their dates."]
     beyond, after = starts >= end, starts >= origin - _NEAR
     clocked = (after | (ends > origin)) & (starts < origin + end)
     if (~after & (starts < end)).any() or not clocked.any():

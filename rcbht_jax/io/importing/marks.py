@@ -311,9 +311,9 @@ def by_recording(
     """The intervals of each recording, the words that mean several recordings, and those that mean none.
 
     Args:
-        rows: the name of a recording, "" = that of all, and an interval.
+        rows: the name of a recording, "" = ``own``, and an interval.
         names: of all recordings.
-        own: the name of the recording of rows without one.
+        own: the name of the recording of rows without one; "" = they are of none.
     """
     meant = {word: names.meant(word or own) for word, _ in rows}
     found: Marks = {}

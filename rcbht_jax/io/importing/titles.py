@@ -56,6 +56,8 @@ def read_titles(file: BinaryIO, path: Path, encoding: str) -> Titles:
     delimiter = _delimiter(head, file.readline(MAX_TABLE_LINE))
     file.seek(start)
     titles = cells.split(head, delimiter, encoding)
+    if not titles:  # of control characters alone
+        raise InputError(f"{path} begins with a line that holds nothing; expected a table.")
     following = _following(file, delimiter, encoding)
     # a delimiter at the end of every row makes an empty cell more than there are names
     below = [row[:-1] if len(row) == len(titles) + 1 and not row[-1] else row for row, _ in following]

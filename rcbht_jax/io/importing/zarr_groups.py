@@ -61,13 +61,21 @@ def read_zarr(path: Path, name: str) -> Iterator[Table]:
     arrays = {key: scaled(array, about[key]) if array.dtype.kind in "fiu" else array for key, array in arrays.items()}
     stated = {key.removeprefix("data/"): texts for key in chosen if (texts := stated_units(about[key]))}
     groups = {key: one.get("attributes", {}) for key, one in metadata.items() if "shape" not in one}
-    facts = {f"{key}/{own}".lstrip("/"): np.asarray(value) for key, one in groups.items() for own, value in one.items()}
+    facts = {f"{key}/{own}".lstrip("/"): _array(value) for key, one in groups.items() for own, value in one.items()}
     arrays = {key: array for key, array in {**facts, **arrays}.items() if array.dtype.kind in "fiubU"}
     several = _episodes(path, arrays)
     for part, own in several.items() if several else [("", arrays)]:
         for table in tables_of(path, f"{name}#{part}" if part else name, own, part):
             units = units_of(table.columns, stated)
             yield replace(table, others=(*table.others, *others), units={**table.units, **units})
+
+
+def _array(attribute: Any) -> NDArray[Any]:
+    """An attribute as an array; of objects, which no recording holds, if it is none."""
+    try:
+        return np.asarray(attribute)
+    except ValueError:  # lists of several lengths
+        return np.asarray(None)
 
 
 def _metadata(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:

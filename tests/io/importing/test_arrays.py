@@ -291,3 +291,14 @@ def test_what_stands_beside_hdf5_groups_is_of_all(tmp_path: Path) -> None:
     assert recordings.dt == pytest.approx(DT)
     assert recordings.columns["operator"].tolist() == ["ann", "ann"]
     np.testing.assert_allclose(recordings.wrench[1], 2 * WRENCH[:, :3], rtol=1e-6)
+
+
+@pytest.mark.parametrize("groups", [("cam0", "cam1"), ("left", "right"), ("pose", "joints")])
+def test_hdf5_groups_beside_a_wrench_are_no_recordings(groups: tuple[str, str], tmp_path: Path) -> None:
+    """The wrench was lost, and each group was a recording of the time beside it."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["time"], file["wrench"] = TIME, WRENCH
+        for number, group in enumerate(groups):
+            file[f"{group}/values"] = np.random.default_rng(number).normal(size=(len(TIME), 4))
+    np.testing.assert_allclose(read_source(tmp_path / "run.h5").recordings.wrench[0], WRENCH, rtol=1e-6)

@@ -111,6 +111,17 @@ def test_rows_without_times_go_on_from_one_recording_to_the_next(tmp_path: Path)
     assert found(imported) == [("a-1", "push", 0.5, 0.8), ("a-2", "pull", 0.1, 0.2)]
 
 
+@pytest.mark.parametrize("before", ["", "hold,23:59:59.7,23:59:59.9\n"])
+def test_times_of_day_after_midnight_without_a_date_are_reported(before: str, tmp_path: Path) -> None:
+    """They were read as seconds from the first sample without a word."""
+    times = [f"23:59:{59.5 + k / 100:06.3f}" if k < 50 else f"00:00:{(k - 50) / 100:06.3f}" for k in range(200)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,Fz", *(f"{time},{k % 7}" for k, time in enumerate(times))]))
+    (tmp_path / "a_labels.csv").write_text(f"label,start,end\n{before}push,00:00:00.2,00:00:00.6\n")
+    imported = read_source(tmp_path)
+    assert found(imported) == [("a", "push", 0.2, 0.6)]
+    assert any("its times pass midnight" in text for _, text in imported.report.warnings)
+
+
 @pytest.mark.parametrize("gap", [0.0, 300.0])
 def test_a_gap_does_not_lengthen_the_last_sample(gap: float, tmp_path: Path) -> None:
     time = np.arange(400) * 0.005

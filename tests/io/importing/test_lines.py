@@ -315,3 +315,9 @@ def test_words_may_be_most_of_a_row_below_a_preamble(clock: str, tmp_path: Path)
     imported = read(tmp_path, "\n".join(lines))
     assert (imported.recordings.axes, imported.recordings.note.tolist()) == (("Fz",), ["preamble:2"])
     np.testing.assert_allclose(imported.recordings.wrench[0, :, 0], WRENCH[:, 2], rtol=1e-6)
+
+
+@pytest.mark.parametrize("text", ["\x1c", "\x1f\n1.0\n2.0\n"])
+def test_a_first_line_of_control_characters_is_refused(text: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"begins with a line that holds nothing; expected a table\.$"):
+        read(tmp_path, text)

@@ -113,7 +113,8 @@ def test_attributes_of_the_group_of_a_recording_are_its_facts(version: Any, tmp_
     group.attrs["fps"] = 100
     for number in range(2):
         group.create_array(f"trial_{number}/force", data=np.random.default_rng(number).normal(size=(60, 3)))
-        group[f"trial_{number}"].attrs.update({"operator": "ab"[number], "success": number == 1})
+        others = {"cells": [[1, 2], [3]], "config": {"gain": 1}, "comment": None}  # which are no facts
+        group[f"trial_{number}"].attrs.update({"operator": "ab"[number], "success": number == 1, **others})
     recordings = read_source(tmp_path / "runs.zarr").recordings
     assert recordings.dt == pytest.approx(0.01)
     assert recordings.columns["operator"].tolist() == ["a", "b"]
