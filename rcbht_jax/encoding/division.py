@@ -8,7 +8,7 @@ import numpy as np
 
 from rcbht_jax.types import Array
 
-_SPLIT = 4097  # 2**12 + 1: halves of 12 bits, whose products are exact
+_SPLIT = {4: 2**12 + 1, 8: 2**27 + 1}  # by bytes of a number: makes halves, whose products are exact
 
 
 def quotient(x: Array, y: Array) -> Array:
@@ -29,7 +29,7 @@ def quotient(x: Array, y: Array) -> Array:
 def exact(x: Array, y: Array) -> Array:
     """As :func:`quotient`, whatever a compiler makes of a quotient: a digit is off where a drain has a single lane."""
     x, y = jnp.broadcast_arrays(x, y)
-    return corrected(x, y) if x.dtype == jnp.float32 else jax.lax.div(x, y)
+    return corrected(x, y)
 
 
 def fenced(product: Array) -> Array:
@@ -39,7 +39,7 @@ def fenced(product: Array) -> Array:
 
 @jax.custom_jvp
 def corrected(x: Array, y: Array) -> Array:
-    """The quotient of single-precision arrays of one shape, from one that is a few digits off."""
+    """The quotient of arrays of one shape, in single or double precision, from one that is a few digits off."""
     rough = jax.lax.div(x, y)
     near = rough + fenced(jax.lax.div(_remainder(x, rough, y), y))  # the quotient, or the number next to it
     rest = _remainder(x, near, y)
@@ -67,6 +67,6 @@ def _remainder(x: Array, q: Array, y: Array) -> Array:
 
 
 def _halves(x: Array) -> tuple[Array, Array]:
-    scaled = fenced(_SPLIT * x)
+    scaled = fenced(_SPLIT[x.dtype.itemsize] * x)
     high = scaled - (scaled - x)
     return high, x - high

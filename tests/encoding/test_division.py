@@ -27,16 +27,21 @@ def pairs() -> tuple[np.ndarray, np.ndarray]:
 
 def of_a_gpu(x: Array, y: Array) -> Array:
     """Two digits off, either way."""
-    wrong = jax.lax.bitcast_convert_type(PLAIN(x, y), jnp.int32)
-    wrong = wrong + jax.lax.bitcast_convert_type(x, jnp.int32) % 5 - 2
-    return jnp.where(x == 0, 0, jax.lax.bitcast_convert_type(wrong, jnp.float32))
+    bits = jnp.int32 if x.dtype == jnp.float32 else jnp.int64
+    wrong = jax.lax.bitcast_convert_type(PLAIN(x, y), bits)
+    wrong = wrong + jax.lax.bitcast_convert_type(x, bits) % 5 - 2
+    return jnp.where(x == 0, 0, jax.lax.bitcast_convert_type(wrong, x.dtype))
 
 
-def test_wrong_digits_are_corrected(pairs: tuple[np.ndarray, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    x, y = pairs
-    assert (np.asarray(of_a_gpu(*map(jnp.asarray, pairs))) != x / y).mean() > 0.5
-    monkeypatch.setattr(jax.lax, "div", of_a_gpu)
-    np.testing.assert_array_equal(jax.jit(lambda x, y: division.corrected(x, y))(x, y), x / y)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_wrong_digits_are_corrected(
+    dtype: type, pairs: tuple[np.ndarray, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with jax.enable_x64(dtype == np.float64):
+        x, y = (each.astype(dtype) / 3 for each in pairs)
+        assert (np.asarray(of_a_gpu(jnp.asarray(x), jnp.asarray(y))) != x / y).mean() > 0.5
+        monkeypatch.setattr(jax.lax, "div", of_a_gpu)
+        np.testing.assert_array_equal(jax.jit(lambda x, y: division.exact(x, y))(x, y), x / y)
 
 
 def test_quotients_in_the_middle_between_two_numbers_are_corrected(monkeypatch: pytest.MonkeyPatch) -> None:

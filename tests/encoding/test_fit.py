@@ -305,15 +305,17 @@ def test_configurations_that_make_no_sense_are_refused(options: dict) -> None:
         FitConfig(**options)
 
 
-def test_a_recording_of_one_axis_equals_itself_beside_another_bit_for_bit() -> None:
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_recording_of_one_axis_equals_itself_beside_another_bit_for_bit(dtype: type) -> None:
     """In a drain of a single lane a compiler's quotient was a digit off."""
     limits = FitLimits(preset("hiro", ["Fz"]).limits, np.array([0.2]))
-    walk = np.cumsum(np.random.default_rng(0).normal(size=(300, 1)) * 0.5, 0).astype(np.float32) + 100_000
-    for samples in range(100, 300, 10):
-        alone = batch(FitConfig(), walk, samples, limits)
-        beside = encode_batch(FitConfig(), limits, np.stack([walk, walk]), np.array([samples, samples], np.int32))
-        for one, two in zip(layers(alone), layers(beside), strict=True):
-            assert published(one, (0, 0)) == published(two, (0, 0))
+    walk = np.cumsum(np.random.default_rng(0).normal(size=(300, 1)) * 0.5, 0).astype(dtype) + 100_000
+    with jax.enable_x64(dtype == np.float64):
+        for samples in range(100, 300, 10):
+            alone = batch(FitConfig(), walk, samples, limits)
+            beside = encode_batch(FitConfig(), limits, np.stack([walk, walk]), np.array([samples, samples], np.int32))
+            for one, two in zip(layers(alone), layers(beside), strict=True):
+                assert published(one, (0, 0)) == published(two, (0, 0))
 
 
 @pytest.mark.parametrize("tolerance", [np.zeros(3), np.full(3, np.nan), np.ones(4)])
