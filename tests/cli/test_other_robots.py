@@ -91,6 +91,20 @@ def test_thresholds_come_from_the_recordings(store: Path, tmp_path: Path, capsys
     assert "the thresholds do not fit these recordings." in capsys.readouterr().out
 
 
+def test_limits_of_windows_at_rest_are_for_the_papers_rule(
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Noise tilts windows more than runs: by the fit rule they hid pushes, without a word."""
+    file, fit = tmp_path / "rest.json", ("--rule", "fit")
+    limits = run(capsys, "calibrate", store, "-o", file, "--method", "rest")["limits"]
+    for command in ("encode", "stream"):
+        assert main([command, str(store), *fit, "--thresholds", str(file)]) == 2
+        assert "are for --rule paper; choose that, or make the file with --rule fit." in capsys.readouterr().err
+    by_hand = rj.GradientThresholds(np.array(limits))
+    write_thresholds(file, by_hand, {"method": "search"}, ("grip", "twist"))  # other limits may be for either rule
+    assert run(capsys, "encode", store, *fit, "--thresholds", file)["thresholds"] == limits
+
+
 def test_thresholds_mean_the_same_in_other_units(
     store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
