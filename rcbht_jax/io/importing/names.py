@@ -150,13 +150,17 @@ def is_axis(name: str) -> bool:
     return _axis_of(snake(split_unit(name)[0]), "") is not None
 
 
+def _words(name: str) -> list[str]:
+    return re.split(r"[\W_\d]+", snake(name))
+
+
 def has_forces(name: str) -> bool:
     """Whether a name is one of forces.
 
     >>> has_forces("ft_wrench"), has_forces("object_pose")
     (True, False)
     """
-    return not set(OF_FORCES).isdisjoint(re.split(r"[\W_\d]+", snake(name)))
+    return not set(OF_FORCES).isdisjoint(_words(name))
 
 
 def has_axes(name: str, count: int) -> bool:
@@ -165,7 +169,7 @@ def has_axes(name: str, count: int) -> bool:
     >>> has_axes("tcp_force", 3), has_axes("torque", 200), has_axes("joints", 6)
     (True, False, False)
     """
-    return count in (3, 6) and not set(WHOLE).isdisjoint(re.split(r"[\W_\d]+", snake(name)))
+    return count in (3, 6) and not set(WHOLE).isdisjoint(_words(name))
 
 
 def axis_name(name: str) -> str:
