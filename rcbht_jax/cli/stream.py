@@ -329,13 +329,12 @@ class ExportModel(Command):
 
 def _summaries(recordings: Recordings, specs: tuple[HeadSpec, ...], model: IntrospectionModel) -> dict[str, Any]:
     """What was learned, by classifier: classes, machine, classes left out, and what else predicts the class."""
-    from rcbht_jax.learning.class_groups import learnable
+    from rcbht_jax.introspection.training import training_items
     from rcbht_jax.learning.confounds import confounds
-    from rcbht_jax.learning.tasks import labelled_intervals
     from rcbht_jax.learning.wrench_facts import WrenchFacts
 
     facts = WrenchFacts.of(recordings)
-    items = [learnable(labelled_intervals(recordings, spec.task))[0] for spec in specs]
+    items = [training_items(recordings, spec, model.encoder, model.extra["seed"]) for spec in specs]
     return {
         head.name: {
             "classes": list(head.classes),

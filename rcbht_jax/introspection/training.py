@@ -24,7 +24,7 @@ from rcbht_jax.introspection.chain import FeatureView, online_features_batch
 from rcbht_jax.introspection.introspector import PHASE, PHASE_IN_TRIAL
 from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
 from rcbht_jax.labels import AXES
-from rcbht_jax.learning.class_groups import TooFewTrials, groups_of_classes, learnable
+from rcbht_jax.learning.class_groups import LARGEST, TooFewTrials, groups_of_classes, learnable, some_items
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.progress import ProgressCalibration
 from rcbht_jax.learning.svm import Grid, select
@@ -42,6 +42,7 @@ OUTCOME = "outcome"  # the task whose classifier raises alarms
 # Features, class and trial of every training snapshot.
 Training = tuple[Float[np.ndarray, "row feature"], Int[np.ndarray, " row"], Shaped[np.ndarray, " row"]]
 PICKED = 12  # snapshots per interval and per spacing (even, geometric) for training
+MOST = 24_000  # snapshots that train a classifier; the time of a fit grows with their square
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,7 @@ def learn(
     ends: int,
     seed: int,
     axes: int = len(AXES),
+    most: int | None = None,
 ) -> ProbabilisticSvm:
     """Train a classifier; kernel and cost are chosen by cross-validation grouped by trial.
 
@@ -180,6 +182,8 @@ def learn(
         ends: times that the last snapshot of a complete interval counts.
         seed: of the folds.
         axes: number of them.
+        most: snapshots for the choice, of whole trials (:func:`rcbht_jax.learning.class_groups.some_items`); None =
+            all.
 
     Raises:
         InputError: a class has fewer trials than the cross-validation has folds, or a feature is not finite.
@@ -187,7 +191,8 @@ def learn(
     rows = np.repeat(np.arange(len(snapshots)), np.where(snapshots.complete, ends, 1))
     interval = snapshots.interval[rows]
     y, groups, weight = items.y[interval], items.trial[interval], weights(spec, axes)
-    chosen = select({"": x[rows]}, y, groups, grid, seed, {"": weight})
+    some = some_items(y, groups, groups, seed, most or len(y))
+    chosen = select({"": x[rows[some]]}, y[some], groups[some], grid, seed, {"": weight})
     return fit_probabilistic(x[rows], y, groups, items.classes, chosen, seed, weight=weight)
 
 
@@ -202,7 +207,8 @@ def train_head(
     """Train one classifier on the training snapshots of its task.
 
     Its probabilities for a whole trial are calibrated by progress (:mod:`rcbht_jax.learning.progress`), on beliefs
-    about held-out trials.
+    about held-out trials. Trials with more than 24,000 snapshots in all are learnt in part (:func:`training_items`),
+    and hyper-parameters are chosen on at most 5,000 of the snapshots.
 
     ``progress`` is called with the number of snapshots since the last call and the total.
 
@@ -212,7 +218,7 @@ def train_head(
     """
     if not np.isclose(config.dt, recordings.dt):
         raise InputError(f"The encoder has a sampling period of {config.dt} s, the recordings of {recordings.dt} s.")
-    items, _ = learnable(labelled_intervals(recordings, spec.task))
+    items = training_items(recordings, spec, config, seed)
     several = int((groups_of_classes(items.y, items.trial, range(len(items.classes))) > 1).sum())
     if several < 2:
         raise TooFewTrials(
@@ -225,13 +231,13 @@ def train_head(
     if spec.false_alarms and spec.task.task == OUTCOME and not alarm:
         raise InputError(f"No outcome is {FAILURE}, so no alarm is learned; leave out the rate of false alarms.")
     spec = replace(spec, subtask=bool(track))
-    snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
+    snapshots = training_snapshots(items, _every(spec, config), early=bool(track))
     snapshots = since_trial_start(snapshots) if spec.phase else snapshots
     view, total = spec.view, len(snapshots)
     x = snapshot_features(
         recordings, snapshots, view, config, thresholds, progress and (lambda done: progress(done, total))
     )
-    machine = learn(x, snapshots, items, view.spec, *spec.learning, seed, recordings.wrench.shape[2])
+    machine = learn(x, snapshots, items, view.spec, *spec.learning, seed, recordings.wrench.shape[2], LARGEST)
     head = Head(spec.name, spec.scope, view, machine, alarm)
     head = replace(head, alarm_hold=spec.hold) if alarm else head
     training = x, items.y[snapshots.interval], items.trial[snapshots.interval]
@@ -241,6 +247,26 @@ def train_head(
         level = _alarm_level(recordings, spec, config, thresholds, items, head, training, seed)
         head = replace(head, alarm_level=level)
     return head
+
+
+def training_items(recordings: Recordings, spec: HeadSpec, config: AnyConfig, seed: int = 0) -> LabelledIntervals:
+    """The intervals that train a classifier, of classes with two trials or more.
+
+    Of trials with more than 24,000 snapshots it takes some in a seeded order
+    (:func:`rcbht_jax.learning.class_groups.some_items`), and counts the others as left out.
+
+    Raises:
+        InputError: as from :func:`rcbht_jax.learning.tasks.labelled_intervals`.
+    """
+    items, _ = learnable(labelled_intervals(recordings, spec.task))
+    interval = training_snapshots(items, _every(spec, config), early=bool(track_of(recordings, spec.task))).interval
+    trial = items.trial[interval]
+    rows = some_items(items.y[interval], trial, trial, seed, MOST)
+    if len(rows) == len(interval):
+        return items
+    kept = items.take(np.unique(interval[rows]))
+    left = len(np.unique(items.trial)) - len(np.unique(kept.trial))
+    return replace(kept, dropped=kept.dropped | {f"beyond {MOST:,} snapshots to learn from": left})
 
 
 def _check_apart(items: LabelledIntervals, recordings: Recordings, track: str) -> None:
@@ -345,15 +371,17 @@ def train_model(
     extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
     extra |= {"axes": list(recordings.axes), "units": list(recordings.units)}
     kept = limits if isinstance(limits, FitLimits) else np.asarray(limits_of(limits), np.float64)
-    rows = _trained_on(recordings, specs)
+    rows = _trained_on(recordings, specs, config, seed)
     extra["arm"] = learned_arm(str(recordings.arm[rows[0]]), recordings.arm)
     seen = wrench_digests(recordings.wrench, recordings.length)[rows]
     return IntrospectionModel(config, kept, heads, data_hash(recordings), extra=extra, digests=seen)
 
 
-def _trained_on(recordings: Recordings, specs: tuple[HeadSpec, ...]) -> Int[np.ndarray, " row"]:
+def _trained_on(
+    recordings: Recordings, specs: tuple[HeadSpec, ...], config: AnyConfig, seed: int
+) -> Int[np.ndarray, " row"]:
     """The recordings that any classifier has learnt from."""
-    tasks = (learnable(labelled_intervals(recordings, spec.task))[0] for spec in specs)
+    tasks = (training_items(recordings, spec, config, seed) for spec in specs)
     return np.unique(np.concatenate([items.intervals[0].recording for items in tasks]))
 
 

@@ -161,6 +161,42 @@ def test_a_model_keeps_the_digests_of_its_training_recordings_alone_and_their_ar
     assert model.arm == "L"
 
 
+@pytest.mark.parametrize("most", [0, 20, 10**6])
+def test_many_trials_are_learnt_in_part(monkeypatch, most):
+    """A thousand simulated trials wanted a kernel of 100 GB; whole trials are left out, and counted."""
+    if most:
+        monkeypatch.setattr(training, "MOST", most)
+    shape = np.random.default_rng(0).normal(size=(30, 60, 6)).astype(np.float32)
+    data = Recordings.from_arrays(shape, 200, outcome=["success", "failure"] * 15)
+    spec, config = HeadSpec(TaskSpec("outcome"), families=("histogram",), rate=20), EncoderConfig()
+    items = training.training_items(data, spec, config, seed=1)
+    each = len(training_snapshots(items.take(np.arange(1)), every=10, early=False))
+    trials = 30 if most != 20 else 10  # five of each class at least
+    assert each * 30 > 20
+    assert len(items.y) == trials
+    assert set(items.y.tolist()) == {0, 1}
+    assert items.dropped == ({} if trials == 30 else {"beyond 20 snapshots to learn from": 20})
+    model = training.train_model(data, (spec,), seed=1)
+    rows = items.intervals[0].recording
+    np.testing.assert_array_equal(model.digests, wrench_digests(data.wrench, data.length)[np.sort(rows)])
+
+
+def test_hyper_parameters_are_chosen_on_some_snapshots_and_all_of_them_train(monkeypatch):
+    asked = []
+    monkeypatch.setattr(training, "LARGEST", 100)
+    monkeypatch.setattr(training, "select", lambda x, *rest: asked.append(len(x[""])) or SvmSpec(kernel="linear"))
+    wrench = np.random.default_rng(0).normal(size=(30, 60, 6)).astype(np.float32)
+    data = Recordings.from_arrays(wrench, 200, outcome=["success", "failure"] * 15)
+    fitted = training.fit_probabilistic
+    monkeypatch.setattr(
+        training, "fit_probabilistic", lambda x, *rest, **more: asked.append(len(x)) or fitted(x, *rest, **more)
+    )
+    training.train_head(
+        data, HeadSpec(TaskSpec("outcome"), families=("histogram",), rate=20), EncoderConfig(), preset()
+    )
+    assert asked == [96, 180]  # whole trials of six snapshots
+
+
 def test_classes_in_one_trial_only_are_refused_by_the_name_of_their_task():
     recordings = Recordings.from_arrays(np.zeros((4, 400, 6)), outcome=["failure", "success", "success", "unknown"])
     spec = HeadSpec(TaskSpec("outcome"))
