@@ -1,6 +1,7 @@
 """``rcbht simulate`` on GPUs, from the command to the last byte: nothing compiled, programs in the cache, two devices.
 
-The first rows come after sets of one wave of lanes in the same process. Run where there is a GPU:
+Rows "in a process that has compiled" come after a set of one wave of lanes in the same process. Run where there is a
+GPU; rows that are measured are kept in FOLDER, and an interrupted run goes on with the others:
 python -m experiments.simulation.simulate_gpu FOLDER
 """
 
@@ -12,6 +13,8 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,24 +22,26 @@ import jax
 import tyro
 
 from experiments._lib.results_io import write_result
+from rcbht_jax._util import checkpoint
 from sim_mjx.synthesis import launch
 
 ENGINE, PRESET, LONGEST, TRIALS = "warp", "hooked-B", 25.0, 10_000
 COMMAND = ("simulate", "--preset", PRESET, "--max-seconds", str(LONGEST), "--engine", ENGINE, "--window", "5")
+Row = dict[str, Any]
 
 
-def in_one_process(folder: Path) -> list[dict[str, Any]]:
-    """Sets of trials in a process that has compiled, by parts."""
+def in_one_process(folder: Path, trials: int, preset: str) -> Row:
+    """A set of trials in a process that has compiled."""
     out = folder / "in_one_process.json"
-    sizes = [str(TRIALS), str(10 * TRIALS)]
-    words = ["--engine", ENGINE, "--preset", PRESET, "--sections", "synthesis", "--trials", *sizes, "--out", str(out)]
+    words = ["--engine", ENGINE, "--preset", preset, "--sections", "synthesis", "--trials", str(trials)]
     env = {**os.environ, launch.AS_NEEDED[0]: launch.AS_NEEDED[1]}  # as the command does
-    subprocess.run([sys.executable, "-m", "experiments.simulation.engines_gpu", *words], check=True, env=env)
-    found: dict[str, Any] = json.loads(out.read_text())["synthesis"]
-    return [found[size] | {"gpus": 1} for size in sizes]
+    program = [sys.executable, "-m", "experiments.simulation.engines_gpu", *words, "--out", str(out)]
+    subprocess.run(program, check=True, env=env)
+    found: Row = json.loads(out.read_text())["synthesis"][str(trials)]
+    return found | {"gpus": 1, "cores": os.cpu_count()}
 
 
-def command(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
+def command(folder: Path, trials: int, gpus: list[str]) -> Row:
     """Seconds of the command, its start included."""
     target = folder / "trials.zarr"
     words = [*COMMAND, str(target), "--trials", str(trials), "--compile-cache", str(folder / "cache"), "--json"]
@@ -51,22 +56,32 @@ def command(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
     return {"trials": trials, "gpus": len(gpus), "seconds": round(seconds, 1), "cores": os.cpu_count()}
 
 
+def rows_for(folder: Path, gpus: list[str]) -> Iterator[tuple[str, Callable[[], Row]]]:
+    """Names of the rows, and what measures them; each command after the first finds its programs in the cache."""
+    alone = "{:,} trials of {}, one GPU, in a process that has compiled"
+    yield alone.format(TRIALS, PRESET), partial(in_one_process, folder, TRIALS, PRESET)
+    name = f"{{:,}} trials of {PRESET}, {{}}, command, {{}}"
+    for what in ("nothing compiled", "programs in the cache"):
+        yield name.format(TRIALS, "one GPU", what), partial(command, folder, TRIALS, gpus[:1])
+    if len(gpus) > 1:
+        yield name.format(2 * TRIALS, "two GPUs", what), partial(command, folder, 2 * TRIALS, gpus[:2])
+    for count, preset in ((10 * TRIALS, PRESET), (TRIALS, "B")):
+        yield alone.format(count, preset), partial(in_one_process, folder, count, preset)
+
+
 def main(folder: Annotated[Path, tyro.conf.Positional]) -> None:
     """Measure and store."""
+    folder.mkdir(parents=True, exist_ok=True)
     gpus = launch.visible_devices()
-    name = "{:,} trials of {}, one GPU, in a process that has compiled"
-    rows = {name.format(row["trials"], PRESET): row for row in in_one_process(folder)}
-    for what in ("nothing compiled", "programs in the cache"):
-        rows[f"{TRIALS:,} trials of {PRESET}, one GPU, command, {what}"] = command(folder, TRIALS, gpus[:1])
-    if len(gpus) > 1:
-        name = f"{2 * TRIALS:,} trials of {PRESET}, {{}}, command, programs in the cache"
-        rows[name.format("one GPU")] = command(folder, 2 * TRIALS, gpus[:1])
-        rows[name.format("two GPUs")] = command(folder, 2 * TRIALS, gpus[:2])
-        name = f"{10 * TRIALS:,} trials of {PRESET}, two GPUs, command, programs in the cache"
-        rows[name] = command(folder, 10 * TRIALS, gpus[:2])
-    card = jax.devices()[0].device_kind.split()[1]
-    rows = {name: row | {"card": card} for name, row in rows.items()}
-    about = {"longest_s": LONGEST, "engine": ENGINE, "rows": rows}
+    here = {"gpus": gpus, "cores": os.cpu_count(), "jax": jax.__version__, "engine": ENGINE, "longest_s": LONGEST}
+    kept = folder / "rows.json"
+    rows: dict[str, Row] = checkpoint.load(kept, here) or {}
+    for name, measure in rows_for(folder, gpus):
+        if name not in rows:
+            rows[name] = measure()
+            checkpoint.save(kept, here, rows)
+    card = jax.devices()[0].device_kind.split()[1]  # at the end: from here on this process holds a GPU
+    about = {"longest_s": LONGEST, "engine": ENGINE, "rows": {name: row | {"card": card} for name, row in rows.items()}}
     write_result("simulate_gpu", "python -m experiments.simulation.simulate_gpu FOLDER", about, 0)
 
 
