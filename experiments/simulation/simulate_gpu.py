@@ -1,4 +1,4 @@
-"""``rcbht simulate`` on GPUs, from the command to the last byte: nothing compiled, programs in the cache, two devices.
+"""``rcbht simulate`` on GPUs, from the command to the last byte: with and without programs in the cache, two devices.
 
 Rows "in a process that has compiled" come after a set of one wave of lanes in the same process. Run where there is a
 GPU; rows that are measured are kept in FOLDER, and an interrupted run goes on with the others:
@@ -61,7 +61,7 @@ def rows_for(folder: Path, gpus: list[str]) -> Iterator[tuple[str, Callable[[], 
     alone = "{:,} trials of {}, one GPU, in a process that has compiled"
     yield alone.format(TRIALS, PRESET), partial(in_one_process, folder, TRIALS, PRESET)
     name = f"{{:,}} trials of {PRESET}, {{}}, command, {{}}"
-    for what in ("nothing compiled", "programs in the cache"):
+    for what in ("JAX's programs not compiled", "programs in the cache"):
         yield name.format(TRIALS, "one GPU", what), partial(command, folder, TRIALS, gpus[:1])
     if len(gpus) > 1:
         yield name.format(2 * TRIALS, "two GPUs", what), partial(command, folder, 2 * TRIALS, gpus[:2])
