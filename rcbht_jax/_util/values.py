@@ -27,10 +27,12 @@ def usable(samples: NDArray[np.floating]) -> bool:
 
 
 def check_usable(wrench: NDArray[np.floating], length: NDArray[np.integer]) -> None:
-    """Raise an error for recordings ``[recording, time, axis]`` that are not :func:`usable` within their lengths.
+    """Raise an error for recordings ``[recording, time, axis]`` that are shorter than their lengths, or not usable.
 
     >>> check_usable(np.array([[[1.0], [np.nan]]]), np.array([1]))
     """
+    if wrong := [samples for samples in length.tolist() if not 0 <= samples <= wrench.shape[1]]:
+        raise InputError(f"A length is {wrong[0]}; expected 0 to {wrench.shape[1]} samples.")
     for index, samples in enumerate(length):
         if not usable(wrench[index, :samples]):
             raise InputError(

@@ -273,12 +273,9 @@ def fit_windows(config: AnyConfig, wrench: NDArray[np.floating], length: NDArray
             f"The wrench has shape {wrench.shape} with {length.size} lengths; expected [recording, time, 6] and one "
             "length for each recording."
         )
-    if length.min() < 0 or length.max() > wrench.shape[1]:
-        wrong = int(length.min()) if length.min() < 0 else int(length.max())
-        raise InputError(f"A length is {wrong}; expected 0 to {wrench.shape[1]} samples.")
+    check_usable(wrench, length)
     count = -(-int(length.max()) // config.window)
     padded = np.zeros((len(length), count * config.window, AXES), wrench.dtype)
-    check_usable(wrench, length)
     for row, samples in enumerate(length):
         padded[row, :samples] = wrench[row, :samples]
     counts = length.astype(np.int32)

@@ -195,8 +195,7 @@ def auto_thresholds(recordings: Recordings, window: int = 5, rule: str = "paper"
     Raises:
         InputError: no encoder has such a window or rule.
     """
-    longest = int(recordings.length.max())
-    if longest < 2 * window:
+    if recordings.length.max(initial=0) < 2 * window:
         return _preset(recordings)
     return rest_thresholds(recordings, window, rule).thresholds
 

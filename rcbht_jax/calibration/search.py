@@ -262,8 +262,8 @@ class _Run:
         known = self.stored.read(first, len(points))
         done = len(known)
 
-        def keep(start: int, new: Scores) -> None:
-            self.stored.write(first + done + start, new)
+        def keep(_: int, new: Scores) -> None:
+            self.stored.write(new)
             if progress is not None:
                 progress(len(new))
 
@@ -385,10 +385,8 @@ class ScoreCheckpoint:
         """Known scores of evaluations ``first`` and following, at most ``count``."""
         return self._scores[first : first + count]
 
-    def write(self, first: int, scores: Scores) -> None:
-        """Append scores of evaluations ``first`` and following, which must come right after the last known one."""
-        if first != len(self._scores):
-            raise ValueError(f"evaluation {first} does not follow the {len(self._scores)} known ones")
+    def write(self, scores: Scores) -> None:
+        """Append scores of evaluations."""
         self._scores = np.concatenate([self._scores.reshape(-1, scores.shape[1]), scores])
         if self._path is not None:
             files.save(self._path, self._made_by, self._scores.tolist())

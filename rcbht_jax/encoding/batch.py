@@ -125,16 +125,10 @@ def _checked(
         raise InputError(
             f"There are {length.size} lengths for {wrench.shape[0]} recordings; expected as many, at least one."
         )
-    if length.min() < 0 or length.max() > wrench.shape[1]:
-        wrong = int(length.min()) if length.min() < 0 else int(length.max())
-        raise InputError(f"A length is {wrong}; expected 0 to {wrench.shape[1]} samples.")
     check_usable(wrench, length)
     limits, axes = checked_limits(config, thresholds), wrench.shape[2]
-    width = limits.shape[-1]
-    if limits.shape not in ((axes, width), (len(length), axes, width)):
-        shape = (*limits.shape[:-1], 4)
-        raise InputError(f"Thresholds have shape {shape}; expected [{axes}, 4] or [recording, {axes}, 4].")
-    return np.broadcast_to(limits, (len(length), axes, width)).astype(wrench.dtype)
+    of_lanes(limits[..., :4], 4, (len(length), axes))
+    return np.broadcast_to(limits, (len(length), axes, limits.shape[-1])).astype(wrench.dtype)
 
 
 def _gather(

@@ -200,11 +200,10 @@ def latest_words(track: LabelTrack, times: Int[np.ndarray, " moment"]) -> Float[
     for axis in range(label.shape[0]):
         used = np.flatnonzero(label[axis] > 0)
         place = np.searchsorted(emit[axis, used], times, side="right") - 1
-        slot = used[np.maximum(place, 0)] if len(used) else np.zeros(len(times), int)
-        known = (place >= 0) & (len(used) > 0)
+        slot = used[place] if len(used) else place
         start, end = t0[axis, slot], t1[axis, slot]
         facts = np.stack([label[axis, slot], vmax[axis, slot] - vmin[axis, slot], end - start, times - end], 1)
-        columns.append(np.where(known[:, None], facts, 0.0))
+        columns.append(np.where(place[:, None] >= 0, facts, 0.0))
     return np.concatenate(columns, 1)
 
 

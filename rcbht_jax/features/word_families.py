@@ -122,13 +122,8 @@ def ngram(n: int, weighing: Sequence[str] = ("count",)) -> Callable[[ClippedSpan
         runs = windows(words.code)
         place = words.size ** np.arange(n - 1, -1, -1)
         code = np.where((runs > 0).all(-1), ((runs - 1) * place).sum(-1) + 1, 0)
-
-        def weight(kind: str) -> Float[np.ndarray, "interval axis run"]:
-            return np.where(code > 0, 1.0 if kind == "count" else windows(word_weights(words, kind)).sum(-1), 0.0)
-
-        return np.concatenate(
-            [share(weighted_counts(code, weight(kind), words.size**n)) for kind in weighing], -1
-        ), columns
+        weights = [windows(word_weights(words, kind)).sum(-1) for kind in weighing]
+        return np.concatenate([share(weighted_counts(code, one, words.size**n)) for one in weights], -1), columns
 
     return make
 
@@ -182,11 +177,10 @@ def _mean_level(words: ClippedSpans) -> Float[np.ndarray, "interval axis 1"]:
 def attributes(words: ClippedSpans) -> Block:
     """Amplitude, slope and level relative to the interval's mean, per group; the range of the interval."""
     labels = _groups(words)[1]
-    level = np.where(words.code > 0, words.value["avg"] - _mean_level(words), 0)
+    level = words.value["avg"] - _mean_level(words)
     top = np.where(words.code > 0, words.value["vmax"], -np.inf).max(-1, keepdims=True)
     bottom = np.where(words.code > 0, words.value["vmin"], np.inf).min(-1, keepdims=True)
-    labelled = np.isfinite(top)
-    span = np.where(labelled, np.where(labelled, top, 0) - np.where(labelled, bottom, 0), 0)
+    span = np.where(np.isfinite(top), top - bottom, 0)
     amplitude = _mean_per_group(words, words.value["vmax"] - words.value["vmin"])
     slope = _mean_per_group(words, words.value["grad"])
     values = np.concatenate([amplitude, slope, _mean_per_group(words, level), span], -1)

@@ -50,9 +50,11 @@ def encode_dataset(
         host arrays ``[recording, axis, slot]``, unused slots at the end.
 
     Raises:
-        InputError: the axes are not those of a wrench in its usual order, or a recording is too short or holds values
-            that are not finite.
+        InputError: there are no recordings, the axes are not those of a wrench in its usual order, or a recording is
+            too short or holds values that are not finite.
     """
+    if not len(recordings):
+        raise InputError("There is no recording; expected at least one.")
     if recordings.axes != AXES:  # the original programs tell forces from moments by their place
         raise InputError(
             f"The axes are {' '.join(recordings.axes)}; the offline program expects {' '.join(AXES)}, in this order."

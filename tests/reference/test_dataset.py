@@ -38,8 +38,10 @@ def test_store_labels_equal_the_golden_tables(hiro_recordings: Recordings, golde
                 np.testing.assert_array_equal(label[label > 0], golden[key][span, column])
 
 
-def test_axes_in_another_order_are_refused() -> None:
+def test_axes_in_another_order_and_no_recordings_are_refused() -> None:
     push = np.linspace(0, 20, 400)[:, None] * np.ones(6)
     turned = Recordings.from_arrays([push], 200.0, axes=("Mx", "My", "Mz", "Fx", "Fy", "Fz"))
     with pytest.raises(InputError, match=r"axes are Mx My Mz Fx Fy Fz; .* expects Fx Fy Fz Mx My Mz, in this order"):
         encode_dataset(turned)
+    with pytest.raises(InputError, match="There is no recording"):
+        encode_dataset(turned.take([]))
