@@ -101,7 +101,7 @@ class _Learning(Command):
         from rcbht_jax.io.label_store import choose_name, read_tracks_attrs, track_batches
 
         choices = [choice.split("+") for choice in self.tracks or ("",)]
-        grammars = [[choose_name(self.store, wanted) for wanted in choice] for choice in choices]
+        grammars = [list(dict.fromkeys(choose_name(self.store, wanted) for wanted in choice)) for choice in choices]
         how = {name: read_tracks_attrs(self.store, name) for names in grammars for name in names}
         return {"+".join(names): track_batches(self.store, {name: name for name in names}) for names in grammars}, how
 

@@ -39,12 +39,10 @@ def examined(
     left = [f"{what} left out: {reason}." for what, reason in reasons_of(items.dropped)]
     trials = groups_of_classes(items.y, items.trial, range(len(items.classes)))
     if trials.min() < 2:
-        several = (
-            f"one of its {len(trials)} classes does"
-            if (trials > 1).any()
-            else f"none of its {len(trials)} classes does"
+        too_few = (
+            "to train and to test, two classes must occur in two trials or more; at most one of its "
+            f"{len(trials)} classes does."
         )
-        too_few = f"to train and to test, two classes must occur in two trials or more; {several}."
         return {}, [too_few, *left]
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
     remarks = [] if spec.arms == BOTH else rows_of_arm(recordings.arm, spec.arms)[1]

@@ -159,6 +159,8 @@ def evaluate(
         (1.0, 0.5)
     """
     expect("The protocol", protocol, EvaluationProtocol)
+    if protocol.train_on and splitter is not None:
+        raise InputError("Sessions are trained and tested on, which a splitter cannot divide otherwise; give one.")
     items = labelled_intervals(recordings, task)
     column = protocol.group
     groups = groups_by(column, recordings, items)

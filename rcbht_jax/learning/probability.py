@@ -5,7 +5,7 @@ values of held-out items (grouped cross-validation), by the Newton method of Lin
 probabilistic outputs for support vector machines" (2007). Pairs are joined by the second method of Wu, Lin and
 Weng, "Probability estimates for multi-class classification by pairwise coupling" (2004), section 4.2: with
 ``r[i, j]`` the probability of i among {i, j}, minimise ``sum (r[j, i] p[i] - r[i, j] p[j])^2`` over all p that sum
-to one. ``couple`` and ``couple_jax`` give that minimum itself; ``couple_early`` stops where libsvm stops.
+to one. ``couple`` and ``couple_jax`` give that minimum itself.
 """
 
 from __future__ import annotations
@@ -204,52 +204,20 @@ def pair_probability(decision: Matrix, sigmoid: Matrix) -> NDArray[np.float64]:
     return np.clip(_sigmoid(-(decision * sigmoid[:, 0] + sigmoid[:, 1])), CERTAIN, 1 - CERTAIN)
 
 
-def _quadratic(pair: Matrix, classes: int) -> NDArray[np.float64]:
-    """The matrix of the quadratic form, ``[item, class, class]`` (Wu, Lin and Weng 2004, equation 18)."""
-    first, second = pairs(classes)
-    r = np.zeros((len(pair), classes, classes))
-    r[:, first, second], r[:, second, first] = pair, 1 - pair
-    q = -r * r.swapaxes(1, 2)
-    q[:, np.arange(classes), np.arange(classes)] = (r * r).sum(1)
-    return q
-
-
 def couple(pair: Matrix, classes: int) -> NDArray[np.float64]:
     """Class probabilities ``[item, class]`` from pair probabilities ``[item, pair]``, at the exact minimum.
 
-    The constraint adds nothing but a multiple of the all-ones matrix, which makes the form positive definite.
+    The matrix is that of the quadratic form (Wu, Lin and Weng 2004, equation 18), plus ones: the constraint makes these
+    a constant, and they make the form positive definite.
     """
-    z = np.linalg.solve(_quadratic(pair, classes) + 1.0, np.ones((len(pair), classes, 1)))[..., 0]
+    first, second = pairs(classes)
+    r = np.zeros((len(pair), classes, classes))
+    r[:, first, second], r[:, second, first] = pair, 1 - pair
+    q = 1 - r * r.swapaxes(1, 2)
+    q[:, np.arange(classes), np.arange(classes)] += (r * r).sum(1)
+    z = np.linalg.solve(q, np.ones((len(pair), classes, 1)))[..., 0]
     z = np.maximum(z, 0.0)  # never negative but by rounding (theorem 2)
     return np.asarray(z / z.sum(1, keepdims=True), np.float64)
-
-
-def couple_early(pair: Matrix, classes: int, stop: float = 0.005) -> NDArray[np.float64]:
-    """As :func:`couple`, by algorithm 2 of the paper from p = 1/k until the residual is below ``stop`` / k.
-
-    With the default this is what libsvm, hence ``SVC(probability=True)``, answers: up to a few thousandths
-    away from the minimum.
-    """
-    out = np.full((len(pair), classes), 1 / classes)
-    for q, p in zip(_quadratic(pair, classes), out, strict=True):
-        for _ in range(max(100, classes)):
-            qp = q @ p
-            if np.abs(qp - p @ qp).max() < stop / classes:
-                break
-            _sweep(q, p)
-    return out
-
-
-def _sweep(q: Matrix, p: NDArray[np.float64]) -> None:
-    """One round of the paper's algorithm 2 over all classes, in place."""
-    qp = q @ p
-    value = float(p @ qp)
-    for t in range(len(p)):
-        move = (value - qp[t]) / q[t, t]
-        p[t] += move
-        value = (value + move * (move * q[t, t] + 2 * qp[t])) / (1 + move) ** 2
-        qp = (qp + move * q[t]) / (1 + move)
-        p /= 1 + move
 
 
 @jax.tree_util.register_dataclass

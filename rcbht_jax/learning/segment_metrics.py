@@ -97,13 +97,13 @@ def segmentation_score(truth: Sequence[Labels], predicted: Sequence[Labels], dt:
     return sums.score(np.ones(len(truth), np.int64), dt)
 
 
-def segmentation_interval(
+def score_and_interval(
     truth: Sequence[Labels], predicted: Sequence[Labels], dt: float, groups: NDArray[Any], seed: int = 0
-) -> dict[str, tuple[float, float]]:
-    """95 % interval of every score: expanded percentiles of scores of groups that are drawn with replacement.
+) -> tuple[SegmentationScore, dict[str, tuple[float, float]]]:
+    """Score of predicted labels, and its 95 % interval: percentiles of scores of groups drawn with replacement.
 
-    With fewer than eight groups, or without width, as without a mistake, the interval is Wilson's, with each group
-    counting once. The delay, which is no share, then has none: both ends are NaN.
+    The percentiles are expanded ones. With fewer than eight groups, or without width, as without a mistake, the
+    interval is Wilson's, with each group counting once. The delay, which is no share, then has none: both ends are NaN.
 
     Args:
         truth: class of each sample, one array per recording; UNKNOWN = not annotated.
@@ -121,17 +121,10 @@ def segmentation_interval(
     Example:
         >>> truth = [np.repeat([0, 1], 10)] * 8
         >>> predicted = [np.repeat([0, 1], (first, 20 - first)) for first in (10, 10, 11, 11, 11, 12, 12, 14)]
-        >>> interval = segmentation_interval(truth, predicted, 0.1, np.arange(8))
+        >>> _, interval = score_and_interval(truth, predicted, 0.1, np.arange(8))
         >>> [round(float(end), 3) for end in interval["accuracy"]]
         [0.869, 0.975]
     """
-    return score_and_interval(truth, predicted, dt, groups, seed)[1]
-
-
-def score_and_interval(
-    truth: Sequence[Labels], predicted: Sequence[Labels], dt: float, groups: NDArray[Any], seed: int = 0
-) -> tuple[SegmentationScore, dict[str, tuple[float, float]]]:
-    """``segmentation_score`` and ``segmentation_interval`` at once, which compare the labels in the same way."""
     sums = _Sums.of(truth, predicted)
     names, number = np.unique(groups, return_inverse=True)
     whole = sums.score(np.ones(len(truth), np.int64), dt)

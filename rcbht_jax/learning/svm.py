@@ -103,11 +103,6 @@ class Grid:
             for kernel in self.kernels
         ]
 
-    @property
-    def single(self) -> bool:
-        """True if there is nothing to choose among the hyper-parameters."""
-        return len(self.kernels) * len(self.costs) * len(self.scalings) == 1
-
 
 @dataclass(frozen=True)
 class SvmModel:
@@ -342,7 +337,7 @@ def select(
         InputError: fewer than two classes have two trials or more, and there is something to choose.
     """
     paths = grid.paths(list(candidates))
-    if grid.single and len(paths) == 1:
+    if len(paths) == len(grid.costs) == 1:
         return paths[0]
     splits = _inner_folds(y, groups, grid.inner, seed)
     scores = np.zeros((len(paths), len(grid.costs)))

@@ -254,29 +254,22 @@ def extract_features(
     expect("The choice of features", spec, FeatureSpec)
     expect("The choice of intervals", items, LabelledIntervals, UnlabelledIntervals)
     if isinstance(tracks, TrackBatches):
-        return extract_batched_features(tracks.read(), items, spec, count)
+        return _features_of(tracks.read(), items, spec, count)
     named = tracks if isinstance(tracks, Mapping) else {"": tracks}
     if not named:
         raise InputError("There are no labels; expected those of one encoder or more.")
     for one in named.values():
         expect("Each set of labels", one, LabelTracks)
-    return extract_batched_features([named], items, spec, count)
+    return _features_of([named], items, spec, count)
 
 
-def extract_batched_features(
+def _features_of(
     batches: Iterable[Mapping[str, LabelTracks]],
     items: LabelledIntervals | UnlabelledIntervals,
     spec: FeatureSpec,
-    count: int | None = None,
+    count: int | None,
 ) -> Features:
-    """As :func:`extract_features`, of label tracks that come in batches: the features alone are kept.
-
-    Args:
-        batches: label tracks by name, of consecutive recordings from the first on.
-        items: from :func:`labelled_intervals` or :func:`unlabelled_intervals`.
-        spec: which features.
-        count: number of recordings that the labels must have; None = as many as the data set of the items.
-    """
+    """As :func:`extract_features`, of label tracks that come in batches: the features alone are kept."""
     found: dict[tuple[str, int], tuple[list[NDArray[np.int64]], list[Features]]] = {}
     first = 0
     for batch in batches:

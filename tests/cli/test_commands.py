@@ -203,6 +203,8 @@ def test_grammars_stand_side_by_side_or_are_chosen_from(
     model = load(tmp_path / "m")
     assert trained["tracks"] == both
     assert set(model.encoder) == {"online-W5", made["name"]}
+    twice = run(capsys, "train", store, "--tracks", "online-W5+online-W5", *quick, "--out", tmp_path / "twice")
+    assert twice["tracks"] == "online-W5"
     assert model.feature_names[0].startswith("online-W5.parts.primitive.Fx.")
     assert model.feature_spec.balance
     assert model.svm.spec.ranks

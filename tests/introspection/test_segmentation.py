@@ -13,7 +13,7 @@ from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmentation import UNKNOWN, Protocol, segment
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
-from rcbht_jax.learning.segment_metrics import segmentation_interval
+from rcbht_jax.learning.segment_metrics import score_and_interval
 from rcbht_jax.types import Recordings
 from tests.support.snaps import with_columns
 
@@ -65,7 +65,7 @@ def test_the_protocol_is_that_which_was_used(folds: int, said: str):
 def test_scores_have_intervals_by_group():
     data = with_columns(made(6), operator=np.array(["Ann", "Bob", "Ann", "Bob", "Cy", "Cy"]))
     result = segment(data, WrenchSegmenter(trees=2, words=False), Protocol(group="operator", folds=0))
-    by_group = segmentation_interval(result.truth, result.predicted, data.dt, data.column("operator"))
+    by_group = score_and_interval(result.truth, result.predicted, data.dt, data.column("operator"))[1]
     assert result.to_json()["interval"]["accuracy"] == list(by_group["accuracy"])
     low, high = by_group["accuracy"]
     assert low < result.score.accuracy < high

@@ -14,7 +14,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.io.label_parts import taken
-from rcbht_jax.learning.tasks import TaskSpec, extract_batched_features, extract_features, unlabelled_intervals
+from rcbht_jax.learning.tasks import TaskSpec, TrackBatches, extract_features, unlabelled_intervals
 from rcbht_jax.types import Recordings
 
 
@@ -36,7 +36,8 @@ def test_features_do_not_depend_on_the_batches(two_armed: Recordings, arms: str,
     parts = [taken(tracks, slice(first, last)) for first, last in pairwise(edges)]
     for names in (("",), ("one", "two")):
         whole = extract_features(dict.fromkeys(names, tracks), items, spec)
-        found = extract_batched_features([dict.fromkeys(names, part) for part in parts], items, spec)
+        batches = [dict.fromkeys(names, part) for part in parts]
+        found = extract_features(TrackBatches(names, lambda read=batches: read), items, spec)
         assert found.names == whole.names
         assert found.values.shape[0] == 6
         np.testing.assert_array_equal(found.values, whole.values)

@@ -206,6 +206,11 @@ def test_only_tested_groups_are_counted():
     tests = {trial for _, test in splitter.split(made.trial, groups=made.trial) for trial in test.tolist()}
     assert found.tested == len(tests) < 8
     assert found.score["accuracy"]["low"] == pytest.approx(wilson(len(tests), len(tests))[0])
+    with pytest.raises(InputError, match="a splitter"):
+        evaluate(
+            made, encode(made.wrench, rate=200), TaskSpec("outcome"), FeatureSpec(("histogram",)),
+            EvaluationProtocol(train_on=("1",), test_on=("2",)), splitter=splitter,
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,7 @@ def test_info_calls_no_column_a_task_whose_values_hardly_repeat(
     tasks = json.loads(capsys.readouterr().out)["tasks"]
     assert tasks["part"]["classes"] == {"clip": 6, "peg": 6, "plug": 2}
     assert "1 trial left out: class in one trial only: ring." in tasks["part"]["sentences"]
-    sentence = "to train and to test, two classes must occur in two trials or more; one of its 14 classes does."
+    sentence = "to train and to test, two classes must occur in two trials or more; at most one of its 14 classes does."
     assert "began" not in tasks  # measured values, no names
     assert tasks["onset"] == {"classes": {}, "sentences": [sentence]}
 

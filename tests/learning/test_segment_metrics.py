@@ -16,7 +16,7 @@ from rcbht_jax.learning.segment_metrics import (
     UNKNOWN,
     Segments,
     edit_distance,
-    segmentation_interval,
+    score_and_interval,
     segmentation_score,
 )
 
@@ -119,7 +119,7 @@ def test_intervals_are_percentiles_of_scores_of_drawn_groups(ways: int, monkeypa
         np.where(rng.random(40) < share, part, 1) for share, part in zip(np.linspace(0.3, 0.9, 10), truth, strict=True)
     ]
     groups = np.array(list("abbcddefgh"))
-    interval = segmentation_interval(truth, guess, 0.5, np.stack([groups] * ways, 1), seed=7)
+    interval = score_and_interval(truth, guess, 0.5, np.stack([groups] * ways, 1), seed=7)[1]
     draws = np.random.default_rng(7).multinomial(8, np.full(8, 1 / 8), 50)
     scores = []
     for draw in draws:
@@ -135,7 +135,7 @@ def test_intervals_of_few_groups_are_wider_and_never_without_width():
     guess = [np.repeat([0, 1], (20 + shift, 20 - shift)) for shift in (0, 8, 2, 4, 1, 6, 0, 8, 2, 4, 1, 6)]
 
     def width(groups):
-        low, high = segmentation_interval(truth, guess, 0.1, groups)["accuracy"]
+        low, high = score_and_interval(truth, guess, 0.1, groups)[1]["accuracy"]
         return high - low
 
     runs = np.arange(12)
@@ -143,18 +143,18 @@ def test_intervals_of_few_groups_are_wider_and_never_without_width():
     # rows that share a model are not independent either
     assert width(np.stack([runs // 6, runs], 1)) > 1.2 * width(runs)
     assert width(runs // 2) > 1.5 * width(runs)  # six pairs
-    perfect = segmentation_interval(truth, truth, 0.1, runs)
+    perfect = score_and_interval(truth, truth, 0.1, runs)[1]
     assert perfect["accuracy"] == wilson(12, 12)
     assert np.isnan(perfect["delay"]).all()  # the same in all draws
-    assert np.isnan(segmentation_interval(truth, truth, 0.1, runs // 6)["delay"]).all()
+    assert np.isnan(score_and_interval(truth, truth, 0.1, runs // 6)[1]["delay"]).all()
 
 
 @pytest.mark.filterwarnings("error")
 def test_rounding_is_no_width_of_an_interval():
     truth = [np.repeat([0, 1, 2], 10)] * 9
-    same = segmentation_interval(truth, [np.ones(30, int)] * 9, 0.1, np.arange(9))  # an edit score of 1/3 in every one
+    same = score_and_interval(truth, [np.ones(30, int)] * 9, 0.1, np.arange(9))[1]  # an edit score of 1/3 in every one
     assert same["edit"] == pytest.approx(wilson(3, 9))
-    wrong = segmentation_interval(truth, [np.full(30, 3)] * 9, 0.1, np.arange(9))
+    wrong = score_and_interval(truth, [np.full(30, 3)] * 9, 0.1, np.arange(9))[1]
     assert np.isnan(wrong["delay"]).all()
 
 
@@ -165,6 +165,6 @@ def test_intervals_from_few_groups_hold_the_truth():
     for _ in range(40):
         right = rng.random((2, 100)) < np.clip(rng.normal(0.8, 0.08, (2, 1)), 0, 1)
         guess = [np.where(good, part, 1 - part) for good, part in zip(right, truth, strict=True)]
-        low, high = segmentation_interval(truth, guess, 0.1, np.arange(2))["accuracy"]
+        low, high = score_and_interval(truth, guess, 0.1, np.arange(2))[1]["accuracy"]
         held.append(low < 0.8 < high)
     assert np.mean(held) > 0.9
