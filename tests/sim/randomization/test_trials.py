@@ -261,10 +261,15 @@ def test_a_trial_can_use_another_sessions_sensor() -> None:
         sample(ONE_ARM["A"], 0, 0, replace(NOMINAL, sensor="Z"))
 
 
-def test_how_long_mating_is_recorded_can_vary_and_changes_nothing_else() -> None:
-    own, varied = (sample(ONE_ARM["C"], 0, 4, replace(NOMINAL, mating=span))[0] for span in (None, (1.0, 20.0)))
+def test_lag_and_how_long_mating_is_recorded_can_vary_and_change_nothing_else() -> None:
+    own, varied = (
+        sample(ONE_ARM["C"], 0, 6, DomainRandomization(nominal_share=0.0, mating=mating, lag=lag))[0]
+        for mating, lag in ((None, (5, 5)), ((1.0, 20.0), (2, 8)))
+    )
+    assert varied.command_delay != own.command_delay
     assert 1.0 <= varied.task.mating_time <= 20.0 != own.task.mating_time
-    assert same(replace(varied, task=replace(varied.task, mating_time=own.task.mating_time)), own)
+    task = replace(varied.task, mating_time=own.task.mating_time)
+    assert same(replace(varied, command_delay=own.command_delay, task=task), own)
 
 
 @pytest.mark.parametrize("name", ["C", "two"])
