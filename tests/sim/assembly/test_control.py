@@ -101,7 +101,7 @@ def test_session_a_passes_its_states_by_force_and_wrist_angle() -> None:
 def test_a_stopped_robot_keeps_still_and_its_record_goes_on() -> None:
     params = replace(single("A"), stop=jnp.float32(0.05), timeout=jnp.float32(0.2))
     pushed = lambda tick, s: np.array([0.0, 0.0, 12.0 * (tick > 5), 0.0, 0.0, 0.0])  # noqa: E731
-    home = lambda tick, s: params.home  # noqa: E731
+    home = lambda tick, s: params.home.at[4].set(0.18 if tick > 10 else 0.5)  # noqa: E731  # would end the rotation
     before, later = run(params, pushed, home, 10), run(params, pushed, home, 39)
     assert int(before.phase) == int(later.phase) == task.ROTATION
     np.testing.assert_array_equal(before.command, later.command)
