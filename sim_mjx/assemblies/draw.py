@@ -87,38 +87,10 @@ def drawn(assembly: Assembly, spec: Variation, rng: np.random.Generator, trial: 
     return found
 
 
-def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[AssemblyTrial, Fault]:
-    """One trial.
-
-    Args:
-        pairing: the assembly and its robot.
-        seed: seed of the whole set, 0 to 2^64 - 1.
-        index: number of the trial within the set, >= 0.
-        spec: the distributions.
-
-    Returns:
-        its parameters (a single trial: leaves have no batch axis) and its fault.
-
-    Raises:
-        InputError: negative seed or index, or impossible distributions.
-    """
-    return _sample(pairing, seed, index, spec, _pattern(spec, pairing.assembly))
-
-
-def _pattern(spec: Variation, assembly: Assembly) -> tuple[Any, Any]:
-    """Parameters of task and parts whose names and shapes those of every trial must have.
-
-    Raises:
-        InputError: as :func:`check` and :func:`drawn`.
-    """
-    check(spec, assembly)
-    return drawn(assembly, spec, stream(0, 0))
-
-
 def _sample(
     pairing: Pairing, seed: int, index: int, spec: Variation, pattern: tuple[Any, Any]
 ) -> tuple[AssemblyTrial, Fault]:
-    """One trial of checked distributions; arguments as of :func:`sample`."""
+    """One trial of checked distributions; the names and shapes of its parameters must be those of ``pattern``."""
     assembly, robot, which = pairing.assembly, pairing.robot, f" in trial {index}"
     rng = stream(seed, index)
     hand = np.array([*uniform(rng, spec.shift, 2), 0.0])
@@ -165,14 +137,25 @@ def _typed(like: Any, found: Any) -> Any:
 def sample_batch(
     pairing: Pairing, seed: int, indices: Sequence[int], spec: Variation
 ) -> tuple[AssemblyTrial, list[Fault]]:
-    """Several trials ``[trial, ...]``: :func:`sample` of each index, since an assembly draws one trial at a time.
+    """Several trials.
+
+    Args:
+        pairing: the assembly and its robot.
+        seed: seed of the whole set, 0 to 2^64 - 1.
+        indices: numbers of the trials within the set, >= 0.
+        spec: the distributions.
+
+    Returns:
+        their parameters ``[trial, ...]`` and their faults; a trial's do not depend on the others.
 
     Raises:
-        InputError: as :func:`sample`, or no index.
+        InputError: negative seed or index, no index, or impossible distributions.
     """
+    assembly = pairing.assembly
     if not len(indices):
-        raise InputError(f"There is no trial of {pairing.assembly.name} to draw; expected one index or more.")
-    pattern = _pattern(spec, pairing.assembly)
+        raise InputError(f"There is no trial of {assembly.name} to draw; expected one index or more.")
+    check(spec, assembly)
+    pattern = drawn(assembly, spec, stream(0, 0))
     trials = [_sample(pairing, seed, index, spec, pattern) for index in indices]
     return stack([params for params, _ in trials]), [fault for _, fault in trials]
 

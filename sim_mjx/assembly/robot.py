@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import mujoco
 
-from rcbht_jax.errors import InputError
 from rcbht_jax.robots.hiro import ARMS, CHEST_HEIGHT, SHOULDER_ROLL, TCP, Joints, Vector, flip, side
 
 UNIT = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -58,10 +57,8 @@ def new_robot(arms: Sequence[str] = ("R",)) -> mujoco.MjSpec:
         ``spec.body("RARM_TOOL")``, whose frame is the wrist's.
 
     Raises:
-        InputError: an arm is neither "R" nor "L", or is named twice.
+        InputError: an arm is neither "R" nor "L".
     """
-    if len(set(arms)) < len(arms):
-        raise InputError(f"Arms are {tuple(arms)}; expected each arm once.")
     spec = mujoco.MjSpec()
     spec.modelname = "hiro"
     spec.compiler.degree = False

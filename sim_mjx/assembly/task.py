@@ -45,10 +45,8 @@ class TaskParams:
     moment: Float[Array, "*batch 4 3"]  # Nm, set-point M*
     force_gain: Float[Array, "*batch"]  # rad/(Nm) per control period
     moment_gain: Float[Array, "*batch 4"]  # rad/(Nm) per control period
-    leave_after: Float[Array, "*batch 4"]  # s, shortest stay in a phase
-    leave_wrist: Float[Array, "*batch 4"]  # rad, leave when joint 4 (wrist pitch) is below ...
+    leave_wrist: Float[Array, "*batch 4"]  # rad, leave a phase when joint 4 (wrist pitch) is below ...
     leave_pitch: Float[Array, "*batch 4"]  # rad, ... or the hand's pitch is below
-    leave_moment: Float[Array, "*batch 4"]  # Nm, and the measured My is above
     mating_time: Float[Array, "*batch"]  # s, recorded after mating begins
     timeout: Float[Array, "*batch"]  # s, after which an unfinished trial ends
     stop: Float[Array, "*batch"]  # s, from then on the robot keeps still in any phase, and its logger goes on
@@ -129,7 +127,6 @@ def _leaves(params: TaskParams, state: TaskState, joints: Array, rotation: Array
     since = state.tick - state.entered[state.phase]
     pitch = jnp.arcsin(jnp.clip(-rotation[2, 0], -1.0, 1.0))
     reached = (joints[4] < params.leave_wrist[row]) | (pitch < params.leave_pitch[row])
-    reached = reached & (wrench[4] > params.leave_moment[row]) & (since >= periods(params.leave_after[row]))
     over = since >= periods(params.mating_time) + periods(params.rest)
     by_phase = jnp.where(state.phase == MATING, over, reached)
     return jnp.where(state.phase == APPROACH, contact, by_phase & (state.phase < ENDED))

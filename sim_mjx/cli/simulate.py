@@ -67,7 +67,7 @@ class Simulate(Command):
     trials: int = 200
     """Number of trials."""
     seed: int = 0
-    """Seed of the random numbers; a trial is determined by this seed and its index."""
+    """Seed of the random numbers; it and the index determine a trial, whose fault is the same in all presets."""
     nominal_share: float = 0.5
     """Fraction of the trials without a fault, 0 to 1."""
     shard: int = 256

@@ -53,13 +53,11 @@ class EnvConfig:
         with_tuples(self)
         _check_choice("action", self.action, ACTIONS)
         _check_choice("controller", self.controller, CONTROLLERS)
-        observe = self.observe
-        if not isinstance(observe, tuple) or not observe:
-            raise InputError(f"observe is {observe!r}; expected a tuple of one part or more, each once.")
+        observe = self.observe if isinstance(self.observe, tuple) else ()
         for part in observe:
             _check_choice("observation", part, OBSERVATIONS)
-        if len(set(observe)) < len(observe):
-            raise InputError(f"observe is {observe!r}; expected a tuple of one part or more, each once.")
+        if not observe or len(set(observe)) < len(observe):
+            raise InputError(f"observe is {self.observe!r}; expected a tuple of one part or more, each once.")
         if self.action == "set-points" and self.controller == "none":
             raise InputError(
                 'action="set-points" needs controller="recorded"; use that, or action="joint" or action="cartesian".'

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -99,9 +99,7 @@ class Senses:
             state = self._window(state, wrench[first : first + window])
             last = phase[first + window - 1]
             samples = state.stream.encoder.time[0]
-            state = SensesState(
-                state.stream, state.words, state.beliefs, jnp.where(last != before, samples, state.began)
-            )
+            state = replace(state, began=jnp.where(last != before, samples, state.began))
             before = last
         return state
 

@@ -26,10 +26,9 @@ TASK = replace(
     force=np.array([[10.0, 0.0, -4.0], [13.0, 0.6, -3.25], [15.0, 0.0, 0.0], [15.0, 0.0, 0.0]]),
     moment=np.array([[0.0, 60.0, 0.0], [0.0, 75.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
     moment_gain=np.array([3.5e-6, 3.5e-6, 3.5e-5, 3.5e-5]),
-    leave_after=np.zeros(4),
     leave_wrist=np.array([0.4455, 0.385, 0.387, NEVER]),
+    # the program also asks for My > 0.9 Nm, which needs rigid contact; recorded marks ignore it
     leave_pitch=np.array([NEVER, -1.552, -1.533, NEVER]),
-    leave_moment=np.full(4, NEVER),  # the program's My > 0.9 Nm needs rigid contact; recorded marks ignore it
     mating_time=np.array(1.0),
     timeout=np.array(20.0),
 )

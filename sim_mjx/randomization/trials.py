@@ -203,7 +203,7 @@ def sample_batch(
 
     Args:
         preset: nominal values.
-        seed: seed of the whole set, 0 to 2^64 - 1.
+        seed: seed of the whole set, 0 to 2^64 - 1; all presets have the same random numbers.
         indices: numbers of the trials within the set, >= 0.
         spec: the distributions.
         mating_time: time recorded after mating begins, s; None = that of ``spec``.
@@ -220,15 +220,15 @@ def sample_batch(
     faulty, kinds = _Faulty.none(len(indices)), list[str]()
     for row, rng in enumerate(_streams(seed, indices)):
         rng.random(out=uniform[row])
-        if preset.real:
-            lag[row] = rng.integers(spec.lag[0], spec.lag[1], endpoint=True)
         key[row] = rng.integers(0, 2**32, 2, dtype=np.uint32)
         nominal = rng.random() < spec.nominal_share
         kinds.append("none" if nominal else spec.faults[int(rng.integers(len(spec.faults)))])
         if not nominal:
             FAULTS[kinds[-1]](faulty, row, spec, rng)
-        if spec.mating is not None:  # the last draw, so that the others do not depend on it
-            mating[row] = rng.uniform(*spec.mating)
+        # the last draws, so that the others do not depend on them
+        mating[row] = rng.uniform(*spec.mating or (0.0, 0.0))
+        if preset.real:
+            lag[row] = rng.integers(spec.lag[0], spec.lag[1], endpoint=True)
     drawn = _scaled(uniform, spec)
     hand = np.where(np.isnan(faulty.hand), np.concatenate([drawn["shift"], drawn["turn"]], axis=1), faulty.hand)
     task, sensor, part = repeated(_nominal(preset, spec), len(indices))

@@ -40,8 +40,8 @@ class Robot:
             be; or the mass is negative.
 
     Example:
-        >>> from sim_mjx.robots import get_robot
-        >>> len(get_robot("panda").joints), len(get_robot("ur5e").joints)
+        >>> from sim_mjx.robots import ROBOTS
+        >>> len(ROBOTS["panda"].joints), len(ROBOTS["ur5e"].joints)
         (7, 6)
     """
 

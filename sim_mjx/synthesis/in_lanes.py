@@ -191,7 +191,7 @@ def _tilt(joints: Float[Array, "trial time joint"]) -> Float[Array, "trial time"
 def to_host(there: Measured, program: Program) -> Arrays:
     """Stored arrays of trials, as of :func:`sim_mjx.synthesis.records.of_trials`, copied from the device."""
     here = jax.device_get(there)
-    onset = records.reached(program.onsets(here.entered), here.length)
+    onset = program.onsets(here.entered)
     better, notes = onset, np.full(len(onset), "")
     if here.tilt is not None:
         better, notes = records.harmonised(onset, here.length, here.diverged, partial(_degrees, here.tilt))

@@ -40,17 +40,16 @@ def of_trials(out: Rollouts, recorded: bool = True) -> Arrays:
         recorded: whether it is the recorded assembly, whose ends of rotation are moved as in recorded trials.
     """
     diverged = _diverged(out)
-    onset = reached(out.onset, out.length)
     if recorded:
-        better, notes = harmonised(onset, out.length, diverged, partial(_tilts, out.joints))
+        better, notes = harmonised(out.onset, out.length, diverged, partial(_tilts, out.joints))
     else:
-        better, notes = onset, np.full(len(onset), "")
-    wrench = out.wrench[:, : out.length.max()]
+        better, notes = out.onset, np.full(len(out.onset), "")
+    wrench = out.wrench
     if (diverged & ~out.diverged).any():  # whose wrench an engine has not emptied
         wrench = np.where(diverged[:, None, None], np.float32(0), wrench)
     return {
         "wrench": wrench, "length": out.length,
-        "onset": onset, "onset_harmonised": better, "note": notes, "seated": out.seated,
+        "onset": out.onset, "onset_harmonised": better, "note": notes, "seated": out.seated,
         "passes": passes_of(out.past, np.where(diverged, 0, out.length)), "diverged": diverged,
     }  # fmt: skip
 
@@ -82,14 +81,6 @@ def _diverged(out: Rollouts) -> NDArray[np.bool_]:
     return diverged
 
 
-def reached(
-    onset: Float64[np.ndarray, "trial state"], length: Int[np.ndarray, " trial"]
-) -> Float64[np.ndarray, "trial state"]:
-    """Onsets without those of states that a stopped trial "entered" with its last sample; s, NaN = never reached."""
-    last = (length - 1)[:, None] * CONTROL_PERIOD
-    return np.where((onset < last - CONTROL_PERIOD / 2) | (np.arange(onset.shape[1]) == 0), onset, np.nan)
-
-
 def harmonised(
     onset: Float64[np.ndarray, "trial 4"],
     length: Int[np.ndarray, " trial"],
@@ -99,7 +90,7 @@ def harmonised(
     """Onsets with the end of a rotation that lasted one sample moved, as in recorded trials; and notes.
 
     Args:
-        onset: of :func:`reached`.
+        onset: starts of the states, s, NaN = never reached.
         length: samples of each trial.
         diverged: trials that are left as they are.
         tilts: angles between hand and vertical in spans of trials.

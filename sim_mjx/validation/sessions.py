@@ -102,7 +102,7 @@ def profiles(run: Rollouts, rows: Rows = None) -> Profiles:
     chosen = np.arange(len(run.length)) if rows is None else np.asarray(rows, int)
     onset = harmonised(run)
     end = (run.length - 1) * CONTROL_PERIOD
-    # a trial that was stopped has "entered" later states all at once, at its end
+    # false for NaN, of a state that was never reached
     mated = (np.diff(onset, axis=1) > 0).all(1) & (onset[:, 3] + signature.MATING <= end + 1e-9) & ~run.diverged
     complete = chosen[mated[chosen]]
     if len(complete) == 0:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sim_mjx.controllers import Sense, admittance, go_to, keep_turn, resolved_rates, spiral, tilt
-from sim_mjx.robots import get_robot
+from sim_mjx.robots import ROBOTS
 from sim_mjx.robots.chain import pose, rotation_vector, serial_chain
 from sim_mjx.robots.robot import HAND, equipped
 
@@ -91,7 +91,7 @@ def test_admittance_rests_at_the_wanted_force_against_a_spring() -> None:
 
 @pytest.mark.parametrize("name", ["panda", "ur5e"])
 def test_the_hand_moves_as_it_is_told(name: str) -> None:
-    robot = get_robot(name)
+    robot = ROBOTS[name]
     chain = serial_chain(equipped(robot).compile(), HAND)
     home = np.array(robot.home, np.float32)
     twist = np.array([0.01, -0.02, 0.03, 0.05, -0.1, 0.02], np.float32)

@@ -128,8 +128,8 @@ def test_a_file_may_import_its_neighbours(tmp_path: Path, monkeypatch: pytest.Mo
 
 MADE_OF_COMMON = """from dataclasses import replace
 from common import Kept, WHO
-from sim_mjx.robots import get_robot
-ARM = replace(get_robot("panda"), name=WHO)
+from sim_mjx.robots import ROBOTS
+ARM = replace(ROBOTS["panda"], name=WHO)
 KEPT = Kept()
 """
 COMMON = """from __future__ import annotations
@@ -200,7 +200,7 @@ def test_a_relative_path_counts_from_the_present_folder(tmp_path: Path, monkeypa
 
 
 def test_the_digest_of_a_file_without_neighbours_stands_in_work_folders(tmp_path: Path) -> None:
-    (tmp_path / "arm.py").write_text("import numpy\nfrom sim_mjx.robots import get_robot\nARM = get_robot('panda')\n")
+    (tmp_path / "arm.py").write_text("import numpy\nfrom sim_mjx.robots import ROBOTS\nARM = ROBOTS['panda']\n")
     job = SynthesisConfig(f"clip@{tmp_path}/arm.py:ARM", 1, spec=get_scenario("clip@panda").spec())
     content = hashlib.sha256((tmp_path / "arm.py").read_bytes()).digest()
     assert manifest_of(job)["versions"]["own_sha256"] == [hashlib.sha256(b"arm.py" + content).hexdigest()]

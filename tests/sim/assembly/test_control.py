@@ -101,7 +101,7 @@ def test_session_a_passes_its_states_by_force_and_wrist_angle() -> None:
 def test_a_stopped_robot_keeps_still_and_its_record_goes_on() -> None:
     params = replace(single("A"), stop=jnp.float32(0.05), timeout=jnp.float32(0.2))
     pushed = lambda tick, s: np.array([0.0, 0.0, 12.0 * (tick > 5), 0.0, 0.0, 0.0])  # noqa: E731
-    home = lambda tick, s: params.home  # noqa: E731
+    home = lambda tick, s: params.home.at[4].set(0.18 if tick > 10 else 0.5)  # noqa: E731  # would end the rotation
     before, later = run(params, pushed, home, 10), run(params, pushed, home, 39)
     assert int(before.phase) == int(later.phase) == task.ROTATION
     np.testing.assert_array_equal(before.command, later.command)
@@ -130,26 +130,17 @@ def test_sessions_b_and_c_rotate_for_one_period() -> None:
         assert np.asarray(state.entered)[:3].tolist() == [0, 1, 2]
 
 
-@pytest.mark.parametrize(("bent", "turned", "shortest", "leaves"), [(20, 0, 0, 20), (0, 30, 0, 30), (0, 0, 40, 42)])
-def test_insertion_ends_by_pitch_with_a_moment_after_its_time(
-    bent: int, turned: int, shortest: int, leaves: int
-) -> None:
-    """All three are needed: the hand points down, the moment presses, and the shortest stay (from tick 2) is over."""
+def test_insertion_ends_by_pitch() -> None:
     task_b = preset("B").task
-    times, moments = np.zeros(4), np.full(4, task.NEVER)
-    times[1], moments[1] = shortest * CONTROL_PERIOD, 0.9
-    params = as_float32(replace(task_b, leave_after=times, leave_moment=moments))
     position = kinematics.fk(task_b.home)[2]
     level, down = (
         kinematics.ik(position, kinematics.rotation_from_rpy(np.array([0.0, pitch, 0.0])), task_b.home)
         for pitch in (-1.5, -1.56)
     )
 
-    def wrench(tick: int, state: task.TaskState) -> np.ndarray:
-        return np.array([0.0, 0.0, 30.0, 0.0, 1.0 if tick >= turned else 0.8, 0.0])
-
-    state = run(params, wrench, lambda tick, s: down if tick >= bent else level, 50)
-    assert np.asarray(state.entered)[[task.INSERTION, task.MATING]].tolist() == [2, leaves]
+    up = np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0])
+    state = run(as_float32(task_b), lambda tick, s: up, lambda tick, s: down if tick >= 20 else level, 50)
+    assert np.asarray(state.entered)[[task.INSERTION, task.MATING]].tolist() == [2, 20]
 
 
 def test_nothing_follows_the_end() -> None:

@@ -12,7 +12,7 @@ import hypothesis.strategies as st
 import jax
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.rollout import TrialParams
@@ -73,23 +73,16 @@ def test_draws_are_those_of_this_version() -> None:
     np.testing.assert_allclose(found, [1.0831760062097198, 1.0361127906174852, -0.000419739281879564], rtol=1e-12)
 
 
-@st.composite
-def ranges(draw_value: st.DrawFn) -> tuple[str, tuple[float, float]]:
-    name = draw_value(st.sampled_from(sorted(LIMITS)))
-    least, most = LIMITS[name]
-    inside = st.floats(least, most, allow_nan=False)
-    low, high = sorted((draw_value(inside), draw_value(inside)))
-    return name, (low, high)
-
-
-@given(ranges(), st.sampled_from(sorted(FAULTS)), st.integers(0, 1000))
-def test_any_allowed_range_gives_a_trial_inside_it(chosen: tuple[str, tuple[float, float]], kind: str, i: int) -> None:
-    name, (low, high) = chosen
+@pytest.mark.parametrize("name", sorted(LIMITS))
+@settings(max_examples=5)
+@given(st.data(), st.sampled_from(sorted(FAULTS)), st.integers(0, 1000))
+def test_any_allowed_range_gives_a_trial_inside_it(name: str, data: st.DataObject, kind: str, i: int) -> None:
+    low, high = sorted(data.draw(st.floats(*LIMITS[name])) for _ in range(2))
     params, fault = sample(ONE_ARM["A"], 1, i, only(kind, **{name: (low, high)}))
     leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(params)]
     finite = np.concatenate([np.ravel(leaf) for leaf in leaves])
     assert not np.isnan(finite).any()
-    nominal, at_rest = ONE_ARM["A"].parts, ONE_ARM["A"].sensor
+    nominal, at_rest, own, task = ONE_ARM["A"].parts, ONE_ARM["A"].sensor, ONE_ARM["A"].task, params.task
     ratios = {
         "stiffness": params.parts.tab_stiffness / nominal.tab_stiffness,
         "mount": params.parts.mount_stiffness / nominal.mount_stiffness,
@@ -97,9 +90,13 @@ def test_any_allowed_range_gives_a_trial_inside_it(chosen: tuple[str, tuple[floa
         "force_bias": params.sensor.bias[:3] - at_rest.bias[:3],
         "moment_bias": params.sensor.bias[3:] - at_rest.bias[3:],
         "tare": params.sensor.tared,
-        "speed": ONE_ARM["A"].task.way_time / params.task.way_time,
+        "speed": own.way_time / task.way_time,
+        "gain": np.append(task.moment_gain / own.moment_gain, task.force_gain / own.force_gain),
+        "goal": np.append(task.force[:, 0] / own.force[:, 0], task.moment[:3, 1] / own.moment[:3, 1]),
+        "friction": params.parts.friction / nominal.friction,
+        "noise": params.sensor.noise / at_rest.noise,
     }
-    if name in ratios and not (name == "overlap" and kind == "jamming"):
+    if name in ratios and not (name in ("overlap", "friction") and kind == "jamming"):
         slack = 1e-9 * max(1.0, abs(low), abs(high))
         assert ((ratios[name] >= low - slack) & (ratios[name] <= high + slack)).all()
     assert fault.kind == kind
@@ -170,6 +167,12 @@ def test_nominal_trials_deviate_little() -> None:
     deviation = np.array([sample(ONE_ARM["A"], 2, i, NOMINAL)[1].deviation for i in range(200)])
     assert (np.abs(deviation[:, :2]) <= 0.5e-3).all()
     assert deviation[:, :2].std(0) == pytest.approx([0.29e-3] * 2, rel=0.15)
+
+
+def test_the_earliest_contact_moves_with_the_approach() -> None:
+    own, task = ONE_ARM["openhrp"].task, sample(ONE_ARM["openhrp"], 0, 0, NOMINAL)[0].task
+    assert task.way_time[1] != own.way_time[1]
+    assert task.contact_after / task.way_time[1] == pytest.approx(own.contact_after / own.way_time[1])
 
 
 def test_pose_faults_are_named_after_their_signs_and_stay_in_the_recorded_range() -> None:
@@ -261,10 +264,15 @@ def test_a_trial_can_use_another_sessions_sensor() -> None:
         sample(ONE_ARM["A"], 0, 0, replace(NOMINAL, sensor="Z"))
 
 
-def test_how_long_mating_is_recorded_can_vary_and_changes_nothing_else() -> None:
-    own, varied = (sample(ONE_ARM["C"], 0, 4, replace(NOMINAL, mating=span))[0] for span in (None, (1.0, 20.0)))
+def test_lag_and_how_long_mating_is_recorded_can_vary_and_change_nothing_else() -> None:
+    own, varied = (
+        sample(ONE_ARM["C"], 0, 6, DomainRandomization(nominal_share=0.0, mating=mating, lag=lag))[0]
+        for mating, lag in ((None, (5, 5)), ((1.0, 20.0), (2, 8)))
+    )
+    assert varied.command_delay != own.command_delay
     assert 1.0 <= varied.task.mating_time <= 20.0 != own.task.mating_time
-    assert same(replace(varied, task=replace(varied.task, mating_time=own.task.mating_time)), own)
+    task = replace(varied.task, mating_time=own.task.mating_time)
+    assert same(replace(varied, command_delay=own.command_delay, task=task), own)
 
 
 @pytest.mark.parametrize("name", ["C", "two"])
