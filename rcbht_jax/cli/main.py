@@ -265,9 +265,7 @@ def parse(name: str, words: list[str]) -> Command | None:
 def _wrapped(paragraph: str, indent: int = 0) -> str:
     """A paragraph of help for this terminal; an example stays on one line, to be copied."""
     width = 10_000 if paragraph.startswith("Example:") else shutil.get_terminal_size().columns
-    return textwrap.fill(
-        paragraph, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
-    )
+    return textwrap.fill(paragraph, width, subsequent_indent=" " * indent, break_on_hyphens=False)
 
 
 def _current_spelling(words: list[str], former: dict[str, str]) -> list[str]:
