@@ -48,7 +48,7 @@ lint: $(INSTALLED) ## check style, types and which module imports which
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-format: $(INSTALLED) ## put the style right
+format: $(INSTALLED) ## fix the style
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
@@ -64,7 +64,7 @@ packages: $(INSTALLED) ## build sdist and wheel, and try them in fresh environme
 bench: $(INSTALLED) ## compare the speed of the encoders with that of the commit in benchmarks/baseline; fail if one has fallen by more than 20 %
 	$(BIN)/python -m tools.speed
 
-reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or go on: FORCE=1 again, LONG=1 whole, RESULTS=folder elsewhere
+reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or resume; FORCE=1 repeats all, LONG=1 runs whole ones, RESULTS=folder writes there
 	$(if $(RESULTS),RCBHT_RESULTS=$(RESULTS)) $(BIN)/python -m experiments.reproduce $(WORK) \
 	  --peers $(PEERS)/bin/python --jobs $(JOBS) $(if $(FORCE),--force) $(if $(LONG),--long)
 
@@ -86,7 +86,7 @@ constraints: $(INSTALLED) ## write the versions in .venv to constraints.txt
 	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
 	@touch $(INSTALLED)
 
-attack: $(INSTALLED) ## attack every reader and writer with generated files, or go on: SEED=number ATTEMPTS=number
+attack: $(INSTALLED) ## attack every reader and writer with generated files, or resume: SEED=number ATTEMPTS=number
 	$(BIN)/python -m tests.attacks --seed $(SEED) --attempts $(ATTEMPTS) --out attack.json
 
 sbom: $(INSTALLED) ## write the software bill of materials of what is installed to sbom.json, and the page of licences

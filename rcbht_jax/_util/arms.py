@@ -91,11 +91,11 @@ def rows_of_arm(names: NDArray[np.str_], wanted: str) -> tuple[NDArray[np.int64]
 
     >>> rows, remarks = rows_of_arm(np.array(["left", "right"]), "")
     >>> rows.tolist(), remarks
-    ([1], ['Counted is the right arm alone.'])
+    ([1], ['Only the right arm is used.'])
     """
     arms = arms_in(names.tolist())
     arm = chosen_arm(arms, wanted) if arms else ""
-    return np.flatnonzero(names == arm), [f"Counted is the {title_of(arm)} alone."] * (len(arms) > 1)
+    return np.flatnonzero(names == arm), [f"Only the {title_of(arm)} is used."] * (len(arms) > 1)
 
 
 def title_of(arm: str) -> str:

@@ -91,7 +91,6 @@ class Calibrate(RuleCommand):
     method: Literal["rest", "context", "search", "gradient"] = "search"
     """Calibration method; rest needs neither annotations nor classes and fits any robot."""
     task: Task = ""
-    """Task whose classes the labels should separate."""
     boundaries: Boundaries = "harmonised"
     arm: Arm = ""
     source: Sources = ()

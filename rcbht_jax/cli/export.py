@@ -30,8 +30,7 @@ from rcbht_jax.errors import InputError
 class Export(Command):
     """Write a store as Parquet, LeRobotDataset v3, MCAP or CSV: a folder with a data card.
 
-    The files contain the signals, times, onsets of states, outcomes and labels of the store. An existing folder is
-    never replaced.
+    The files contain the signals, annotations, columns and labels of the store. An existing folder is never replaced.
 
     Example: rcbht export hiro.zarr --format parquet -o hiro-parquet
     """

@@ -14,8 +14,10 @@ import json
 import logging
 import os
 import re
+import shutil
 import signal
 import sys
+import textwrap
 import threading
 import time
 import warnings
@@ -186,8 +188,8 @@ def overview(names: Sequence[str] = ()) -> str:
     table = all_commands()
     names = names or list(table)
     width = max(len(name) for name in names)
-    lines = [f"  {name:{width}}  {table[name][1]}" for name in names]
-    return "\n".join([USAGE, "", *lines, "", "example: rcbht info hiro.zarr"])
+    lines = [_wrapped(f"  {name:{width}}  {table[name][1]}", width + 4) for name in names]
+    return "\n".join([_wrapped(USAGE), "", *lines, "", "example: rcbht info hiro.zarr"])
 
 
 def command_class(name: str) -> type[Command]:
@@ -239,12 +241,15 @@ def parse(name: str, words: list[str]) -> Command | None:
             raise InputError(
                 f"rcbht {name} has no option {option}; {_suggestion(close, f'rcbht {name} --help', 'the options')}"
             )
+    if {"-h", "--help"} & set(words):  # tyro would not wrap this
+        about = [*inspect.cleandoc(described.__doc__).split("\n\n"), "--json prints the result as JSON on stdout."]
+        print(*map(_wrapped, about), sep="\n\n", end="\n\n")
     try:
         command: Command = tyro.cli(
             described,
             args=words,
             prog=f"rcbht {name}",
-            description=f"{inspect.getdoc(described)}\n\n--json prints the result as JSON on stdout.",
+            description="",
             config=(tyro.conf.FlagCreatePairsOff,),
             registry=RULES,
         )
@@ -255,6 +260,12 @@ def parse(name: str, words: list[str]) -> Command | None:
             raise InputError(f"The options are wrong; {_suggestion(close, f'rcbht {name} --help', 'them')}") from None
         return None
     return command
+
+
+def _wrapped(paragraph: str, indent: int = 0) -> str:
+    """A paragraph of help for this terminal; an example stays on one line, to be copied."""
+    width = 10_000 if paragraph.startswith("Example:") else shutil.get_terminal_size().columns
+    return textwrap.fill(paragraph, width, subsequent_indent=" " * indent, break_on_hyphens=False)
 
 
 def _current_spelling(words: list[str], former: dict[str, str]) -> list[str]:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 class PlotTrial(Command):
     """Plot one trial: its signals, the linear fits, the three layers of labels and the state boundaries.
 
-    Of a store without labels, signals and boundaries are shown; "rcbht encode" makes labels.
+    For a store without labels, only signals and boundaries are shown; "rcbht encode" makes labels.
 
     Example: rcbht plot trial hiro.zarr 20121127-HIROSA-S-05 -o trial.png
     """

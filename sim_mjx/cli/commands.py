@@ -2,7 +2,7 @@
 
 # Words of the command -> (module:class, summary), as in rcbht_jax.cli.commands.
 COMMANDS: dict[str, tuple[str, str]] = {
-    "simulate": ("sim_mjx.cli.simulate:Simulate", "simulate randomised snap assemblies into a store"),
+    "simulate": ("sim_mjx.cli.simulate:Simulate", "simulate randomised trials of an assembly into a store"),
     "doctor": ("sim_mjx.cli.doctor:Doctor", "check this machine, or a store and what made it"),
     "view": ("sim_mjx.cli.view:View", "show one trial: interactively, as pictures or as a film"),
     "fidelity": ("sim_mjx.cli.fidelity:Fidelity", "compare the simulation with a finer solver, engines and recordings"),

@@ -46,7 +46,7 @@ class View(Command):
     angles (--data is the folder that was imported). On a display the trial opens in MuJoCo's viewer. Without one, or
     with -o, it is written to a file: key frames above wrench and labels (.png, .svg, .pdf), or a film (.gif, .mp4).
 
-    Example: rcbht view trials.zarr sim-B-000003 -o trial.png
+    Example: rcbht view trials.zarr sim-hooked-B-000003 -o trial.png
     """
 
     store: Store

@@ -179,11 +179,11 @@ def test_one_arm_is_monitored(store: Path, model: Path, capsys: pytest.CaptureFi
     for command, counted in (("fit", ["-o", store.parent / "right.monitor"]), ("evaluate", ["--false-alarms", 0.1])):
         (alone,) = lines(capsys, "monitor", command, store, "--where", "skill=5", *counted, *options)
         (found,) = lines(capsys, "monitor", command, two, *counted, *options)
-        assert found == alone | {"remarks": ["Counted is the right arm alone."]}
+        assert found == alone | {"remarks": ["Only the right arm is used."]}
         (chosen,) = lines(capsys, "monitor", command, two, "--where", "arm=R", *counted, *options)
         assert chosen == alone
     assert main(["monitor", "fit", str(two), "--arm", "L", "--group", "day", "-o", str(left)]) == 0
-    assert capsys.readouterr().out.endswith("\nCounted is the left arm alone.\n")
+    assert capsys.readouterr().out.endswith("\nOnly the left arm is used.\n")
     assert main(["monitor", "evaluate", str(two), "--arm", "X", "--group", "day"]) == 2
     assert "no arm 'X'" in capsys.readouterr().err
     for watched, words, arm in ((model, (), "R"), (left, (), "L"), (left, ("--arm", "R"), "R")):

@@ -69,7 +69,7 @@ def test_one_arm_is_labelled(store, tmp_path, capsys, monkeypatch):
         assert main(["segment", str(two), "-o", str(out), *words]) == 0
         printed = capsys.readouterr().out
         assert "5 recordings, 4 of them annotated" in printed
-        assert printed.endswith(f"\nCounted is the {named} arm alone.\n")
+        assert printed.endswith(f"\nOnly the {named} arm is used.\n")
         with out.open(newline="") as file:
             rows = {(row["recording"], row["arm"]) for row in csv.DictReader(file)}
         assert rows == {(str(first + number), named[0].upper()) for number in range(5)}

@@ -313,8 +313,8 @@ def test_the_arm_that_is_played_is_named(tmp_path, capsys, command, words, named
     rj.write_recordings(store, two, {})
     port = ["--port", "0", "--no-stay", "--speed", "0"] if command == "serve" else []
     assert main([command, str(store), "--robot", "hiro", *words, *port]) == 0
-    remarks = [line for line in capsys.readouterr().err.splitlines() if line.startswith("Counted")]
-    assert remarks == [f"Counted is the {named} alone."] * bool(named)
+    remarks = [line for line in capsys.readouterr().err.splitlines() if line.startswith("Only the")]
+    assert remarks == [f"Only the {named} is used."] * bool(named)
 
 
 def test_the_arm_that_a_model_learned_is_played(tmp_path, capsys):
