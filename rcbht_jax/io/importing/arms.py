@@ -54,28 +54,6 @@ def arms_of(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(arms, key=in_order)) if len(arms) <= MOST_ARMS else ()
 
 
-def words_between(found: Iterable[AnyMapping[str, str]]) -> tuple[str, ...]:
-    """The words by which wrenches with the same axes differ, as a mapping may name them as arms; () = there are none.
-
-    >>> words_between([{axis: f"{axis}_{number}" for axis in ("Fx", "Fy", "Fz")} for number in (1, 2)])
-    ('1', '2')
-    """
-    found = list(found)
-    parts = [re.split(r"[\W_]+", split_unit(wrench["Fx"])[0]) for wrench in found]
-    if len({len(one) for one in parts}) != 1 or len(found) > MOST_ARMS:
-        return ()
-    words = next((several for several in zip(*parts, strict=True) if len(set(several)) > 1), ())
-    marks = [_mark(word) for word in words if word]
-    if not len(set(words)) == len(marks) == len(found):
-        return ()
-    for mark, wrench in zip(marks, found, strict=True):
-        own = [[other for other in marks if other.search(name)] for name in wrench.values()]
-        read = wrenches(mark.sub(PLACE, name) for name in wrench.values())
-        if any(several != [mark] for several in own) or [list(one) for one in read] != [list(found[0])]:
-            return ()
-    return words
-
-
 def names_side(name: str) -> bool:
     """Whether a name holds the word left or right, as that of an arm's group does.
 

@@ -47,10 +47,10 @@ _FRAMES = r"tcp|tool|flange|ee|eef|base|world|sensor|left|right|\{arm\}"  # betw
 _FIRST_ARM = re.compile(r"\{arm\}(?=[^\W_])")  # {arm}Fx
 _LAST_ARM = re.compile(r"(?:[\s\[(]+|(?<=[^\W_]))\{arm\}[\s\])]*$")  # Fx{arm}, Fx [{arm}]
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
-_LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
-_LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
-_QUOTES = re.compile(r"""["'`]""")  # of parts of a path: /'FT'/'Fx'
-_TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX
+_QUOTES = re.compile(r"""["'`,]|^\(|\)$""")  # of parts of a path: /'FT'/'Fx', or of levels: ('FT', 'Fx')
+_SAID = re.compile(
+    r"(?:force|torque|moment)s?(\d*)[._/ \-]*$"
+)  # before an axis that says it: Force Fx, cartTorque1_TauX
 _AXIS = re.compile(
     r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?((?:[._/ \-](?:" + _FRAMES + r"))?)"
     r"[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
@@ -80,7 +80,7 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     found: dict[tuple[str, str], dict[str, str]] = {}  # by what stands before and after an axis
     rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
     for name, (base, unit) in _parsed(names).items():
-        base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(_FIRST_ARM.sub("{arm}_", _LAST_ARM.sub("_{arm}", base)))))
+        base = _QUOTES.sub("", snake(_FIRST_ARM.sub("{arm}_", _LAST_ARM.sub("_{arm}", base))))
         if part := _axis_of(base, unit):
             place, kind, letter, certain = part
             axes = found.setdefault(place, {})
@@ -138,7 +138,12 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
     if after[1:] in (*TIMES, *NANOSECONDS):  # of its samples
         return None
     kind = "M" if is_moment(f"{word}{letter}", unit) else "F"
-    return (f"{before}{number}", f"{frame}{after}"), kind, letter, word in ("torque", "moment", "tau", "m")
+    return (
+        (_SAID.sub(r"\1", f"{before}{number}"), f"{frame}{after}"),
+        kind,
+        letter,
+        word in ("torque", "moment", "tau", "m"),
+    )
 
 
 def is_axis(name: str) -> bool:
@@ -200,21 +205,6 @@ def preferred(found: Iterable[dict[str, str]]) -> dict[str, str]:
     'force_x'
     """
     return max(found, key=lambda wrench: (preference(wrench["Fx"]), len(wrench)), default={})
-
-
-def of_levels(name: str) -> str:
-    """The name of a column of several levels, which a data frame writes as a tuple; any other name as it is.
-
-    >>> of_levels("('force', 'x')"), of_levels("('Fx', 'N')"), of_levels("('time', '')"), of_levels("Fx (N)")
-    ('force.x', 'Fx [N]', 'time', 'Fx (N)')
-    """
-    if not _LEVELS.match(name):
-        return name
-    *outer, last = _LEVEL.findall(name)
-    head = ".".join(filter(None, outer))
-    if head and split_unit(f"x [{last}]")[1]:
-        return f"{head} [{last}]"
-    return ".".join(filter(None, (head, last)))
 
 
 def group_base(name: str) -> str:

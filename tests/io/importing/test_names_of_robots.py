@@ -51,6 +51,14 @@ def test_a_frame_may_stand_between_a_force_and_its_axis(form: str) -> None:
     assert wrenches(names) == [dict(zip(AXES, names, strict=True))]
 
 
+@pytest.mark.parametrize("form", ["{} {}{} [N]", "{}/{}{}", "robot.{}.{}{}", "{}{}{}"])
+def test_a_quantity_before_an_axis_separates_no_moments_from_forces(form: str) -> None:
+    """The moments were left out."""
+    names = [form.format(word, letter, axis) for word, letter in (("Force", "F"), ("Torque", "T")) for axis in "xyz"]
+    names = [name.replace("[N]", "[Nm]") if "Torque" in name else name for name in names]
+    assert wrenches(names) == [dict(zip(AXES, names, strict=True))]
+
+
 def test_a_wrench_without_a_frame_goes_before_those_in_one() -> None:
     """Where its columns came later, the wrench in the frame was imported instead."""
     names = [f"{kind}_{frame}{axis}" for frame in ("base_", "") for kind in "FT" for axis in "xyz"]
