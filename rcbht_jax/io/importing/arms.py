@@ -108,16 +108,6 @@ def column_of_arms(table: Table, mapping: Mapping, groups: AnyMapping[str, NDArr
     return name if several and name != mapping.group else ""
 
 
-def of_each_arm(groups: AnyMapping[str, NDArray[Any]], arms: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """The rows of each arm of every group.
-
-    >>> of_each_arm({"1": np.arange(3)}, np.array(["left", "right", "left"]))
-    {'1#left': array([0, 2]), '1#right': array([1])}
-    """
-    pairs = ((value, rows, arm) for value, rows in groups.items() for arm in np.unique(arms[rows]).tolist() if arm)
-    return {f"{value}#{arm}": rows[arms[rows] == arm] for value, rows, arm in pairs}
-
-
 def _without(arm: str, names: Iterable[str]) -> set[str]:
     """The names that hold an arm, with its place for it."""
     mark = _mark(arm)

@@ -146,15 +146,6 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
     )
 
 
-def is_axis(name: str) -> bool:
-    """Whether a name is that of one axis of a wrench.
-
-    >>> is_axis("Fz"), is_axis("tcp_force_x"), is_axis("mass")
-    (True, True, False)
-    """
-    return _axis_of(snake(split_unit(name)[0]), "") is not None
-
-
 def _words(name: str) -> list[str]:
     return re.split(r"[\W_\d]+", snake(name))
 
