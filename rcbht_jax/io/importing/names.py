@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 
 from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, is_moment, snake, split_unit
 from rcbht_jax.io.checks import LONGEST_NAME, RESERVED
@@ -79,8 +79,14 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     """
     found: dict[tuple[str, str], dict[str, str]] = {}  # by what stands before and after an axis
     rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
-    for name, (base, unit) in _parsed(names).items():
-        base = _QUOTES.sub("", snake(_FIRST_ARM.sub("{arm}_", _LAST_ARM.sub("_{arm}", base))))
+    spelled = {
+        name: (_QUOTES.sub("", snake(_FIRST_ARM.sub("{arm}_", _LAST_ARM.sub("_{arm}", base)))), unit)
+        for name, (base, unit) in _parsed(names).items()
+    }
+    bare = {base for base, unit in spelled.values() if not unit}
+    for name, (base, unit) in spelled.items():
+        if base in bare and _is_no_moment(base, bare):
+            continue
         if part := _axis_of(base, unit):
             place, kind, letter, certain = part
             axes = found.setdefault(place, {})
@@ -121,6 +127,20 @@ def _parsed(names: Iterable[str]) -> dict[str, tuple[str, str]]:
     return found
 
 
+def _is_no_moment(base: str, others: Container[str]) -> bool:
+    """Whether tx, ty, tz are those of a pose, beside rx or qx and without x, or mx, my, mz of a magnetometer.
+
+    >>> _is_no_moment("tx", ["tx", "rx"]), _is_no_moment("tx", ["tx", "rx", "x"]), _is_no_moment("mx", ["gx", "mx"])
+    (True, False, True)
+    """
+    match = re.fullmatch(r"(.*?)([tm])[xyz]", base)
+    if not match:
+        return False
+    before = match[1]
+    of_pose = (f"{before}rx" in others or f"{before}qx" in others) and f"{before}x" not in others
+    return f"{before}gx" in others if match[2] == "m" else of_pose
+
+
 def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | None:
     """What stands before and after an axis, F or M, x, y or z, and whether a T cannot be a translation; None = no axis.
 
@@ -135,7 +155,7 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
         before, letter, word, after, number, frame = *first.groups(), "", ""
     else:
         return None
-    if after[1:] in (*TIMES, *NANOSECONDS):  # of its samples
+    if after[1:] in (*TIMES, *NANOSECONDS) or unit in ("m", "mm"):  # of its samples, a translation
         return None
     kind = "M" if is_moment(f"{word}{letter}", unit) else "F"
     return (
