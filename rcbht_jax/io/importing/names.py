@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Container, Iterable
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
 
 from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, is_moment, snake, split_unit
 from rcbht_jax.io.checks import LONGEST_NAME, RESERVED
@@ -83,9 +84,9 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
         name: (_QUOTES.sub("", snake(_FIRST_ARM.sub("{arm}_", _LAST_ARM.sub("_{arm}", base)))), unit)
         for name, (base, unit) in _parsed(names).items()
     }
-    bare = {base for base, unit in spelled.values() if not unit}
+    following = dict(pairwise([base for base, _ in spelled.values()] + [""]))
     for name, (base, unit) in spelled.items():
-        if base in bare and _is_no_moment(base, bare):
+        if not unit and _is_no_moment(base, following):
             continue
         if part := _axis_of(base, unit):
             place, kind, letter, certain = part
@@ -127,18 +128,25 @@ def _parsed(names: Iterable[str]) -> dict[str, tuple[str, str]]:
     return found
 
 
-def _is_no_moment(base: str, others: Container[str]) -> bool:
-    """Whether tx, ty, tz are those of a pose, beside rx or qx and without x, or mx, my, mz of a magnetometer.
+def _is_no_moment(base: str, following: Mapping[str, str]) -> bool:
+    """Whether tx, ty, tz are those of a pose, before rx or qx and without x, or mx, my, mz of a magnetometer, after gz.
 
-    >>> _is_no_moment("tx", ["tx", "rx"]), _is_no_moment("tx", ["tx", "rx", "x"]), _is_no_moment("mx", ["gx", "mx"])
+    >>> pose, both = {"tz": "rx", "rx": ""}, {"pz": "rx", "tz": ""}
+    >>> _is_no_moment("tx", pose), _is_no_moment("tx", both), _is_no_moment("my", {"gz": "mx"})
     (True, False, True)
+
+    Args:
+        base: of a column, in lower case.
+        following: the next column of each.
     """
     match = re.fullmatch(r"(.*?)([tm])[xyz]", base)
     if not match:
         return False
     before = match[1]
-    of_pose = (f"{before}rx" in others or f"{before}qx" in others) and f"{before}x" not in others
-    return f"{before}gx" in others if match[2] == "m" else of_pose
+    if match[2] == "m":
+        return f"{before}mx" in (following.get(f"{before}gz"), following.get(f"{before}az"))
+    turned = following.get(f"{before}tz") in (f"{before}rx", f"{before}qx")
+    return turned and f"{before}x" not in following and f"{before}px" not in following
 
 
 def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | None:

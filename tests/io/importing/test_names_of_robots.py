@@ -66,8 +66,9 @@ def test_translations_of_a_pose_are_no_moments(unit: str, turn: list[str]) -> No
     pose = [f"tcp/{name}" for name in ("tx", "ty", "tz")]
     forces, turns = [f"tcp/f{axis}" for axis in "xyz"], [f"tcp/{name}" for name in turn]
     assert wrenches([*(name + unit for name in pose), *turns, *forces]) == [dict(zip(AXES, forces, strict=False))]
-    both = [f"tcp/{axis}" for axis in "xyz"]  # the position, so that t is a torque
-    assert wrenches([*both, *turns, *forces, *pose]) == [dict(zip(AXES, [*forces, *pose], strict=True))]
+    for position in ("", "p"):  # beside which t is a torque
+        both = [f"tcp/{position}{axis}" for axis in "xyz"]
+        assert wrenches([*forces, *pose, *turns, *both]) == [dict(zip(AXES, [*forces, *pose], strict=True))]
 
 
 def test_a_magnetometer_measures_no_moments(tmp_path: Path) -> None:
@@ -75,8 +76,9 @@ def test_a_magnetometer_measures_no_moments(tmp_path: Path) -> None:
     inertial = [f"{letter}{axis}" for letter in "agm" for axis in "xyz"]
     write(tmp_path / "a.csv", ["Fx", "Fy", "Fz", *inertial])
     assert read_source(tmp_path).recordings.axes == AXES[:3]
-    write(tmp_path / "a.csv", [f"{letter}{axis}" for letter in ("F", "T", "g", "m") for axis in "xyz"])
-    np.testing.assert_allclose(read_source(tmp_path).recordings.wrench[0], WRENCH[:, :6], rtol=1e-6)
+    for letters in ("FTgm", "FMag"):  # the second is a sensor of forces and accelerations
+        write(tmp_path / "a.csv", [f"{letter}{axis}" for letter in letters for axis in "xyz"])
+        np.testing.assert_allclose(read_source(tmp_path).recordings.wrench[0], WRENCH[:, :6], rtol=1e-6)
 
 
 def test_a_wrench_without_a_frame_goes_before_those_in_one() -> None:
