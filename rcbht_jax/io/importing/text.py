@@ -152,7 +152,7 @@ def _slow(
     _flush(path, columns, rows + (between.end(of_words=True) if between.too_many() else []))
     _flush(path, columns, between.end(columns[0].is_of_words()))
     if not columns[0].count:
-        raise InputError(f"{path} has no rows; expected a table with line feeds.")
+        raise InputError(f"{path} has no rows; expected a table.")
     faults.update(*(column.faults for column in columns))
     return [column.array() for column in columns]
 
