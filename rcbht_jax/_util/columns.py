@@ -44,7 +44,7 @@ UNITS = {
 TIMES = (
     "time", "t", "stamp", "timestamp", "times", "timestamps", "secs", "sec", "seconds", "elapsed", "%time", "clock",
     "header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt", "ts", "tout",
-    "__time", "publish_time", "log_time",
+    "__time", "publish_time", "log_time", "x_value",
 )  # fmt: skip
 TIMES_ABROAD = (  # of a column that grows: "temps" may be temperatures
     "zeit", "zeitstempel", "temps", "tiempo", "tempo", "czas", "tijd", "время", "时间", "時間", "시간",

@@ -54,28 +54,6 @@ def arms_of(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(arms, key=in_order)) if len(arms) <= MOST_ARMS else ()
 
 
-def words_between(found: Iterable[AnyMapping[str, str]]) -> tuple[str, ...]:
-    """The words by which wrenches with the same axes differ, as a mapping may name them as arms; () = there are none.
-
-    >>> words_between([{axis: f"{axis}_{number}" for axis in ("Fx", "Fy", "Fz")} for number in (1, 2)])
-    ('1', '2')
-    """
-    found = list(found)
-    parts = [re.split(r"[\W_]+", split_unit(wrench["Fx"])[0]) for wrench in found]
-    if len({len(one) for one in parts}) != 1 or len(found) > MOST_ARMS:
-        return ()
-    words = next((several for several in zip(*parts, strict=True) if len(set(several)) > 1), ())
-    marks = [_mark(word) for word in words if word]
-    if not len(set(words)) == len(marks) == len(found):
-        return ()
-    for mark, wrench in zip(marks, found, strict=True):
-        own = [[other for other in marks if other.search(name)] for name in wrench.values()]
-        read = wrenches(mark.sub(PLACE, name) for name in wrench.values())
-        if any(several != [mark] for several in own) or [list(one) for one in read] != [list(found[0])]:
-            return ()
-    return words
-
-
 def names_side(name: str) -> bool:
     """Whether a name holds the word left or right, as that of an arm's group does.
 
@@ -128,16 +106,6 @@ def column_of_arms(table: Table, mapping: Mapping, groups: AnyMapping[str, NDArr
     column = table.columns.get(name, np.empty(0))
     several = column.dtype.kind == "U" and any(len(set(column[rows].tolist()) - {""}) > 1 for rows in groups.values())
     return name if several and name != mapping.group else ""
-
-
-def of_each_arm(groups: AnyMapping[str, NDArray[Any]], arms: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """The rows of each arm of every group.
-
-    >>> of_each_arm({"1": np.arange(3)}, np.array(["left", "right", "left"]))
-    {'1#left': array([0, 2]), '1#right': array([1])}
-    """
-    pairs = ((value, rows, arm) for value, rows in groups.items() for arm in np.unique(arms[rows]).tolist() if arm)
-    return {f"{value}#{arm}": rows[arms[rows] == arm] for value, rows, arm in pairs}
 
 
 def _without(arm: str, names: Iterable[str]) -> set[str]:

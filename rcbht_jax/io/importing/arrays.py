@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,8 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         members = _members(datasets, group)
         for part, node in parts:
             found = {**_shared(members[""], members[part], turned), **members[part]}
-            around = [file, node] if turned else [*_around(node), node]
+            above = accumulate(filter(None, node.name.split("/")), "{}/{}".format)
+            around = [file, node] if turned else [file, *map(file.get, above)]
             arrays: dict[str, Any] = {key: np.asarray(value) for one in around for key, value in one.attrs.items()}
             objects = _objects(found) if turned else []
             for key in objects:
@@ -168,15 +170,6 @@ def _shared(beside: Mapping[str, Any], own: Mapping[str, Any], turned: bool) -> 
     return {key: one for key, one in near.items() if one.size == 1 or one.size == max(one.shape or (0,)) in lengths}
 
 
-def _around(node: Any) -> list[Any]:
-    """The groups that a group lies in, the outermost first."""
-    parents: list[Any] = []
-    while node.name != "/":
-        node = node.parent
-        parents.insert(0, node)
-    return parents
-
-
 def _titles(item: Any) -> dict[str, NDArray[Any]]:
     """The attributes of a table that name its columns."""
     if len(item.shape or ()) not in (2, 3) or item.dtype.kind not in "fiu":
@@ -201,8 +194,9 @@ def _like(group: Any, h5py: Any) -> Any:
     groups = dict(_groups(group, h5py))
     children = list(groups.values())
     alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0])
-    signals = any(child.visititems(_is_long) for child in children)
-    beside = _one_wrench([group], h5py) and not any(child.visititems(_is_of_forces) for child in children)
+    signals = any(child.visititems(lambda _, one: getattr(one, "size", 0) > 1 or None) for child in children)
+    forces = any(child.visititems(lambda name, _: has_forces(name) or None) for child in children)
+    beside = _one_wrench([group], h5py) and not forces
     if len(children) > 1 and signals and ((alike and not beside) or _named(groups) or _one_wrench(children, h5py)):
         return group
     if len(children) == 1:
@@ -210,16 +204,6 @@ def _like(group: Any, h5py: Any) -> Any:
     # Beside a group of recordings there may be one of splits.
     found = (_like(child, h5py) for child in children)
     return next((one for one in found if one is not None and _named(one)), None)
-
-
-def _is_long(_: str, item: Any) -> bool | None:
-    """Whether a member is an array of several values; None = it is not, and h5py visits the next."""
-    return True if getattr(item, "size", 0) and item.size > 1 else None
-
-
-def _is_of_forces(name: str, _: Any) -> bool | None:
-    """Whether a member is called like forces; None = it is not, and h5py visits the next."""
-    return has_forces(name) or None
 
 
 def _one_wrench(groups: Iterable[Any], h5py: Any) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -66,7 +65,7 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     if not kept:
         raise InputError(f"{source} holds no usable recording.{report.first_reason}")
     report.remarks += _remarks([record.notes for record in kept], moves, period) + still_axes(kept)
-    report.remarks += _interpolated(kept) + _overlaps(kept)
+    report.remarks += _interpolated(kept)
     report.imported = [record.name for record in kept]
     _words(kept)
     columns = _columns(kept, source, report)
@@ -136,23 +135,6 @@ def _interpolated(records: list[Record]) -> list[str]:
     return [f"{found}; straight lines stand there, as if they were measured."] if shares else []
 
 
-def _overlaps(records: list[Record]) -> list[str]:
-    """A remark on each track of which an interval begins before the end of another one of the recording.
-
-    >>> record = Record("a", np.arange(9.0), np.zeros((9, 1)), ("Fz",), ("N",))
-    >>> record.intervals[:] = [("phase", "push", 0.0, 3.0), ("phase", "hold", 2.0, 4.0), ("tool", "left", 1.0, 5.0)]
-    >>> _overlaps([record])[0]
-    'Annotations phase overlap in 1 recording: where one label per sample is needed, the one that begins last counts.'
-    """
-    found = Counter[str]()
-    for record in records:
-        spans = sorted((track, start, end) for track, _, start, end in record.intervals if end > start)
-        half = record.period / 2
-        found.update({a for (a, _, end), (b, start, _) in pairwise(spans) if a == b and start < end - half})
-    rule = "where one label per sample is needed, the one that begins last counts."
-    return [f"Annotations {track} overlap in {plural(count, 'recording')}: {rule}" for track, count in found.items()]
-
-
 def _words(records: list[Record]) -> None:
     """Make a column that changes within any recording a track in all; a constant value spans the whole recording."""
     tracks = {track for record in records for track, *_ in record.intervals}
@@ -191,10 +173,8 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
     if any(folders) and "session" not in columns:
         report.remarks.append(f"The sessions are the sub-folders of {spelled(source.name)}: {len(set(folders))}.")
     if "outcome" not in columns and not all("changes:outcome" in record.notes for record in records):
-        likely = next((name for name, values in columns.items() if _states_outcomes(values)), "")
-        more = f" The values of {likely!r} may be outcomes." if likely else ""
         text = "No column states the outcome: it is unknown. Name one with --outcome or in a map."
-        report.remarks += [text + more, *_outcome_folders(records)]
+        report.remarks += [text, *_outcome_folders(records)]
     words = sorted({str(word) for word in columns.get("outcome", [])} - {""})
     if words and not {"success", "failure"} & set(words):
         listed = ", ".join(words[:3]) + (", ..." if len(words) > 3 else "")
@@ -229,17 +209,6 @@ def _names_apart(columns: dict[str, Any], files: list[str], report: ImportReport
         f"Recordings have the same value of trial, so each is named by its {how}; the values are the column c_trial."
     )
     return {"trial": np.array(candidates[how], np.str_), "c_trial": columns["trial"]}
-
-
-def _states_outcomes(values: NDArray[Any]) -> bool:
-    """Whether the values of a column are words for success and failure; "0" and "true" may stand for anything.
-
-    >>> _states_outcomes(np.array(["OK", "NOK", ""])), _states_outcomes(np.array(["0", "1"]))
-    (True, False)
-    """
-    words = {str(word).lower() for word in values.tolist()} - {""}
-    meant = {OUTCOMES.get(word, "") for word in words}
-    return meant == {"success", "failure"} and words.isdisjoint(("0", "1", "true", "false"))
 
 
 def _outcome_folders(records: list[Record]) -> list[str]:

@@ -13,18 +13,14 @@ import numpy as np
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_VALUES
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.json_lines import UNITS
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.messages import Malformed, stamp_of
 from rcbht_jax.io.rosbags import WRENCH, messages, open_bag
 
 MAX_ELEMENTS = 1024  # of an array in a message; longer ones are pictures and clouds of points
 TEXT = "std_msgs/msg/String"
-_UNITS = {  # of wrenches, as REP 103 prescribes
-    f"{prefix}{part}.{axis}": unit
-    for prefix in ("", "wrench.")
-    for part, unit in (("force", "N"), ("torque", "Nm"))
-    for axis in "xyz"
-}
+_UNITS = UNITS | {name.removeprefix("wrench."): unit for name, unit in UNITS.items()}
 
 
 def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:

@@ -27,7 +27,6 @@ _BLANKS = re.compile(r"\s+(?![\[(][^\W\d][^\s\])]*[\])])")  # but before a unit:
 _QUOTED = re.compile(r'"([^"]*)"|([^\s"]+)')  # between blanks
 _OF_DAY = re.compile(r"\d:\d\d,\d+$")  # the end of a time with a decimal comma
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
-_FORTRAN = re.compile(r"[+-]?\d*\.\d*[dD][+-]\d{2,3}")  # a number of double precision; 1.2D3 may be a serial number
 _BETWEEN = ",.' \u00a0\u2009\u202f’"  # marks between thousands
 _GROUPED = re.compile(rf"^([+-]?\d{{1,3}})([{_BETWEEN}])(\d{{3}}(?:\2\d{{3}})*)(?:([,.])(\d*))?$")
 _DECIMAL = re.compile(r"^[+-]?(\d*)([,.])(\d+)(?:[eE][+-]?\d+)?$")
@@ -104,13 +103,9 @@ def is_number(cell: str) -> bool:
 def plain(cell: str, delimiter: str) -> str:
     """A cell with a point where a table without commas between cells has a decimal one, and without brackets of a row.
 
-    An exponent of Fortran has its D replaced.
-
-    >>> plain("1,5", ";"), plain("1,5", ","), plain("( 1.5", ","), plain("-1.5D+02", ",")
-    ('1.5', '1,5', '1.5', '-1.5E+02')
+    >>> plain("1,5", ";"), plain("1,5", ","), plain("( 1.5", ",")
+    ('1.5', '1,5', '1.5')
     """
-    if ("D" in cell or "d" in cell) and _FORTRAN.fullmatch(cell):
-        return cell.upper().replace("D", "E")
     if cell[:1] in ("(", "[") or cell[-1:] in (")", "]"):
         inner = cell.strip("()[] ")
         return inner if inner and is_number(inner) else cell

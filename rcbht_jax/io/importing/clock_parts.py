@@ -1,4 +1,4 @@
-"""Times in several columns: a date, a time of day and milliseconds; hours, minutes and seconds; seconds and a rest."""
+"""Times in several columns: a date, a time of day and milliseconds, or seconds and a rest."""
 
 from __future__ import annotations
 
@@ -10,16 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import TIMES, TIMES_ABROAD, UNITS, base_and_unit, snake
-from rcbht_jax.io.importing.clock import DAY
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.importing.table import Table
 
 JOINT = " + "  # between the names of columns that are one time
 _DATES = ("date", "datum", "data", "fecha", "дата", "日期", "日付")
 _CLOCKS = ("uhrzeit", "time_of_day", "heure", "hora", "ora", "时刻", "時刻", *TIMES, *TIMES_ABROAD)
-_HMS = (("hour", "hours", "hh", "h", "stunde"), ("minute", "minutes", "min", "mm", "m"),
-        ("second", "seconds", "sec", "secs", "ss", "s", "sekunde"))  # fmt: skip
-_YMD = (("year", "yyyy", "jahr"), ("month", "mon", "monat"), ("day", "dd", "tag"))
 _REST = {"millis": "ms", "millisec": "ms", "millisecs": "ms", "micros": "us", "microsec": "us", "nanos": "ns"}
 _OF_DAY = re.compile(r"(\d{1,2}:\d{2}:\d{2})([.,]\d+)?(\s*[AaPp]\.?[Mm]\.?)?")
 _DATE = re.compile(r"\d{1,4}([-./ ])\w{1,9}\1\d{1,4}|\d{8}")
@@ -45,7 +41,7 @@ def with_whole_times(table: Table, mapping: Mapping) -> Table:
         if name not in stated:
             for base in (base_and_unit(name)[0], name):
                 bases.setdefault(snake(base).replace(" ", "_"), name)
-    found = _of_text(table, bases) or _of_numbers(table, bases) or _with_rest(table, bases)
+    found = _of_text(table, bases) or _with_rest(table, bases)
     if found is None:
         return table
     parts, whole = found
@@ -91,42 +87,6 @@ def _iso(date: str) -> str:
     return f"{date} "
 
 
-def _of_numbers(table: Table, bases: dict[str, str]) -> tuple[list[str], NDArray[Any]] | None:
-    """Seconds from columns of hours, minutes and seconds, perhaps with a date and a rest; None = they are no such."""
-    hms = _columns(table, bases, _HMS, ((0, 23), (0, 59), (0, 60.999999)))
-    if not hms:
-        return None
-    hours, minutes, seconds = (table.columns[name] for name in hms)
-    whole = 3600 * hours + 60 * minutes + seconds
-    parts = list(hms)
-    if (seconds == np.round(seconds)).all() and (finer := _rest(table, bases, "")):
-        rest, digits = finer
-        parts.append(rest)
-        whole = whole + table.columns[rest] / 10.0**digits
-    if ymd := _columns(table, bases, _YMD, ((1900, 2200), (1, 12), (1, 31))):
-        year, month, day = (table.columns[name].astype(np.int64) for name in ymd)
-        months = (year - 1970).astype("datetime64[Y]").astype("datetime64[M]") + (month - 1)
-        whole = whole + DAY * (months.astype("datetime64[D]").astype(np.int64) + day - 1)
-        parts = [*ymd, *parts]
-    else:
-        whole = whole + DAY * (np.diff(whole, prepend=whole[:1]) < -DAY / 2).cumsum()
-    return (parts, whole) if _forwards(whole) else None
-
-
-def _columns(
-    table: Table, bases: dict[str, str], words: tuple[tuple[str, ...], ...], bounds: tuple[tuple[float, float], ...]
-) -> list[str]:
-    """A column for each of the kinds, of numbers within bounds; [] = one is missing."""
-    found = []
-    for kind, (low, high) in zip(words, bounds, strict=True):
-        name = next((bases[word] for word in kind if word in bases), "")
-        values = table.columns[name] if name else np.empty(0)
-        if values.dtype.kind != "f" or not len(values) or not ((values >= low) & (values <= high)).all():
-            return []
-        found.append(name)
-    return found
-
-
 def _with_rest(table: Table, bases: dict[str, str]) -> tuple[list[str], NDArray[Any]] | None:
     """Whole seconds with the milliseconds or microseconds beside them, such as tv_sec and tv_usec; None = none are."""
     for base, name in bases.items():
@@ -140,7 +100,7 @@ def _with_rest(table: Table, bases: dict[str, str]) -> tuple[list[str], NDArray[
         if finer and finer[1] < 9:  # nanoseconds stay apart, where doubles hold them
             rest, digits = finer
             whole = values + table.columns[rest] / 10.0**digits
-            if _forwards(whole):
+            if (np.diff(whole) >= 0).all():  # else they are parts of a minute
                 return [name, rest], whole
     return None
 

@@ -22,7 +22,6 @@ from rcbht_jax._util.untrusted import (
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import apart
-from rcbht_jax.io.importing.names import of_levels
 from rcbht_jax.io.importing.table import Table
 
 EPISODE = "episode_index"
@@ -72,10 +71,7 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
             columns[field.name] = _array(pa, column, _kind(pa, field.type))
     if not columns or not len(next(iter(columns.values()))):
         raise InputError(f"{path} has no rows of numbers or text.")
-    plain = {name: of_levels(name) for name in columns}
-    if len(set(plain.values())) == len(plain):
-        columns = {plain[name]: column for name, column in columns.items()}
-    seconds = {plain.get(field.name, field.name): "s" for field in table.schema if _kind(pa, field.type) == "time"}
+    seconds = {field.name: "s" for field in table.schema if _kind(pa, field.type) == "time"}
     return columns, 1 / float(rows) if rows and float(rows) > 0 else None, seconds, tuple(others)
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rcbht_jax._util.columns import base_and_unit
-from rcbht_jax.io.importing.names import COUNTERS, column_name, is_axis, of_any_arm
+from rcbht_jax._util.columns import base_and_unit, measured
+from rcbht_jax.io.importing.names import COUNTERS, column_name, of_any_arm
 from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.words import text
@@ -71,8 +71,9 @@ def without_properties(records: Sequence[Record]) -> tuple[list[Record], list[st
         records: of the same axes.
     """
     axes, units = records[0].axes, records[0].units
-    still = [all(np.ptp(record.values[:, k]) == 0 for record in records) for k in range(len(axes))]
-    names = [axis for axis, unit, one in zip(axes, units, still, strict=True) if one and not unit and not is_axis(axis)]
+    plain = [not unit and measured([axis], [""]) == "signal" for axis, unit in zip(axes, units, strict=True)]
+    still = (all(np.ptp(record.values[:, k]) == 0 for record in records) for k in range(len(axes)))
+    names = [axis for axis, *known in zip(axes, plain, still, strict=True) if all(known)]
     if not names or len(names) == len(axes):
         return list(records), []
     kept = [place for place, axis in enumerate(axes) if axis not in names]

@@ -30,6 +30,7 @@ from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
 _OURS = ("recording", "samples", "seconds")
 _TEXTS = ("trial", *STANDARD_COLUMNS)
+_NUMBERS = {"recording": "int64", "samples": "int64", "seconds": "float64", "start": "float64", "end": "float64"}
 _KINDS = {"text", "str", "bool"} | {str(np.dtype(code)) for code in "bhilqBHILQefd"}  # of columns, as exports name them
 Columns = dict[str, NDArray[Any]]
 
@@ -37,7 +38,7 @@ Columns = dict[str, NDArray[Any]]
 def read_export(folder: Path) -> Recordings:
     """The recordings of an export, equal to those of the exported store.
 
-    Text and numbers of further columns are distinguished by ``column_types`` of ``dataset.json``, else by their form.
+    Text and numbers of further columns are distinguished by ``column_types`` of ``dataset.json``; others are text.
     The table of trials may have been sorted: its numbers of recordings say which signals a row is about.
 
     >>> from rcbht_jax.io.export import export, load
@@ -131,9 +132,8 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     if not rows or any(len(row) != len(rows[0]) for row in rows):
         raise InputError(f"{path} has lines of different lengths.")
     content = zip(*rows[1:], strict=True) if len(rows) > 1 else [()] * len(rows[0])
-    known, pairs = _types(about), zip(rows[0], content, strict=True)
-    texts = (*_TEXTS, "track", "label")
-    return {key: _typed(path, key, cells, "text" if key in texts else known.get(key, "")) for key, cells in pairs}
+    known, pairs = {**_NUMBERS, **_types(about)}, zip(rows[0], content, strict=True)
+    return {key: _typed(path, key, cells, known.get(key, "text")) for key, cells in pairs}
 
 
 def _in_order(folder: Path, table: Columns) -> Columns:
@@ -216,22 +216,15 @@ def exported_tables(path: Path, name: str) -> Iterator[Table]:
 
 
 def _typed(path: Path, key: str, cells: tuple[str, ...], kind: str) -> NDArray[Any]:
-    """Cells as numbers where all are (and the type does not say text), empty ones as NaN."""
-    if kind in ("text", "str"):
-        return np.array(cells, np.str_)
+    """Cells of the type of a column; numbers that are empty are NaN."""
     try:
-        if kind == "bool" or (not kind and cells and set(cells) <= {"True", "False"}):
+        if kind == "bool":
             return np.array([cell == "True" for cell in cells])
-        if np.dtype(kind or "f").kind in "iu":
-            return np.array(cells, np.str_).astype(kind)
-        if not kind and cells and all(cell.removeprefix("-").isdecimal() for cell in cells):
-            return np.array(cells, np.int64)
-        if kind or any(cells):
-            return np.array([cell or "nan" for cell in cells], np.float64).astype(kind or np.float64)
+        if kind in ("text", "str") or np.dtype(kind).kind in "iu":
+            return np.array(cells, np.str_).astype("U" if kind == "text" else kind)
+        return np.array([cell or "nan" for cell in cells], np.float64).astype(kind)
     except (ValueError, TypeError, OverflowError):
-        if kind:
-            raise InputError(f"{path}: column {key} does not hold {kind}.") from None
-    return np.array(cells, np.str_)
+        raise InputError(f"{path}: column {key} does not hold {kind}.") from None
 
 
 def _csv(path: Path, axes: tuple[str, ...], number: int) -> NDArray[np.float32]:
@@ -324,9 +317,7 @@ def _annotations(folder: Path, about: Mapping[str, Any], count: int) -> Annotati
     lists = list(labels.values()) if isinstance(labels, dict) else [None]
     if not all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in lists):
         raise InputError(f"{folder}/dataset.json: the labels of the annotations are no table of lists of texts.")
-    table = _table(
-        folder, "annotations", {"column_types": {"recording": "int32", "start": "float64", "end": "float64"}}
-    )
+    table = _table(folder, "annotations", {})
     if not table:
         return Annotations()
     if missing := {"recording", "track", "label", "start", "end"} - set(table):

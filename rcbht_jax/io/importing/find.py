@@ -89,6 +89,8 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
         known = f" Files with these endings are read: {', '.join(SUFFIXES)}; save yours as one of them."
         text = f" Read text such as {', '.join(TEXTS)} with: rcbht import csv {source}."
         held = ", ".join(others[:5]) or "none"
+        if any(is_export(source / name) for name in others):
+            raise InputError(f"{source} holds what rcbht export wrote ({held}); import each folder alone.")
         if any(Path(name).suffix.lower() in WORKBOOKS for name in others):
             raise InputError(f"{source} holds workbooks, which are not read; save their sheets as CSV, each as a file.")
         texts = any(Path(name).suffix.lower() in TEXTS for name in others) and kind == "auto"
@@ -104,7 +106,7 @@ def _listed(source: Path, kind: str) -> tuple[list[Item], list[str]]:
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         if here != source and (whole := _whole(here, foreign=not is_export(here))):
             name = spelled(here.relative_to(source).as_posix())
-            if whole == "zarr" and (kind not in ("auto", whole) or _is_own(here)):
+            if whole == "export" or (whole == "zarr" and (kind not in ("auto", whole) or _is_own(here))):
                 others.append(name)
             else:
                 items.append(Item(name, here, whole))
@@ -121,14 +123,6 @@ def _listed(source: Path, kind: str) -> tuple[list[Item], list[str]]:
                     others.append(relative)
         if len(items) + len(documents) + len(others) > MAX_FILES:
             raise InputError(f"{source} holds more than {MAX_FILES} files; import its folders one by one.")
-    exports = [item for item in items if item.kind == "export"]
-    if exports and len(items) == len(exports) > 1:
-        named = ", ".join(item.name for item in exports[:5])
-        raise InputError(
-            f"{source} holds several exports ({named}); import each alone, and join the stores: rcbht join."
-        )
-    if len(items) > len(exports):
-        items, others = [item for item in items if item not in exports], others + [item.name for item in exports]
     if not items:
         return documents, others
     # beside other files, JSON describes recordings

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -16,7 +15,6 @@ from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, snake
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
-from rcbht_jax.io.importing.arms import words_between
 from rcbht_jax.io.importing.cells import two_meanings
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.record import check_columns, rows_of_recordings
@@ -284,12 +282,9 @@ def more_wrenches(table: Table, mapping: Mapping) -> str:
     own = next((wrench for wrench in found if taken & set(wrench.values())), {})
     if not own or not others:
         return ""
-    worth = names.preference(own["Fx"])
-    arms = words_between(one for one in found if names.preference(one["Fx"]) == worth and list(one) == list(own))
-    more = f" If they are of several arms, write arms = {json.dumps(arms)} there instead." if arms else ""
     return (
         f"{len(found)} wrenches were found, and that of {own['Fx']} was taken; to import that of {some(others)}, name "
-        f"its channels with --map.{more}"
+        "its channels with --map, or, if each is of an arm, the words that tell these apart (arms)."
     )
 
 

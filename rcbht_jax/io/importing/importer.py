@@ -101,7 +101,7 @@ def read_source(
     items, others = chosen(source, *find(source, kind), base.files)
     if base.topic and not any(item.kind in ("bag", "mcap") for item in items):
         raise InputError(f"{source} holds no bag, and only a bag has topics; leave out the topic {base.topic}.")
-    if items[0].kind == "export" and len(items) == 1:
+    if items[0].kind == "export":
         if base != Mapping():
             raise InputError(
                 f"{source} was written by rcbht export and is read as it is; leave out --map and its options."

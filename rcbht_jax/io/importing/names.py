@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
 
 from rcbht_jax._util.columns import FORCES, MOMENTS, TIMES, base_and_unit, is_moment, snake, split_unit
 from rcbht_jax.io.checks import LONGEST_NAME, RESERVED
@@ -47,10 +48,10 @@ _FRAMES = r"tcp|tool|flange|ee|eef|base|world|sensor|left|right|\{arm\}"  # betw
 _FIRST_ARM = re.compile(r"\{arm\}(?=[^\W_])")  # {arm}Fx
 _LAST_ARM = re.compile(r"(?:[\s\[(]+|(?<=[^\W_]))\{arm\}[\s\])]*$")  # Fx{arm}, Fx [{arm}]
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
-_LEVELS = re.compile(r"""^\((?:'[^']*'|"[^"]*")(?:, (?:'[^']*'|"[^"]*"))+\)$""")
-_LEVEL = re.compile(r"""['"]([^'"]*)['"]""")
-_QUOTES = re.compile(r"""["'`]""")  # of parts of a path: /'FT'/'Fx'
-_TWICE = re.compile(r"(?<=torque)(\d*)_tau")  # cartTorque1_TauX
+_QUOTES = re.compile(r"""["'`,]|^\(|\)$""")  # of parts of a path: /'FT'/'Fx', or of levels: ('FT', 'Fx')
+_SAID = re.compile(
+    r"(?:force|torque|moment)s?(\d*)[._/ \-]*$"
+)  # before an axis that says it: Force Fx, cartTorque1_TauX
 _AXIS = re.compile(
     r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?((?:[._/ \-](?:" + _FRAMES + r"))?)"
     r"[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
@@ -79,8 +80,14 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
     """
     found: dict[tuple[str, str], dict[str, str]] = {}  # by what stands before and after an axis
     rows: dict[tuple[str, str, str, str], dict[int, str]] = {}
-    for name, (base, unit) in _parsed(names).items():
-        base = _QUOTES.sub("", _TWICE.sub(r"\1", snake(_FIRST_ARM.sub("{arm}_", _LAST_ARM.sub("_{arm}", base)))))
+    spelled = {
+        name: (_QUOTES.sub("", snake(_FIRST_ARM.sub("{arm}_", _LAST_ARM.sub("_{arm}", base)))), unit)
+        for name, (base, unit) in _parsed(names).items()
+    }
+    following = dict(pairwise([base for base, _ in spelled.values()] + [""]))
+    for name, (base, unit) in spelled.items():
+        if not unit and _is_no_moment(base, following):
+            continue
         if part := _axis_of(base, unit):
             place, kind, letter, certain = part
             axes = found.setdefault(place, {})
@@ -121,6 +128,27 @@ def _parsed(names: Iterable[str]) -> dict[str, tuple[str, str]]:
     return found
 
 
+def _is_no_moment(base: str, following: Mapping[str, str]) -> bool:
+    """Whether tx, ty, tz are those of a pose, before rx or qx and without x, or mx, my, mz of a magnetometer, after gz.
+
+    >>> pose, both = {"tz": "rx", "rx": ""}, {"pz": "rx", "tz": ""}
+    >>> _is_no_moment("tx", pose), _is_no_moment("tx", both), _is_no_moment("my", {"gz": "mx"})
+    (True, False, True)
+
+    Args:
+        base: of a column, in lower case.
+        following: the next column of each.
+    """
+    match = re.fullmatch(r"(.*?)([tm])[xyz]", base)
+    if not match:
+        return False
+    before = match[1]
+    if match[2] == "m":
+        return f"{before}mx" in (following.get(f"{before}gz"), following.get(f"{before}az"))
+    turned = following.get(f"{before}tz") in (f"{before}rx", f"{before}qx")
+    return turned and f"{before}x" not in following and f"{before}px" not in following
+
+
 def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | None:
     """What stands before and after an axis, F or M, x, y or z, and whether a T cannot be a translation; None = no axis.
 
@@ -135,19 +163,15 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
         before, letter, word, after, number, frame = *first.groups(), "", ""
     else:
         return None
-    if after[1:] in (*TIMES, *NANOSECONDS):  # of its samples
+    if after[1:] in (*TIMES, *NANOSECONDS) or unit in ("m", "mm"):  # of its samples, a translation
         return None
     kind = "M" if is_moment(f"{word}{letter}", unit) else "F"
-    return (f"{before}{number}", f"{frame}{after}"), kind, letter, word in ("torque", "moment", "tau", "m")
-
-
-def is_axis(name: str) -> bool:
-    """Whether a name is that of one axis of a wrench.
-
-    >>> is_axis("Fz"), is_axis("tcp_force_x"), is_axis("mass")
-    (True, True, False)
-    """
-    return _axis_of(snake(split_unit(name)[0]), "") is not None
+    return (
+        (_SAID.sub(r"\1", f"{before}{number}"), f"{frame}{after}"),
+        kind,
+        letter,
+        word in ("torque", "moment", "tau", "m"),
+    )
 
 
 def _words(name: str) -> list[str]:
@@ -200,21 +224,6 @@ def preferred(found: Iterable[dict[str, str]]) -> dict[str, str]:
     'force_x'
     """
     return max(found, key=lambda wrench: (preference(wrench["Fx"]), len(wrench)), default={})
-
-
-def of_levels(name: str) -> str:
-    """The name of a column of several levels, which a data frame writes as a tuple; any other name as it is.
-
-    >>> of_levels("('force', 'x')"), of_levels("('Fx', 'N')"), of_levels("('time', '')"), of_levels("Fx (N)")
-    ('force.x', 'Fx [N]', 'time', 'Fx (N)')
-    """
-    if not _LEVELS.match(name):
-        return name
-    *outer, last = _LEVEL.findall(name)
-    head = ".".join(filter(None, outer))
-    if head and split_unit(f"x [{last}]")[1]:
-        return f"{head} [{last}]"
-    return ".".join(filter(None, (head, last)))
 
 
 def group_base(name: str) -> str:

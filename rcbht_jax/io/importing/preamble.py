@@ -6,28 +6,16 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
-from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rcbht_jax._util.cells import number_of
 from rcbht_jax._util.columns import FORCES, MOMENTS, split_unit
-from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.names import wrenches
+from rcbht_jax.io.importing.words import rate_of
 
 END_OF_HEADER = b"***End_of_Header***"  # of LabVIEW
 LINES = 5  # of names and units at most
-_RATES = (
-    "sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency", "abtastrate",
-    "abtastfrequenz", "messrate",
-)  # fmt: skip  # or longer words
-_RATE = ("rate", "frequency", "fs")
-_PERIOD = ("dt", "sample time", "sampling time", "sampling period", "sample period", "sample interval", "abtastzeit")
-_IN = {"": 1.0, "hz": 1.0, "khz": 1e3, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 _SEPARATOR = re.compile(rb'^(?:\xef\xbb\xbf)?"?sep=[^\s]?"?\s*$', re.IGNORECASE)  # that spreadsheets read
-_UNIT = r"(k?hz|[muµ]?s)"
 
 
 @dataclass(frozen=True)
@@ -93,8 +81,7 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
     """
     lines, names = list(lines), list(names)
     said = dict(pair for line in lines for pair in _pairs(line))
-    rates = [number(text) for key, text in said.items() if key.endswith(_RATES) or key in _RATE]
-    rates += [1 / period for key, text in said.items() if key in _PERIOD and (period := number(text)) > 0]
+    rates = [rate for key, text in said.items() if (rate := rate_of(key, text, longer=True))]
     rates += [1 / period] if (period := _period_in(lines)) > 0 else []
     counts: dict[str, float] = {}
     units: dict[str, str] = {}
@@ -103,14 +90,14 @@ def stated(lines: Iterable[bytes], names: Iterable[str]) -> Stated:
     ]
     axes = [pair for wrench in wrenches(names) for pair in wrench.items()]
     for quantity, letter in (("force", "F"), ("torque", "M")):
-        per = number(said.get(f"counts per unit {quantity}", said.get(f"counts per {quantity}", "")))
+        per = number_of(said.get(f"counts per unit {quantity}", said.get(f"counts per {quantity}", "")))
         those = [column for axis, column in axes if axis.startswith(letter)]
         counts |= dict.fromkeys(those, per) if per > 0 else {}
         unit = split_unit(f"x [{said.get(f'{quantity} units', '')}]")[1]
         unit = unit or next((one for one in both if one in {"F": FORCES, "M": MOMENTS}[letter]), "")
         units |= dict.fromkeys(those, unit) if unit else {}
     units |= _units_in(lines, names)
-    return Stated(next((rate for rate in rates if rate > 0), None), counts, units)
+    return Stated(next(iter(rates), None), counts, units)
 
 
 def _pairs(line: bytes) -> Iterator[tuple[str, str]]:
@@ -138,22 +125,7 @@ def _pairs(line: bytes) -> Iterator[tuple[str, str]]:
 
 
 def _stating(key: str, value: str) -> tuple[str, str]:
-    """A word in lower case and its value, with the unit that the word may have instead."""
-    key, value = key.strip(" :=").lower().replace("_", " "), value.strip()
-    unit = re.search(r"\s*[\[(]?\b" + _UNIT + r"\b[\])]?\s*$", key)
-    if not unit:
-        return key, value
-    return key[: unit.start()], f"{value} {unit[1]}" if number(f"{value} {unit[1]}") else value
-
-
-def number(text: str) -> float:
-    """The number that a text states, in Hz or s where it has a unit; 0 = none.
-
-    >>> number("500 Hz"), number("0.002 s"), number("2 ms"), number("0,5 kHz"), number("fast")
-    (500.0, 0.002, 0.002, 500.0, 0.0)
-    """
-    match = re.match(r"\s*(\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*" + _UNIT + r"?\s*$", text, re.IGNORECASE)
-    return float(match[1].replace(",", ".")) * _IN[(match[2] or "").lower()] if match else 0.0
+    return key.strip(" :=").lower().replace("_", " "), value.strip()
 
 
 def _end_of_header(lines: Sequence[bytes]) -> int:
@@ -175,22 +147,3 @@ def _period_in(lines: Iterable[bytes]) -> float:
     rows = (cells.split(line, cells.delimiter_of(line))[1:] for line in lines if line.startswith(b"Delta_X"))
     stated = {float(cell) for row in rows for cell in row if cell and cells.is_number(cell)}
     return stated.pop() if len(stated) == 1 else 0.0
-
-
-def with_one_time(path: Path, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The columns without the times that LabVIEW writes before every signal, where they are the same.
-
-    >>> times = np.arange(3.0)
-    >>> list(with_one_time(Path("a.lvm"), {"X_Value": times, "Fx": times, "X_Value.2": times, "Fz": times}))
-    ['X_Value', 'Fx', 'Fz']
-
-    Raises:
-        InputError: a signal has times of its own.
-    """
-    more = [name for name in columns if name.startswith("X_Value.")]
-    for name in more:
-        if not np.array_equal(columns[name], columns["X_Value"]):
-            raise InputError(
-                f"{path}: the times in column {name} are not those in X_Value; save the signals one by one."
-            )
-    return {name: column for name, column in columns.items() if name not in more}

@@ -17,7 +17,7 @@ from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit
 from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform, topics
-from rcbht_jax.io.importing.arms import column_of_arms, of_each_arm
+from rcbht_jax.io.importing.arms import column_of_arms
 from rcbht_jax.io.importing.clock import first_second, no_time, seconds_of
 from rcbht_jax.io.importing.given import Given
 from rcbht_jax.io.importing.groups import MAX_GROUPS, rows_of_groups
@@ -112,7 +112,14 @@ def records(
             group = table.columns[name]
             if ((group == "") if group.dtype.kind == "U" else ~np.isfinite(group)).any():
                 yield table.name, f"rows without a value in {name} belong to no recording."
-        parts = of_each_arm(parts, table.columns[sides]) if sides else parts
+        if sides:
+            arms = {value: table.columns[sides][rows] for value, rows in parts.items()}
+            parts = {
+                f"{value}#{arm}": parts[value][own == arm]
+                for value, own in arms.items()
+                for arm in np.unique(own)
+                if arm
+            }
     elif (stamps := _readable_stamps(table, mapping, parts[""])) is not None:
         several = conform.from_each_start(stamps, MAX_GROUPS)
         if len(several) > 1:

@@ -11,18 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import decoded, snake, unit_of_time
+from rcbht_jax._util.columns import decoded, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.families import families, segments
 from rcbht_jax.io.importing.names import has_axes, has_forces, wrenches
+from rcbht_jax.io.importing.words import rate_of
 
-RATE_NAMES = (
-    "rate", "fs", "fps", "sr", "sampling_rate", "sample_rate", "samplerate", "frequency", "sampling_frequency",
-)  # fmt: skip
 LONGEST_TEXT = 100_000  # characters of a fact in which a rate is looked for
 _CONTROL = re.compile(r'"control_freq(?:uency)?"\s*:\s*(\d+(?:\.\d+)?)\s*[,}]')
-PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")
 LENGTH_NAMES = ("length", "lengths", "n_samples", "num_samples", "n_steps", "num_steps", "seq_len", "seq_lengths")
 
 Interval = tuple[str, str, float, float]  # track, label, start, end (NaN = unknown) in s from the first sample
@@ -324,9 +321,8 @@ def scalars_of(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[
         if not _usable(value):
             continue
         fact = _fact(value[()])
-        short, unit = _without_unit(re.split("[./]", key)[-1])
-        if isinstance(fact, float) and fact > 0 and np.isfinite(fact) and short in (*RATE_NAMES, *PERIOD_NAMES):
-            rate = fact * unit if short in RATE_NAMES else 1 / (fact * unit)
+        if stated := rate_of(re.split("[./]", key)[-1], fact):
+            rate = stated
         else:
             facts[key] = fact
             within = within or (_control_rate(fact) if isinstance(fact, str) else None)
@@ -341,20 +337,6 @@ def _control_rate(text: str) -> float | None:
     """
     found = _CONTROL.search(text[:LONGEST_TEXT]) if text.startswith("{") else None
     return float(found[1]) if found and 0 < float(found[1]) < np.inf else None
-
-
-def _without_unit(key: str) -> tuple[str, float]:
-    """The name of a rate or a time between samples without its unit, and this unit in Hz or s.
-
-    >>> _without_unit("samplingRate_Hz"), _without_unit("dt_ms"), _without_unit("fps")
-    (('sampling_rate', 1.0), ('dt', 0.001), ('fps', 1.0))
-    """
-    short = snake(key).replace(" ", "_").replace("k_hz", "khz")
-    match = re.match(r"(.+?)_\(?(k?hz|[mu]?s)\)?$", short)
-    unit = {"hz": 1.0, "khz": 1e3, "s": 1.0, "ms": 1e-3, "us": 1e-6}[match[2]] if match else 1.0
-    of_rate = bool(match and match[1] in RATE_NAMES and match[2].endswith("hz"))
-    of_time = bool(match and match[1] in PERIOD_NAMES and match[2].endswith("s"))
-    return (match[1], unit) if match and (of_rate or of_time) else (short, 1.0)
 
 
 def _fact(value: Any) -> str | float:

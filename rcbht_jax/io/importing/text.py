@@ -19,9 +19,9 @@ from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.encodings import WORDS, encoding_of
-from rcbht_jax.io.importing.preamble import END_OF_HEADER, stated, with_one_time
+from rcbht_jax.io.importing.preamble import END_OF_HEADER, stated
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.timing import are_dates, check_one_time
+from rcbht_jax.io.importing.timing import are_dates, with_one_time
 from rcbht_jax.io.importing.titles import Titles, read_titles
 from rcbht_jax.io.importing.unpacked import opened
 from rcbht_jax.io.importing.words import text
@@ -81,12 +81,8 @@ def read_csv(path: Path, name: str, words: bool = False) -> Iterator[Table]:
         if columns[column].dtype.kind == "f":
             columns[column] = columns[column].astype(np.float64) / counts
     notes += ("counts",) if about.counts else ()
-    if any(line.startswith(END_OF_HEADER) for line in titles.before):
-        columns = with_one_time(path, columns)
-    check_one_time(path, columns)
-    yield Table(
-        name, columns, about.rate, about.units, notes=notes, lines=tuple(between.left), faults=tuple(sorted(faults))
-    )
+    columns, lines = with_one_time(path, columns), tuple(between.left)
+    yield Table(name, columns, about.rate, about.units, notes=notes, lines=lines, faults=tuple(sorted(faults)))
 
 
 def _elements(name: str, column: NDArray[np.generic]) -> dict[str, NDArray[np.generic]]:

@@ -25,25 +25,33 @@ _DAYS = (2e4, 8e4), (6e5, 8e5)  # days since 1900 (spreadsheets) and since the y
 _LAST = ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "duration", "datenum", *TIMES_ABROAD)
 
 
-def check_one_time(path: Path, columns: AnyMapping[str, NDArray[Any]]) -> None:
-    """Refuse columns of signals that have times of their own, in a further column of the same name.
+def with_one_time(path: Path, columns: AnyMapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The columns without times that stand again before further signals, as LabVIEW writes them.
+
+    >>> times = np.arange(3.0)
+    >>> list(with_one_time(Path("a.lvm"), {"X_Value": times, "Fx": times, "X_Value.2": times, "Fz": times}))
+    ['X_Value', 'Fx', 'Fz']
 
     Raises:
-        InputError: these times are not those of the first such column, within half a sample.
+        InputError: they are not those of the first such column, within half a sample.
     """
     names = list(columns)
-    repeated = ((name, match[1]) for name in names[:-1] if (match := re.fullmatch(r"(.+)\.\d+", name)))
-    for name, first in repeated:
+    more = list[str]()
+    for name, first in ((name, match[1]) for name in names[:-1] if (match := re.fullmatch(r"(.+)\.\d+", name))):
         if base_and_unit(first)[0] not in (*TIMES, *TIMES_ABROAD) or first not in names[: names.index(name) - 1]:
             continue  # no signals between them
         own, others = columns[first], columns[name]
         if own.dtype.kind != "f" or others.dtype.kind != "f":
             continue
         own, others = (both := np.stack([own, others]))[:, np.isfinite(both).all(0)]
-        if _grow(own) and _grow(others) and (np.abs(own - others) > np.median(np.abs(np.diff(own))) / 2).any():
+        if not (_grow(own) and _grow(others)):
+            continue
+        if (np.abs(own - others) > np.median(np.abs(np.diff(own))) / 2).any():
             raise InputError(
                 f"{path}: the times in column {name} are not those in {first}; save the signals of each one by one."
             )
+        more.append(name)
+    return {name: column for name, column in columns.items() if name not in more}
 
 
 def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
@@ -261,7 +269,5 @@ def _is_first(table: Table, name: str) -> bool:
         return False
     head = name.removesuffix("_0")
     alone = values[0] == 0 and sum(key.startswith(f"{head}_") for key in table.columns) - 1 == others
-    named = base_and_unit(name)[0] in ("c0", "unnamed: 0", "values_0", "x_value") or (
-        name != head and (alone or values[0] > 1e9)
-    )
+    named = base_and_unit(name)[0] in ("c0", "unnamed: 0", "values_0") or (name != head and (alone or values[0] > 1e9))
     return bool(named and np.median(np.abs(step - np.median(step))) < np.median(step))

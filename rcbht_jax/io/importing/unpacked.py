@@ -1,4 +1,4 @@
-"""Files of text as they are read: unpacked if compressed, in UTF-8 where they are in UTF-16, with line feeds."""
+"""Files of text as they are read: unpacked if compressed, in UTF-8 where they are in UTF-16."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PACKED: dict[str, Callable[[IO[bytes]], io.BufferedIOBase]] = {  # by the end of
     ".gz": lambda file: gzip.GzipFile(fileobj=file),
     ".bz2": bz2.BZ2File,
 }
-_BLOCK, _HEAD = 2**20, 2**16
+_BLOCK = 2**20
 
 
 def plain_name(name: str) -> str:
@@ -63,11 +63,6 @@ def opened(path: Path, most: int = MAX_TEXT_BYTES) -> Iterator[BinaryIO]:
                 _recode(path, file, copy)
                 file = copy
             file.seek(0)
-            head = file.read(_HEAD)
-            if b"\r" in head and b"\n" not in head:
-                copy = stack.enter_context(tempfile.TemporaryFile())
-                file = copy if _with_line_feeds(file, copy) else file
-            file.seek(0)
             yield cast("BinaryIO", file)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
@@ -84,16 +79,6 @@ def _unpack(path: Path, packed: io.BufferedIOBase, copy: IO[bytes], most: int) -
     except (EOFError, ValueError, zlib.error, gzip.BadGzipFile) as error:
         raise InputError(f"{path} is damaged, or not packed as its name says: {error}.") from None
     copy.seek(0)
-
-
-def _with_line_feeds(file: IO[bytes], copy: IO[bytes]) -> bool:
-    """Copy a file whose lines end in carriage returns alone, as those of old Macs do; False = it has no such lines."""
-    file.seek(0)
-    while block := file.read(_BLOCK):
-        if b"\0" in block or (len(block) == _BLOCK and b"\r" not in block):
-            return False  # soon, before a large file is copied
-        copy.write(block.replace(b"\r", b"\n"))
-    return True
 
 
 def _recode(path: Path, file: IO[bytes], copy: IO[bytes]) -> None:

@@ -1,4 +1,4 @@
-"""Values of files as words: how a number is written, which words are one, and which mean an outcome."""
+"""Values of files as words: how a number is written, which words are one, state the rate, or mean an outcome."""
 
 from __future__ import annotations
 
@@ -10,8 +10,22 @@ from typing import Any
 
 import numpy as np
 
+from rcbht_jax._util.columns import snake
+from rcbht_jax.io.importing.conform import LONGEST, SHORTEST
 from rcbht_jax.io.importing.mapping import Track
 
+_RATES = (
+    "sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency", "abtastrate",
+    "abtastfrequenz", "messrate",
+)  # fmt: skip
+_RATE = ("rate", "fs", "fps", "sr", "frequency")
+_PERIOD = (
+    "dt", "ts", "period", "sample time", "sampling time", "sampling period", "sample period", "sample interval",
+    "abtastzeit",
+)  # fmt: skip
+_IN = {"hz": 1.0, "khz": 1e3, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
+_UNIT = re.compile(r"[ \[(]+(k?hz|[muµ]?s)[\])]?$")
+_AMOUNT = re.compile(r"\s*(\d+(?:[.,]\d+)?(?:e[+-]?\d+)?)\s*(k?hz|[muµ]?s)?\s*$", re.IGNORECASE)
 OUTCOMES = dict.fromkeys(("success", "1", "true", "ok", "pass", "passed", "io", "i.o."), "success") | dict.fromkeys(
     ("failure", "0", "false", "nok", "ng", "fail", "failed", "nio", "n.i.o."), "failure"
 )
@@ -52,6 +66,29 @@ def _number(word: str) -> str:
         return text(float(word)) if np.isfinite(float(word)) else word
     except ValueError:
         return word
+
+
+def rate_of(key: str, value: str | float, longer: bool = False) -> float | None:
+    """Samples per second, if a name and its value state them, or the time between samples; else None.
+
+    With ``longer``, other words may stand before the name.
+
+    >>> rate_of("samplingRate_Hz", 500.0), rate_of("RDT Sample Rate (kHz)", "0,5", longer=True), rate_of("dt", "2 ms")
+    (500.0, 500.0, 500.0)
+    >>> rate_of("rate", "fast"), rate_of("speed", 2.0), rate_of("ts", 1.7e9)
+    (None, None, None)
+    """
+    word = snake(key).replace("_", " ").replace("k hz", "khz").strip(" :=")
+    unit, amount = _UNIT.search(word), _AMOUNT.match(str(value))
+    word = word[: unit.start()] if unit else word
+    if not amount or not (word in (*_RATES, *_RATE, *_PERIOD) or (longer and word.endswith(_RATES))):
+        return None
+    said = (amount[2] or (unit[1] if unit else "")).lower()
+    number = float(amount[1].replace(",", ".")) * _IN.get(said, 1.0)
+    if said and said.endswith("s") != (word in _PERIOD):  # a rate in s, a period in Hz
+        return None
+    rate = 1 / number if number and word in _PERIOD else number
+    return rate if 1 / LONGEST <= rate <= 1 / SHORTEST else None
 
 
 def is_outcome(name: str, values: Iterable[Any]) -> bool:

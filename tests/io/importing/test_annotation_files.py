@@ -105,18 +105,6 @@ def test_annotations_of_a_recording_that_is_not_there_are_told(tmp_path: Path) -
     assert imported.recordings.annotations.names().tolist() == ["push"]
 
 
-def test_annotations_that_overlap_are_remarked(tmp_path: Path) -> None:
-    write(tmp_path)
-    head, rows = "recording,label,start,end", ["run1,push,0.1,0.2", "run1,pull,0.2,0.3"]
-    (tmp_path / "phases.csv").write_text("\n".join([head, *rows]))
-    assert not any("overlap" in remark for remark in read_source(tmp_path).report.remarks)
-    (tmp_path / "phases.csv").write_text("\n".join([head, *rows, "run1,hold,0.15,0.25"]))
-    assert any(
-        remark.startswith("Annotations label overlap in 1 recording:")
-        for remark in read_source(tmp_path).report.remarks
-    )
-
-
 def test_columns_of_annotations_that_are_not_understood_are_told(tmp_path: Path) -> None:
     write(tmp_path)
     (tmp_path / "run2_labels.csv").write_text("label;start;bis\npush;0,1;0,2\npull;0,2;0,35\n")

@@ -44,8 +44,6 @@ def write(path: Path, head: str, form: str) -> None:
         ("Date,Time", "{t:%m/%d/%Y},{t:%I:%M:%S.%f} {t:%p}", False),
         ("Date,Time,Milliseconds", "{t:%m/%d/%Y},{t:%I:%M:%S} {t:%p},{ms}", False),
         ("Time,Milliseconds", "{t:%H:%M:%S},{ms}", False),
-        ("year,month,day,hour,minute,second", "{t:%Y},{t.month},{t.day},{t.hour},{t.minute},{t:%S.%f}", True),
-        ("hour,min,sec,ms", "{t.hour},{t.minute},{t.second},{ms}", False),
         ("tv_sec,tv_usec", "{epoch},{us}", True),
         ("timestamp,ms", "{epoch},{ms}", True),
     ],
@@ -71,6 +69,20 @@ def table_of(path: Path) -> Table:
 
     [table] = read_csv(path, path.name)
     return table
+
+
+@pytest.mark.parametrize(
+    ("head", "form"),
+    [
+        ("year,month,day,hour,minute,second", "{t:%Y},{t.month},{t.day},{t.hour},{t.minute},{t:%S.%f}"),
+        ("hour,min,sec,ms", "{t.hour},{t.minute},{t.second},{ms}"),
+    ],
+)
+def test_hours_minutes_and_seconds_as_numbers_are_refused(head: str, form: str, tmp_path: Path) -> None:
+    """Each minute is no recording of its own."""
+    write(tmp_path / "run.csv", head, form)
+    with pytest.raises(InputError, match=r"no column of time|--source-rate, which replaces"):
+        read_source(tmp_path / "run.csv")
 
 
 def test_a_mapping_that_was_saved_reads_the_parts_again(tmp_path: Path) -> None:

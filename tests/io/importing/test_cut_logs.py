@@ -32,7 +32,7 @@ def same(imported: Imported, quoted: str) -> None:
 
 
 @pytest.mark.parametrize("cut", ["0.30,1.2", "0.30", "0.3", "0.30,1.5,2.5,3.5"])
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_a_last_line_without_an_end_is_no_mistake(cut: str, end: str, tmp_path: Path) -> None:
     """The whole file was refused."""
     same(read(tmp_path, (HEAD + ROWS + cut).replace("\n", end)), f"{cut.split(',')[0]}, ...")

@@ -134,11 +134,3 @@ def test_a_gap_does_not_lengthen_the_last_sample(gap: float, tmp_path: Path) -> 
     assert end == round(imported.recordings.length[0] * imported.recordings.dt, 3)
     [(_, text)] = imported.report.warnings
     assert f"is after the end ({end:.6g} s); left out" in text
-
-
-def test_annotations_that_overlap_by_less_than_a_gap_are_remarked(tmp_path: Path) -> None:
-    time = np.arange(400) * 0.005
-    time[200:] += 300
-    write(tmp_path / "a.csv", time)
-    labels(tmp_path, [("free", 0.1, 0.5), ("push", 0.4, 0.6)])
-    assert any("Annotations label overlap in 1 recording" in remark for remark in read_source(tmp_path).report.remarks)

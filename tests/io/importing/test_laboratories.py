@@ -155,7 +155,7 @@ def test_two_units_of_a_whole_wrench_are_of_its_forces_and_moments(key: str, uni
 def test_names_of_several_levels_in_parquet(form: str, tmp_path: Path) -> None:
     names = [form.format(word, axis) for word in ("force", "torque") for axis in "xyz"]
     columns = {name: WRENCH[:, number] for number, name in enumerate(names)}
-    pq.write_table(pa.table({"('time', '')": TIME, **columns}), tmp_path / "run.parquet")
+    pq.write_table(pa.table({"time": TIME, **columns}), tmp_path / "run.parquet")
     same(read_source(tmp_path))
 
 

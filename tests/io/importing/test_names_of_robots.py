@@ -51,6 +51,36 @@ def test_a_frame_may_stand_between_a_force_and_its_axis(form: str) -> None:
     assert wrenches(names) == [dict(zip(AXES, names, strict=True))]
 
 
+@pytest.mark.parametrize("form", ["{} {}{} [N]", "{}/{}{}", "robot.{}.{}{}", "{}{}{}"])
+def test_a_quantity_before_an_axis_separates_no_moments_from_forces(form: str) -> None:
+    """The moments were left out."""
+    names = [form.format(word, letter, axis) for word, letter in (("Force", "F"), ("Torque", "T")) for axis in "xyz"]
+    names = [name.replace("[N]", "[Nm]") if "Torque" in name else name for name in names]
+    assert wrenches(names) == [dict(zip(AXES, names, strict=True))]
+
+
+@pytest.mark.parametrize("unit", ["", " [mm]"])
+@pytest.mark.parametrize("turn", [["rx", "ry", "rz"], ["qx", "qy", "qz", "qw"]])
+def test_translations_of_a_pose_are_no_moments(unit: str, turn: list[str]) -> None:
+    """They were imported as Mx, My and Mz, without a remark."""
+    pose = [f"tcp/{name}" for name in ("tx", "ty", "tz")]
+    forces, turns = [f"tcp/f{axis}" for axis in "xyz"], [f"tcp/{name}" for name in turn]
+    assert wrenches([*(name + unit for name in pose), *turns, *forces]) == [dict(zip(AXES, forces, strict=False))]
+    for position in ("", "p"):  # beside which t is a torque
+        both = [f"tcp/{position}{axis}" for axis in "xyz"]
+        assert wrenches([*forces, *pose, *turns, *both]) == [dict(zip(AXES, [*forces, *pose], strict=True))]
+
+
+def test_a_magnetometer_measures_no_moments(tmp_path: Path) -> None:
+    """Beside Tx, Ty and Tz it was imported in their place."""
+    inertial = [f"{letter}{axis}" for letter in "agm" for axis in "xyz"]
+    write(tmp_path / "a.csv", ["Fx", "Fy", "Fz", *inertial])
+    assert read_source(tmp_path).recordings.axes == AXES[:3]
+    for letters in ("FTgm", "FMag"):  # the second is a sensor of forces and accelerations
+        write(tmp_path / "a.csv", [f"{letter}{axis}" for letter in letters for axis in "xyz"])
+        np.testing.assert_allclose(read_source(tmp_path).recordings.wrench[0], WRENCH[:, :6], rtol=1e-6)
+
+
 def test_a_wrench_without_a_frame_goes_before_those_in_one() -> None:
     """Where its columns came later, the wrench in the frame was imported instead."""
     names = [f"{kind}_{frame}{axis}" for frame in ("base_", "") for kind in "FT" for axis in "xyz"]

@@ -67,13 +67,3 @@ def test_damaged_and_endless_content_is_refused(pack: Callable[[bytes], bytes], 
     (tmp_path / f"run.csv{ending}").write_bytes(pack(b"0," * 2**22))
     with pytest.raises(InputError, match=r"unpacks to more than \d+ bytes; split it"):
         read_source(tmp_path / f"run.csv{ending}")
-
-
-def test_a_large_file_without_lines_is_not_copied_for_its_carriage_returns(tmp_path: Path) -> None:
-    with (tmp_path / "run.csv").open("wb") as file:
-        file.write(b"t,Fz\r0,1\r")
-        file.truncate(2**22)
-    with unpacked.opened(tmp_path / "run.csv") as file:
-        assert file.read(9) == b"t,Fz\r0,1\r"
-    with pytest.raises(InputError, match="line of more than"):
-        read_source(tmp_path / "run.csv")
