@@ -120,7 +120,7 @@ class Bridge:
         learns = self._parameters["robot"] == "auto" and not self._parameters["thresholds"]
         measured = self._parameters["rule"] == "fit" and not self._parameters["tolerance"]
         if measured and self._parameters["thresholds"]:
-            measured = not has_tolerances(Path(self._parameters["thresholds"]))
+            measured = not has_tolerances(self._parameters["thresholds"])
         learns |= measured
         return float(self._parameters["lead"]) if learns else 0.0
 
@@ -131,7 +131,7 @@ class Bridge:
         recordings = opening.recordings(rate, AXES)
         thresholds: AnyLimits
         if self._parameters["thresholds"]:
-            thresholds, _ = read_limits(Path(self._parameters["thresholds"]), AXES, UNITS)
+            thresholds, _ = read_limits(self._parameters["thresholds"], AXES, UNITS, self._parameters["rule"])
         elif self._parameters["robot"] == "auto":
             thresholds = auto_thresholds(recordings, window, self._parameters["rule"])
         else:
