@@ -66,6 +66,7 @@ class Bridge:
         self._parameters, self._publish = {**PARAMETERS, **parameters}, publish
         self._early: list[Message] = []  # until rate and thresholds are known
         self._elapsed = Elapsed(self._parameters["rate"])
+        self._lead = 0.0 if self._parameters["model"] else self._seconds()
         self._latest = 0.0  # s, when the latest message was received
         self.session: Session | None = None
         self._readers: list[NominalWatch | SegmenterStream] = []
@@ -115,12 +116,12 @@ class Bridge:
         for message in early:
             self._feed(message)
 
-    @property
-    def _lead(self) -> float:
+    def _seconds(self) -> float:
+        """How long readings are collected, from which limits are taken."""
         learns = self._parameters["robot"] == "auto" and not self._parameters["thresholds"]
         measured = self._parameters["rule"] == "fit" and not self._parameters["tolerance"]
         if measured and self._parameters["thresholds"]:
-            measured = not has_tolerances(Path(self._parameters["thresholds"]))
+            measured = not has_tolerances(self._parameters["thresholds"])
         learns |= measured
         return float(self._parameters["lead"]) if learns else 0.0
 
@@ -131,7 +132,7 @@ class Bridge:
         recordings = opening.recordings(rate, AXES)
         thresholds: AnyLimits
         if self._parameters["thresholds"]:
-            thresholds, _ = read_limits(Path(self._parameters["thresholds"]), AXES, UNITS)
+            thresholds, _ = read_limits(self._parameters["thresholds"], AXES, UNITS, self._parameters["rule"])
         elif self._parameters["robot"] == "auto":
             thresholds = auto_thresholds(recordings, window, self._parameters["rule"])
         else:

@@ -309,15 +309,8 @@ class RuleCommand(Command):
     def limits_in_file(self, file: Path, recordings: Recordings, store: Path) -> tuple[AnyLimits, dict[str, Any]]:
         """Limits of a file of ``rcbht calibrate``; arguments and errors as of :meth:`read_limits`."""
         from rcbht_jax.encoding.limit_files import read_limits
-        from rcbht_jax.encoding.tolerance import FitLimits
 
-        limits, source = read_limits(file, recordings.axes, recordings.units)
-        if self.rule == "fit" and source.get("method") == "rest" and not isinstance(limits, FitLimits):
-            raise InputError(
-                f"{file} has limits of single windows at rest, which are for --rule paper; choose that, or make the "
-                "file with --rule fit."
-            )
-        return limits, source
+        return read_limits(file, recordings.axes, recordings.units, self.rule)
 
     def config(self, dt: float) -> AnyConfig:
         """The configuration of the rule for samples ``dt`` seconds apart."""

@@ -266,7 +266,7 @@ class Source(RuleCommand):
             robot = self.robot or ("hiro" if path.is_dir() and not is_bag(path) else "auto")
             learns = self.thresholds is None and robot == "auto"
             measured = self.rule == "fit" and not self.tolerance
-            measured &= self.thresholds is None or not has_tolerances(self.thresholds)
+            measured = measured and (self.thresholds is None or not has_tolerances(self.thresholds))
             if learns or measured:
                 what = " and ".join(["thresholds"] * learns + ["tolerances"] * measured)
                 say(f"taking the {what} from the first {self.lead:g} s")

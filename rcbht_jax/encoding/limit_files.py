@@ -68,7 +68,7 @@ def write_limits(
 
 
 def read_limits(
-    path: Path | str, axes: Sequence[str] = AXES, units: Sequence[str] = ()
+    path: Path | str, axes: Sequence[str] = AXES, units: Sequence[str] = (), rule: str = "paper"
 ) -> tuple[AnyLimits, dict[str, Any]]:
     """Limits of some axes, by name, and their provenance: GradientThresholds, or FitLimits of a file of the fit rule.
 
@@ -76,15 +76,21 @@ def read_limits(
         path: the file.
         axes: names of those to read.
         units: of the axes; what the file has in other units is converted. "" = as in the file, () = all are.
+        rule: that they are for.
 
     Raises:
-        InputError: not such a file, its numbers are not positive and in order for each of the axes, or a unit that
-            cannot be converted.
+        InputError: not such a file, its numbers are not positive and in order for each of the axes, a unit that cannot
+            be converted, or limits of single windows at rest for the fit rule.
     """
     version, columns, provenance = read_rows(path, axes, units)
     limits = np.stack([columns[name] for name in LIMITS], axis=-1)
     check_rows(limits, path, axes)
     if version == FORMAT_VERSION:
+        if rule == "fit" and provenance.get("method") == "rest":
+            raise InputError(
+                f"{path} has limits of single windows at rest, which are for --rule paper; choose that, or make the "
+                "file with --rule fit."
+            )
         return GradientThresholds(limits), provenance
     found = FitLimits(limits, columns[TOLERANCE])
     try:
@@ -95,9 +101,5 @@ def read_limits(
 
 
 def has_tolerances(path: Path | str) -> bool:
-    """Whether a file of limits is for the fit rule.
-
-    Raises:
-        InputError: not such a file.
-    """
-    return read_rows(path, ())[0] == FIT_VERSION
+    """Whether a file of limits that the fit rule can use has tolerances; errors as of :func:`read_limits`."""
+    return isinstance(read_limits(path, (), rule="fit")[0], FitLimits)

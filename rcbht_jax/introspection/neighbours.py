@@ -8,8 +8,6 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 from numpy.typing import NDArray
 
-from rcbht_jax.errors import InputError
-
 LEAST_SCALE = 0.05  # of the standard deviation of a feature over all nominal moments
 LEAST_REFERENCE = 0.5  # of the median nominal distance of a channel
 AROUND = 5  # moments before and after over which the usual distance is taken
@@ -50,20 +48,12 @@ def make_bank(
     """The bank of nominal recordings that a monitor compares with.
 
     Args:
-        described: nominal recordings ``[time, channel, kind]``.
+        described: two or more nominal recordings ``[time, channel, kind]``.
         groups: of each; a feature is scaled by its differences between groups. A single group = one per recording.
         slack: moments by which a neighbour may be early or late.
         drift: the same, as a share of the elapsed time.
         neighbours: nearest recordings whose distance is averaged.
-
-    Raises:
-        InputError: fewer than two recordings, or bad numbers.
     """
-    if len(described) < 2 or neighbours < 1 or slack < 0 or drift < 0:
-        raise InputError(
-            f"There are {len(described)} nominal recordings, neighbours is {neighbours}, slack {slack:g} and drift "
-            f"{drift:g}; expected at least two recordings, one neighbour, and no negative times."
-        )
     groups = groups if len(np.unique(groups)) > 1 else np.arange(len(described))
     held = of_one_length(described)
     time = held.shape[1]

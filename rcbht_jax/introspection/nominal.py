@@ -269,7 +269,7 @@ class MonitorStream(Copyable):
         return np.array(means, np.float64)[(waiting + 1 + np.arange(len(new))) // step]
 
     def advance(self, part: Float[np.ndarray, "time channel"]) -> Float[np.ndarray, " time"]:
-        """Scores of new averaged samples, one each."""
+        """Scores of new averaged samples, one or more, one each."""
         monitor = self._monitor
         time = self._time + np.arange(len(part))
         room = max(monitor._count(monitor._longest_head) - len(self._head), 0)
@@ -368,8 +368,6 @@ class NominalMonitor(Monitor):
         before: Float[np.ndarray, "past channel"],
         time: Int[np.ndarray, " time"],
     ) -> Float[np.ndarray, "time _ kind"]:
-        if not len(part):
-            return np.zeros((0, part.shape[1] + len(self.levels_), 1 + len(self._lags)))
         seen = np.cumsum(head, 0) / np.arange(1, len(head) + 1)[:, None]
         kinds = [part - seen[np.minimum(time, len(head) - 1)]]
         joined, first = np.concatenate([before, part]), time[0] - len(before)

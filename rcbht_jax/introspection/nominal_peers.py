@@ -149,7 +149,7 @@ class IsolationForestMonitor(NominalMonitor):
     def _score(
         self, model: Any, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
     ) -> Float[np.ndarray, " time"]:
-        return -model.score_samples(_table(described, time)) if len(time) else np.zeros(0)
+        return -model.score_samples(_table(described, time))
 
 
 def _table(

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import columns_for, read_chunk
-from rcbht_jax._util.values import Copyable, finite
+from rcbht_jax._util.signals import AxesReader, read_chunk
+from rcbht_jax._util.values import finite
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_of
 from rcbht_jax.introspection.alarms import conformal_p
 from rcbht_jax.introspection.nominal_file import MonitorFile
@@ -15,7 +13,7 @@ from rcbht_jax.introspection.nominal_file import MonitorFile
 MONITOR = "monitor"  # name in the events of alarms
 
 
-class NominalWatch(Copyable):
+class NominalWatch(AxesReader):
     """The scores of a nominal monitor over a stream, and its alarms; chunks of any size give the same events.
 
     The stream must begin where recordings of the skill do; :meth:`reset` begins the next one. After a gap that is too
@@ -45,7 +43,7 @@ class NominalWatch(Copyable):
 
     whole_trials = True  # nothing can be said of a trial whose beginning was missed
 
-    _fixed = ("_monitor",)
+    _fixed, _called = ("_monitor",), "The monitor"
 
     def __init__(self, file: MonitorFile, false_alarms: float = 0.05) -> None:
         monitor = self._monitor = file.monitor
@@ -53,14 +51,6 @@ class NominalWatch(Copyable):
         self.threshold = monitor.threshold(false_alarms)
         self._hold = monitor.memory
         self._restart()
-
-    def columns(self, axes: Sequence[str], dt: float) -> list[int]:
-        """Column numbers of its axes in a signal with these axes and ``dt`` s between samples.
-
-        Raises:
-            InputError: the signal lacks an axis or has another rate.
-        """
-        return columns_for("The monitor", self.axes, self.dt, axes, dt)
 
     def warm_up(self) -> None:
         """Nothing is compiled."""

@@ -96,8 +96,8 @@ class Segmentation:
         y = np.concatenate(self.truth)
         count, groups = self.protocol.folds_of(column_groups(self.protocol.group, self.recordings)[self.annotated])
         folds = f"{count} folds" if count < groups else "one group held out at a time"
-        dull = int((self.annotated & ~_teaching(_decided(self.truth, self.recordings.dt))).sum())
-        besides = f", but not on {dull} of a single class," if dull else ","
+        single = int((self.annotated & ~_trainable(_decided(self.truth, self.recordings.dt))).sum())
+        besides = f", but not on {single} of a single class," if single else ","
         how = f"trained on one recording at a time{besides} tested on all others" if self.protocol.one_shot else folds
         return {
             "track": self.protocol.track,
@@ -142,8 +142,8 @@ def segment(
         return clone(segmenter).fit(recordings.take(rows), [truth[row] for row in rows])
 
     decided = _decided(truth, recordings.dt)
-    teaching = _teaching(decided)
-    if protocol.one_shot and not teaching.any():
+    trainable = _trainable(decided)
+    if protocol.one_shot and not trainable.any():
         raise InputError(f"No recording has two classes of {track} at decisions, so none can be trained on alone.")
     turns: list[tuple[int, int, NDArray[np.int64]]] = []  # a training recording, the labelled recording, its labels
     splits = list(_splits(np.flatnonzero(known), groups, protocol))
@@ -151,7 +151,7 @@ def segment(
         for train, test in splits:  # before the first model: training takes long
             _check_classes([decided[row] for row in train], protocol.group, named[test])
     for train, test in splits:
-        if protocol.one_shot and not teaching[train].any():
+        if protocol.one_shot and not trainable[train].any():
             continue
         labels = trained(train).predict(recordings.take(test))
         turns += [(int(train[0]), row, part) for row, part in zip(test.tolist(), labels, strict=True)]
@@ -198,7 +198,7 @@ def _decided(truth: Sequence[NDArray[np.int64]], dt: float) -> list[NDArray[np.i
     return [part[:: decision_period(dt)] for part in truth]
 
 
-def _teaching(decided: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
+def _trainable(decided: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
     """Recordings with two classes or more at the decisions."""
     return np.array([len(np.setdiff1d(part, [UNKNOWN])) > 1 for part in decided], bool)
 

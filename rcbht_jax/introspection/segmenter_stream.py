@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import columns_for, in_precision, numbers_of, read_chunk
-from rcbht_jax._util.values import Copyable, finite, usable
+from rcbht_jax._util.signals import AxesReader, in_precision, numbers_of, read_chunk
+from rcbht_jax._util.values import finite, usable
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, stamp_of
@@ -32,7 +31,7 @@ class SegmenterHead:
     alarm_level: float = 0.0
 
 
-class SegmenterStream(Copyable):
+class SegmenterStream(AxesReader):
     """Beliefs of a segmenter over a stream; chunks of any size give the same events.
 
     They equal :meth:`rcbht_jax.introspection.segmenter.WrenchSegmenter.predict_proba`, but for words that a
@@ -57,37 +56,27 @@ class SegmenterStream(Copyable):
         ['free', 'free', 'contact', 'contact']
     """
 
-    _fixed = ("_file",)
+    _fixed, _called = ("_file",), "The segmenter"
 
     def __init__(self, file: SegmenterFile, certainty: float = 0.7) -> None:
-        self._file, self.units, self.dt = file, file.units, file.encoder.dt
+        self._file, self.axes, self.units, self.dt = file, file.axes, file.units, file.encoder.dt
         self.head = SegmenterHead(file.track, file.classes)
         self._every = decision_period(self.dt)
         self._encoder = Encoder(file.encoder, file.limits) if file.words else None
         self._confidence = Confidence(certainty, MARGIN)
         self.reset()
 
-    def columns(self, axes: Sequence[str], dt: float) -> list[int]:
-        """Column numbers of its axes in a signal with these axes and ``dt`` s between samples.
-
-        Raises:
-            InputError: the signal lacks an axis or has another rate.
-        """
-        return columns_for("The segmenter", self._file.axes, self.dt, axes, dt)
-
     def warm_up(self) -> None:
         """Compile the encoder now, instead of in the first :meth:`push`."""
         if self._encoder is not None:
-            Encoder(self._file.encoder, self._file.limits).push(
-                np.zeros((self._file.encoder.window, len(self._file.axes)))
-            )
+            Encoder(self._file.encoder, self._file.limits).push(np.zeros((self._file.encoder.window, len(self.axes))))
 
     def reset(self) -> None:
         """Start a new recording."""
         self._received = 0
         self._statistics, self._totals = TrailingStatistics(self.dt, WINDOWS), RunningTotals()
         self._course = Course()
-        self._words = LatestWords(len(self._file.axes))
+        self._words = LatestWords(len(self.axes))
         self._confidence.reset()
         if self._encoder is not None:
             self._encoder.restart()
@@ -104,9 +93,9 @@ class SegmenterStream(Copyable):
                 no number; then nothing is consumed.
         """
         time = None if time is None else finite("The time", time)
-        chunk = in_precision(numbers_of(read_chunk(samples, self.dt, self._file.axes)), np.float32)
-        if chunk.ndim != 2 or chunk.shape[1] != len(self._file.axes) or not usable(chunk):
-            raise InputError(f"Samples have shape {chunk.shape}; expected finite [time, {len(self._file.axes)}].")
+        chunk = in_precision(numbers_of(read_chunk(samples, self.dt, self.axes)), np.float32)
+        if chunk.ndim != 2 or chunk.shape[1] != len(self.axes) or not usable(chunk):
+            raise InputError(f"Samples have shape {chunk.shape}; expected finite [time, {len(self.axes)}].")
         end = self._received + len(chunk)
         events = []
         while len(chunk):

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.signals import columns_for, distinct, numbers_of, period, read_chunk
-from rcbht_jax._util.values import Copyable, expect, finite
+from rcbht_jax._util.signals import AxesReader, distinct, numbers_of, period, read_chunk
+from rcbht_jax._util.values import expect, finite
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
@@ -22,7 +22,7 @@ LOOK = 0.01  # s of each window, if it has two samples in this time
 TOLERANCES = 10.0  # of the words in the smallest fall
 
 
-class SnapDetector(Copyable):
+class SnapDetector(AxesReader):
     """Snaps in a stream of forces, found with words of the fit rule; chunks of any size give the same events.
 
     Only stamps that are dates may differ, by a microsecond, where samples are not whole microseconds apart.
@@ -48,6 +48,8 @@ class SnapDetector(Copyable):
         (400, 2.02, 3.5, 2.02, 2.04, 5.8)
     """
 
+    _called = "The detector"
+
     def __init__(
         self,
         rate: float,
@@ -59,7 +61,7 @@ class SnapDetector(Copyable):
         tolerance: ArrayLike | None = None,
         config: SnapConfig | None = None,
     ) -> None:
-        dt = period(rate)
+        self.dt = dt = period(rate)
         self.axes, self.config = distinct(axes), SnapConfig() if config is None else config
         expect("The config", self.config, SnapConfig)
         if not fall_time(self.config, dt):
@@ -74,23 +76,6 @@ class SnapDetector(Copyable):
         self._limits = FitLimits(slopes, wide)
         self._encoder = Encoder(self._words, self._limits)
         self.reset()
-
-    @property
-    def dt(self) -> float:
-        """Seconds between samples."""
-        return self._words.dt
-
-    def columns(self, axes: Sequence[str], dt: float) -> list[int]:
-        """Column numbers of its axes in a signal with these axes and ``dt`` s between samples.
-
-        Raises:
-            InputError: the signal lacks an axis or has another rate.
-
-        Example:
-            >>> SnapDetector(200.0, ["Fz"], least=3.0).columns(("Fx", "Fy", "Fz"), 0.005)
-            [2]
-        """
-        return columns_for("The detector", self.axes, self.dt, axes, dt)
 
     def warm_up(self) -> None:
         """Compile the encoder now, instead of in the first :meth:`push`."""

@@ -90,14 +90,12 @@ def write_chain(path: Path, model: IntrospectionModel, platforms: Sequence[str] 
     state = io.BytesIO()
     leaves = jax.tree.leaves(begin_stream(chain.config, chain.views, len(model.axes)))
     np.savez(state, allow_pickle=False, **{f"{k:03d}": np.asarray(leaf) for k, leaf in enumerate(leaves)})
+    code = export_chain(model, platforms)
     try:
-        code = export_chain(model, platforms)
         with atomic_write(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(META, json.dumps(meta, indent=1))
             archive.writestr(STATE, state.getvalue())
             archive.writestr(STABLEHLO, code)
-    except InputError:  # a whole sentence already
-        raise
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise InputError(f"the chain cannot be written to {path}: {error}.") from error
     return meta

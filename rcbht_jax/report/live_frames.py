@@ -73,7 +73,7 @@ class Broadcast:
             self._history.append(packet)
             self._send(packet)
 
-    def tell(self, kind: str, value: Any) -> None:
+    def announce(self, kind: str, value: Any) -> None:
         """Send a lasting message, in place of the former one of this kind, to present viewers and those to come."""
         packet = server_sent(kind, value)
         with self._lock:

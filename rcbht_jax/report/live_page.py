@@ -144,13 +144,13 @@ class PageServer(ThreadingHTTPServer):
         self.url = f"http://{f'[{host}]' if six else host}:{self.server_address[1]}/"
 
     def show(self, session: Session) -> None:
-        """Tell viewers what the frames of a session mean."""
+        """Announce what the frames of a session mean."""
         # By the name a viewer that reconnects recognises whether it is still the same stream.
-        self.broadcast.tell("about", {"stream": secrets.token_hex(8), **description(session)})
+        self.broadcast.announce("about", {"stream": secrets.token_hex(8), **description(session)})
 
     def status(self, text: str) -> None:
-        """Tell viewers what is being waited for; "" = nothing any more."""
-        self.broadcast.tell("status", text)
+        """Announce what is being waited for; "" = nothing any more."""
+        self.broadcast.announce("status", text)
 
     def __enter__(self) -> PageServer:
         threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True).start()

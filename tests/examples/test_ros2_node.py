@@ -18,6 +18,7 @@ import pytest
 import rcbht_jax as rj
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.thresholds import write_thresholds
+from rcbht_jax.errors import InputError
 from rcbht_jax.introspection import model as model_files
 from rcbht_jax.introspection import nominal_file, segmenter_file
 from rcbht_jax.introspection.nominal import NominalMonitor
@@ -138,6 +139,13 @@ def test_thresholds_of_the_first_readings_are_those_of_the_rule(rule: str, tmp_p
         bridge.finish()
         found.append(heard.events["words"])
     assert found[0] == found[1] != []
+
+
+def test_limits_of_the_other_rule_are_refused_at_once(tmp_path: Path) -> None:
+    """Words by the fit rule had limits of single windows at rest; "rcbht serve -" refused them ten seconds late."""
+    write_thresholds(tmp_path / "t.json", rj.preset(), {"method": "rest"})
+    with pytest.raises(InputError, match="are for --rule paper"):
+        Bridge({"rule": "fit", "thresholds": str(tmp_path / "t.json")}, Heard())
 
 
 def test_a_recorded_bag(external_dir: Path) -> None:
