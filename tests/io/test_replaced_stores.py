@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rcbht_jax import report
+from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, label_store, store, zarr
 from rcbht_jax.io.export import DataSet, export, load
@@ -105,3 +107,13 @@ def test_what_is_read_several_times_is_of_one_store(path: Path) -> None:
         write(path, 2)
     with pytest.raises(InputError, match=f"{path} {WORDS}"), store.unchanged(path):
         raise IndexError(write(path, 1))  # what follows from it
+
+
+def test_a_report_is_of_one_store(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    label_store.write_tracks(path, "words", tracks_of(), {})
+    monkeypatch.setattr(report, "page", lambda *_: str(write(path, 2)))
+    assert main(["report", str(path), "-o", str(tmp_path / "a.html"), "--tracks", "words"]) == 2
+    assert WORDS in capsys.readouterr().err
+    assert not (tmp_path / "a.html").exists()
