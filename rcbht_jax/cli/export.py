@@ -105,6 +105,7 @@ class Report(Command):
         from rcbht_jax._util.atomic import atomic_write
         from rcbht_jax.introspection import model as models
         from rcbht_jax.io.export import load
+        from rcbht_jax.io.store import unchanged
         from rcbht_jax.report import Options, page
         from rcbht_jax.report.page import chosen
         from rcbht_jax.report.results import read_results
@@ -118,11 +119,12 @@ class Report(Command):
             trials=self.trial,
             most=self.max_trials,
         )
-        words = self._words()
-        data = load(self.store, *words, thresholds_now(self.store, *words[1:3]))
-        count = len(chosen(data.recordings, options))
-        with progress_bar("report", "trials", count) as bar:
-            text = page(data, options, lambda done: bar.update(done) and None)
+        with unchanged(self.store):
+            words = self._words()
+            data = load(self.store, *words, thresholds_now(self.store, *words[1:3]))
+            count = len(chosen(data.recordings, options))
+            with progress_bar("report", "trials", count) as bar:
+                text = page(data, options, lambda done: bar.update(done) and None)
         with atomic_write(self.out) as draft:
             draft.write_text(text, encoding="utf-8")
         return {

@@ -262,6 +262,7 @@ class Classify(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
+        from rcbht_jax.io.store import unchanged
         from rcbht_jax.learning.model_io import load
         from rcbht_jax.learning.predict import check_recordings, classify, task_of
 
@@ -269,16 +270,13 @@ class Classify(Command):
             raise InputError(f"{self.out} must end in .csv or .jsonl, which selects the format.")
         model = load(self.model)
         spec = task_of(model, self.source, self.session, self.outcome)
-        recordings, facts = table_and_facts(self.store)
-        check_recordings(model, recordings, str(self.store))
-        tracks = self._tracks(model)
+        with unchanged(self.store):
+            recordings, facts = table_and_facts(self.store)
+            check_recordings(model, recordings, str(self.store))
+            classification = classify(model, recordings, self._tracks(model), spec, facts)
         write = _csv if self.out.suffix == ".csv" else _json_lines
-        with progress_bar("classify", "steps", 2) as bar:
-            classification = classify(model, recordings, tracks, spec, facts)
-            bar.update(1)
-            with atomic_write(self.out) as draft:
-                draft.write_text(write(classification, lines_of(classification, recordings)), encoding="utf-8")
-            bar.update(1)
+        with atomic_write(self.out) as draft:
+            draft.write_text(write(classification, lines_of(classification, recordings)), encoding="utf-8")
         counts = Counter(classification.predicted.tolist())
         return {
             "out": str(self.out),

@@ -163,14 +163,14 @@ def _new(path: Path, part: Recordings, seen: dict[tuple[str, ...], _Seen]) -> Bo
     return new
 
 
-def _facts(part: Recordings, row: int) -> str:
-    """What is known of a recording, but for its note, in a form that compares equal where a time is not known."""
+def _facts(part: Recordings, row: int) -> tuple[Any, ...]:
+    """What is known of a recording, but for its note; annotations as text, of which unknown times are equal."""
     one = part.take([row])
     known = {name: values[0].item() for name, values in one.columns.items() if str(values[0]) not in ("", "nan")}
     marks = one.annotations
     tracks = np.array(marks.tracks, object)[marks.track].tolist()
     rows = zip(tracks, marks.names().tolist(), marks.start.tolist(), marks.end.tolist(), strict=True)
-    return repr((str(one.outcome[0]), str(one.session[0]), sorted(known.items()), sorted(rows, key=repr)))
+    return str(one.outcome[0]), str(one.session[0]), known, sorted(map(repr, rows))
 
 
 def _attrs(paths: Sequence[Path], taken: dict[str, int], tare_seconds: float) -> dict[str, Any]:

@@ -40,6 +40,8 @@ from rcbht_jax.io.summary import COUNTING, Summary, merged, summary_of
 from rcbht_jax.types import Recordings
 
 Arrays = dict[str, NDArray[Any]]
+UNLIKE = "does not match its checksum"
+OTHER_GAPS = "its list of rows without a recording is not that of its rows"
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class Stored:
         try:
             used[np.array(self.group.attrs[GAPS], np.intp)] = False
         except (KeyError, ValueError, TypeError, IndexError, OverflowError):
-            raise self.other_gaps() from None
+            raise self.damaged(OTHER_GAPS) from None
         return np.flatnonzero(used)
 
     def check_unchanged(self) -> None:
@@ -80,17 +82,10 @@ class Stored:
         if self.finished and open_store(self.path).attrs.get(HASH) != self.group.attrs[HASH]:
             raise replaced(self.path)
 
-    def other_gaps(self) -> InputError:
-        """The error for a list of rows without a recording that cannot be."""
-        return InputError(
-            f"{self.path} is damaged: its list of rows without a recording is not that of its rows. "
-            "Import or copy it again."
-        )
-
-    def damaged(self, what: str) -> InputError:
-        """The error for content that does not match its checksum, unless it is that of another store."""
+    def damaged(self, why: str) -> InputError:
+        """The error for content that contradicts itself, unless it is that of another store."""
         self.check_unchanged()
-        return InputError(f"{self.path} is damaged: {what} does not match its checksum. Import or copy it again.")
+        return InputError(f"{self.path} is damaged: {why}. Import or copy it again.")
 
 
 def replaced(path: Path) -> InputError:
@@ -164,6 +159,7 @@ def read_table(stored: Stored) -> Recordings:
     with zarr_io.reading(stored.path):
         small = {name: _whole(stored, name) for name in stored.schema.fields if name not in ("wrench", WRENCH_HASH)}
         used = (small["length"] > 0) & _there(stored)
+        stored.check_unchanged()  # all columns are of one store
     if not used.all():
         small = {name: values[used] for name, values in small.items()}
     return _recordings(stored, small, np.zeros((int(used.sum()), 0, len(stored.schema.axes)), np.float32))
@@ -210,7 +206,7 @@ def read_small(stored: Stored, number: int) -> Arrays:
         small = {name: parts.read(stored.group, name, rows, made) for name, made in fields.items()}
         stored.check_unchanged()  # wrenches, which are read later, are compared with digests read now
         if parts.digest_of(small, fields) != parts.digest(stored.group, number):
-            raise stored.damaged(f"part {number}")
+            raise stored.damaged(f"part {number} {UNLIKE}")
     return small
 
 
@@ -221,10 +217,10 @@ def check_whole(stored: Stored) -> None:
         _check_sealed(stored, stored.group, stored.schema.header, "its content")
         dt, time = (zarr_io.read_array(stored.group, name, "float64") for name in ("dt", "time"))
         if dt != stored.schema.dt or not np.array_equal(time, np.arange(len(time)) * stored.schema.dt):
-            raise InputError(f"{stored.path} is damaged: its times are not those of its rate. Import or copy it again.")
+            raise stored.damaged("its times are not those of its rate")
         used = np.flatnonzero(_whole(stored, "length"))
     if not np.array_equal(used, stored.rows()):  # no digest covers the list
-        raise stored.other_gaps()
+        raise stored.damaged(OTHER_GAPS)
 
 
 def check_part(stored: Stored, number: int) -> None:
@@ -248,7 +244,7 @@ def _check_summary(stored: Stored, number: int, small: Arrays) -> None:
     if isinstance(found, dict) and found.pop("counting", 1) != COUNTING:  # the first stores of version 3 have no number
         return
     if json.dumps(found, sort_keys=True) != json.dumps(counted, sort_keys=True):  # texts: a NaN is not equal to itself
-        raise InputError(f"{stored.path} is damaged: the summary of part {number} is not that of its recordings.")
+        raise stored.damaged(f"the summary of part {number} is not that of its recordings")
 
 
 def check_simulation(stored: Stored) -> None:
@@ -266,7 +262,7 @@ def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = (
         arrays = {name: parts.read(sub, name, rows, fields[name]) for name in names or sorted(fields)}
         stored.check_unchanged()
         if not names and parts.digest_of(arrays, fields) != parts.digest(sub, number):
-            raise stored.damaged(f"the simulation of part {number}")
+            raise stored.damaged(f"the simulation of part {number} {UNLIKE}")
     return arrays
 
 
@@ -304,7 +300,7 @@ def _there(stored: Stored) -> NDArray[np.bool_]:
 def _check_sealed(stored: Stored, group: zarr_io.Group, header: Any, what: str) -> None:
     digests = [digest or "" for digest in parts.digests(group)]
     if parts.whole_digest(header, digests) != group.attrs.get(HASH):
-        raise stored.damaged(what)
+        raise stored.damaged(f"{what} {UNLIKE}")
 
 
 def _wrench(stored: Stored, rows: slice | NDArray[np.int64], width: int) -> NDArray[np.float32]:
@@ -318,7 +314,7 @@ def _wrench(stored: Stored, rows: slice | NDArray[np.int64], width: int) -> NDAr
 def _check_wrench(stored: Stored, small: Arrays, wrench: NDArray[np.float32]) -> None:
     wrong = (wrench_digests(wrench, small["length"]) != small[WRENCH_HASH]).any(1)
     if wrong.any():
-        raise stored.damaged(f"the wrench of {small['trial'][int(np.argmax(wrong))]}")
+        raise stored.damaged(f"the wrench of {small['trial'][int(np.argmax(wrong))]} {UNLIKE}")
 
 
 def _verified(stored: Stored, small: Arrays, wrench: NDArray[np.float32]) -> Recordings:

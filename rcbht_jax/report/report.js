@@ -3,7 +3,7 @@ const byId = id => document.getElementById(id);
 const facts = JSON.parse(byId("facts").textContent);
 const { axes, units, layers, names, meanings, colors, dt } = facts;
 const LINES = ["#b35806", "#1b7837", "#2166ac", "#762a83", "#b2182b", "#35978f"];
-const RED = "#b2182b", LEFT = Math.max(52, ...axes.map(name => Math.min(180, 12 + 7 * name.length))), RIGHT = 8;
+const RED = "#b2182b", LEFT = Math.max(52, ...axes.concat(units).map(name => Math.min(180, 12 + 7 * name.length))), RIGHT = 8;
 const plot = byId("plot");
 
 // What is shown: one trial, a span of time, one axis or all (-1), and the word that is spoken about.

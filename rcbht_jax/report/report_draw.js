@@ -84,13 +84,13 @@ function drawSignal(pen, width, a, top, height) {
   pen.restore();
   pen.fillStyle = "#222";
   pen.textAlign = "right";
-  pen.fillText(axes[a], LEFT - 4, top + height / 2 + 4);
+  pen.fillText(axes[a], LEFT - 4, top + height / 2 + 1);
   pen.fillStyle = "#555";
   pen.font = "10px system-ui, sans-serif";
+  pen.fillText(units[a], LEFT - 4, top + height / 2 + 14);
   pen.fillText(brief(high), LEFT - 4, top + 10);
   pen.fillText(brief(low), LEFT - 4, top + height - 2);
   pen.textAlign = "left";
-  pen.fillText(units[a], LEFT + 4, top + 12);
   pen.font = "12px system-ui, sans-serif";
 }
 
@@ -157,8 +157,10 @@ function drawTime(pen, width, height) {
   const step = [1, 2, 5, 10].map(m => m * power).find(s => s >= rough), digits = Math.max(0, -Math.floor(Math.log10(step)));
   pen.fillStyle = "#222";
   pen.textAlign = "center";
-  for (let t = Math.ceil(view.from / step) * step; t <= view.to; t += step)
-    pen.fillText(t.toFixed(digits), xOf(t, width), height - 8);
+  for (let t = Math.ceil(view.from / step) * step; t <= view.to; t += step) {
+    const text = t.toFixed(digits);
+    pen.fillText(text, Math.min(xOf(t, width), width - 1 - pen.measureText(text).width / 2), height - 8);
+  }
   pen.textAlign = "left";
   pen.fillText("s", 4, height - 8);
 }
@@ -173,7 +175,7 @@ function drawBeliefs() {
     const [pen, width] = prepare(canvas, 120), y = p => 108 - 100 * p / 255;
     title.replaceChildren(`Belief, ${belief.head}: `, ...belief.classes.map((name, c) => {
       const key = document.createElement("span");
-      key.textContent = name + " ";
+      key.textContent = name + (c < count - 1 ? ", " : "");
       key.style.color = LINES[c % 6];
       key.style.fontWeight = "bold";
       return key;

@@ -83,8 +83,9 @@ def test_each_recording_is_tared_by_its_own_beginning(tmp_path: Path) -> None:
 
 
 def test_exact_copies_are_taken_once_and_other_recordings_of_the_name_refused(tmp_path: Path) -> None:
-    one = recordings(1)
-    first, copy = written(tmp_path / "a.zarr", one), written(tmp_path / "b.zarr", one.take([2, 0]))
+    one = recordings(1, mass=np.arange(3))  # as a float where a recording of the store has none
+    same = replace(one.take([2, 0]), columns={"mass": np.array([2.0, 0.0])})
+    first, copy = written(tmp_path / "a.zarr", one), written(tmp_path / "b.zarr", same)
     said = join_stores([first, copy, written(tmp_path / "c.zarr", recordings(2))], tmp_path / "out.zarr")
     assert list(said.copies.values()) == [0, 2, 0]
     assert len(store.read_recordings(tmp_path / "out.zarr")) == 6

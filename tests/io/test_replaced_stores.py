@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rcbht_jax import report
+from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import label_parts, label_store, store
+from rcbht_jax.io import label_parts, label_store, store, zarr
 from rcbht_jax.io.export import DataSet, export, load
 from rcbht_jax.types import LabelTracks, Recordings
 from tests.support.parted_stores import tracks_of
@@ -21,7 +23,7 @@ COUNT, WORDS = 11, "was replaced by another store while it was read"
 def write(path: Path, seed: int) -> None:
     """Recordings of the same names, lengths and places, with other signals."""
     wrench = np.random.default_rng(seed).normal(size=(COUNT, 30, 2))
-    made = Recordings.from_arrays(list(wrench), 100.0, axes=("grip", "push"), units=("N", "V"))
+    made = Recordings.from_arrays(list(wrench), 100.0, axes=("grip", "push"), units=("N", "V"), note=f"{seed}")
     store.write_recordings(path, made, {}, overwrite=True, part=4, simulation={"seed": np.full(COUNT, seed)})
 
 
@@ -44,6 +46,24 @@ def test_batches_are_of_one_store(read: Callable[[Path], Iterator[object]], path
     write(path, 2)
     with pytest.raises(InputError, match=f"{path} {WORDS}"):
         list(batches)
+
+
+@pytest.mark.parametrize(("read", "array"), [(store.read_table, "source"), (store.verify, "part_summary")])
+def test_columns_are_of_one_store(
+    read: Callable[[Path], object], array: str, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The table held columns of both stores, and a whole store counted as damaged."""
+    open_array, replaced = zarr.member, list[str]()
+
+    def member(group: zarr.Group, name: str) -> zarr.Array:
+        if name == array and not replaced:
+            replaced.append(name)
+            write(path, 2)
+        return open_array(group, name)
+
+    monkeypatch.setattr(zarr, "member", member)
+    with pytest.raises(InputError, match=f"{path} {WORDS}"):
+        read(path)
 
 
 def test_labels_are_not_added_to_other_recordings_than_theirs(path: Path) -> None:
@@ -87,3 +107,13 @@ def test_what_is_read_several_times_is_of_one_store(path: Path) -> None:
         write(path, 2)
     with pytest.raises(InputError, match=f"{path} {WORDS}"), store.unchanged(path):
         raise IndexError(write(path, 1))  # what follows from it
+
+
+def test_a_report_is_of_one_store(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    label_store.write_tracks(path, "words", tracks_of(), {})
+    monkeypatch.setattr(report, "page", lambda *_: str(write(path, 2)))
+    assert main(["report", str(path), "-o", str(tmp_path / "a.html"), "--tracks", "words"]) == 2
+    assert WORDS in capsys.readouterr().err
+    assert not (tmp_path / "a.html").exists()

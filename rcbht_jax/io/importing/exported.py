@@ -68,13 +68,11 @@ def read_export(folder: Path) -> Recordings:
     types = _types(about)
     if "samples" not in types:  # computed ones, not a column of the store
         _check_lengths(folder, table, [len(one) for one in values])
-    columns: dict[str, Any] = {name: column for name, column in table.items() if name not in _OURS or name in types}
-    for name in _TEXTS:
-        if name in columns:
-            columns[name] = columns[name].astype(np.str_)
+    columns = {name: column for name, column in table.items() if name not in _OURS or name in types}
+    texts: dict[str, Any] = {name: columns.pop(name).astype(np.str_) for name in _TEXTS if name in columns}
     marks = _annotations(folder, about, len(values))
-    recordings = Recordings.from_arrays(values, axes=axes, units=units, annotations=marks, **columns)
-    recordings = replace(recordings, dt=dt)  # exact: the reciprocal of a rate need not be
+    recordings = Recordings.from_arrays(values, axes=axes, units=units, annotations=marks, **texts)
+    recordings = replace(recordings, dt=dt, columns=columns)  # exact: the reciprocal of a rate need not be
     try:
         validate(recordings)
     except InputError as error:  # changed values of files without checksums
@@ -183,7 +181,7 @@ def _check_lengths(folder: Path, table: Columns, lengths: list[int]) -> None:
 
 
 def _types(about: Mapping[str, Any]) -> dict[str, str]:
-    """Of each further column: "text", or the type of its numbers.
+    """Of each column: "text", or the type of its numbers; of an older export, only of those that are always texts.
 
     Raises:
         InputError: a type that no column of a store has.
@@ -193,7 +191,7 @@ def _types(about: Mapping[str, Any]) -> dict[str, str]:
     for name, kind in found.items():
         if kind not in _KINDS:
             raise InputError(f"dataset.json: column {name} is of the type {kind[:40]!r}; expected text or numbers.")
-    return found
+    return dict.fromkeys(_TEXTS, "text") | found
 
 
 def exported_tables(path: Path, name: str) -> Iterator[Table]:
@@ -301,8 +299,7 @@ def _lerobot(folder: Path, axes: tuple[str, ...]) -> list[NDArray[np.float32]]:
 
 def _episodes(folder: Path, about: Mapping[str, Any]) -> Columns:
     """The table of trials that is among LeRobot's of the episodes, which keeps numbers as 64 bits."""
-    types = {**dict.fromkeys(_TEXTS, "text"), **_types(about)}
-    table = _table(folder / "meta" / "episodes" / "chunk-000", "file-000", about)
+    types, table = _types(about), _table(folder / "meta" / "episodes" / "chunk-000", "file-000", about)
     known = {
         key: values if types[key] == "text" else values.astype(types[key])
         for key, values in table.items()
@@ -319,7 +316,7 @@ def _annotations(folder: Path, about: Mapping[str, Any], count: int) -> Annotati
         raise InputError(f"{folder}/dataset.json: the labels of the annotations are no table of lists of texts.")
     table = _table(folder, "annotations", {})
     if not table:
-        return Annotations()
+        return Annotations(labels={track: tuple(names) for track, names in labels.items()})
     if missing := {"recording", "track", "label", "start", "end"} - set(table):
         raise InputError(f"{folder}: the annotations have no column {', '.join(sorted(missing))}.")
     numbers = table["recording"].astype(np.int32)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tracemalloc
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from mcap.reader import make_reader
 from pyarrow import parquet
 from rosbags.highlevel import AnyReader
 
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import FORMATS, DataSet, export, load, write
@@ -45,7 +47,8 @@ def recordings() -> Recordings:
         third=np.float32([1 / 3, np.nan, 2]), samples=np.array([3.0, 2.0, 1.0]),
         seconds=["?", "", "9"], length_mm=np.array([1.5, 2.5, 3.5]), task=["x", "", "z"],
     )  # fmt: skip
-    return made
+    named = dict.fromkeys(["rate", "label"], np.array([1.0, 2.0, 3.0]))  # as a parameter and a column of annotations
+    return replace(made, columns={**made.columns, **named})
 
 
 @pytest.fixture(params=sorted(FORMATS))
@@ -53,6 +56,12 @@ def exported(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     write_recordings(tmp_path / "a.zarr", recordings(), {})
     export(load(tmp_path / "a.zarr"), tmp_path / request.param, request.param)
     return tmp_path / request.param
+
+
+def test_labels_that_no_recording_has_come_back(tmp_path: Path) -> None:
+    made = replace(recordings(), annotations=Annotations(labels={"phase": ("free", "push")}))
+    export(DataSet.of(made), tmp_path / "out", "csv")
+    assert read_source(tmp_path / "out").recordings.annotations.labels == made.annotations.labels
 
 
 def test_an_export_comes_back_equal(exported: Path, tmp_path: Path) -> None:
