@@ -31,7 +31,7 @@ from experiments._lib.intervals import of_folds
 from experiments._lib.results_io import defaults_of, given
 from experiments._lib.tasks import states
 from experiments.calibration.methods import WORDS
-from experiments.classification.sim_to_real_sets import make, store_of
+from experiments.classification.sim_to_real_sets import make
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
@@ -74,8 +74,7 @@ def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Fl
     """Accuracy ``[candidate]`` of states learned on one simulated session and predicted on another one."""
     parts = {}
     for name in SIMULATED:
-        make(folder, "mild", name)
-        store = read_recordings(store_of(folder, "mild", name))
+        store = make(folder, "mild", name)
         recordings = store.take(np.arange(min(SIMULATED_TRIALS, len(store))))
         items = labelled_intervals(recordings, states())
         parts[name] = words(recordings, items, limits), items.y

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from experiments._lib import results_io
-from experiments.simulation.sessions import medians
 from rcbht_jax._util.untrusted import parse_json
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,9 +36,3 @@ def test_a_result_that_is_not_a_number_is_refused_with_its_place(
     assert not list(tmp_path.iterdir())
     path = results_io.write_result("x", "python -m experiments.x", {"rows": [None, 1.0]}, show=False)
     assert parse_json(path.read_text())["result"] == {"rows": [None, 1.0]}
-
-
-def test_a_state_that_no_trial_entered_has_no_onset() -> None:
-
-    nan = np.nan
-    assert medians(np.array([[0.0, 1.0, nan], [0.0, nan, nan], [0.0, 4.0, nan]])) == [0.0, 2.5, None]
