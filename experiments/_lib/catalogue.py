@@ -198,7 +198,7 @@ EXPERIMENTS = (
         "calibration_curves", "calibration.curves", 120, (STORE,), ("data",), shorter_minutes=4,
         shorter=("--methods", "random", "halving"),
     ),
-    Experiment("calibration_near", "calibration.near_preset", 6, (STORE, "--simulated", SETS), ("data",)),
+    Experiment("calibration_near", "calibration.near_preset", 6, (STORE, SETS), ("data",)),
     Experiment("calibration_bank", "calibration.bank", 8, (STORE,), ("data",)),
     Experiment(
         "fit_calibration", "calibration.fit_rule", 5, needs=("data",), shorter=("--only", "default", "rest"),

@@ -1,8 +1,7 @@
 """Simulated sets for ``experiments.classification.sim_to_real``: each session with no, mild or wide randomisation.
 
-Run: python -m experiments.classification.sim_to_real_sets FOLDER [--sets none mild wide]
-Every simulated set is a store made by ``sim_mjx.synthesis.pipeline``, which resumes interrupted sets and keeps finished
-ones. The name of a set is a recorded session, or a level of randomisation and a simulated one, such as "wide B".
+Every simulated set is a store, made when it is first asked for. The name of a set is a recorded session, or a level of
+randomisation and a simulated one, such as "wide B".
 """
 
 from __future__ import annotations
@@ -10,10 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-import tyro
 
 from experiments._lib.simulated import simulated
 from experiments._lib.tasks import states
@@ -127,17 +124,3 @@ def make(folder: Path, level: str, session: str, seed: int = SEED) -> Recordings
         spec = replace(spec, sensor=WORN)
     job = SynthesisConfig(preset, SETS[level].trials, seed, shard=64, spec=spec)
     return simulated(folder / f"{level}-{preset}.zarr", job)
-
-
-def main(
-    folder: tyro.conf.Positional[Path],
-    sets: tuple[Literal["none", "mild", "wide", "own-end", "ideal"], ...] = ("none", "mild", "wide"),
-    presets: tuple[Literal["A", "B", "C", "openhrp"], ...] = ("A", "B", "C", "openhrp"),
-) -> None:
-    for level in sets:
-        for name in presets:
-            make(folder, level, name)
-
-
-if __name__ == "__main__":
-    tyro.cli(main, description=__doc__)
