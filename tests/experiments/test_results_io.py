@@ -36,3 +36,10 @@ def test_a_result_that_is_not_a_number_is_refused_with_its_place(
     assert not list(tmp_path.iterdir())
     path = results_io.write_result("x", "python -m experiments.x", {"rows": [None, 1.0]}, show=False)
     assert parse_json(path.read_text())["result"] == {"rows": [None, 1.0]}
+
+
+def test_parts_that_other_options_made_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results_io, "RESULTS", tmp_path)
+    results_io.write_result("x", "python -m experiments.x --trials 3", {"a": 1, "b": 2}, show=False)
+    assert results_io.parts_of("x", "python -m experiments.x --trials 3", ("a", "c")) == {"a": 1}
+    assert results_io.parts_of("x", "python -m experiments.x --trials 4", ("a", "c")) == {}
