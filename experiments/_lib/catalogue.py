@@ -127,7 +127,6 @@ EXPERIMENTS = (
     ),
     Experiment("two_arm", "classification.two_arm", 2, needs=("data",)),
     Experiment("two_arm_states", "classification.two_arm_states", 2, needs=("data",)),
-    Experiment("sim_sessions", "simulation.sessions", 1, needs=("golden",)),
     Experiment(
         "fidelity_gate", "simulation.fidelity_gate", 3, needs=("data",), shorter=("--session", "hooked-B"),
         shorter_minutes=1.5,
@@ -165,11 +164,7 @@ EXPERIMENTS = (
         "large_store", "simulation.large_store", 12, ("{work}",), alone=True, shorter_minutes=0.5,
         shorter=("--sizes", "10000", "--worked", "1000"),
     ),
-    Experiment("bench", "simulation.bench", 1, alone=True),
-    Experiment(
-        "stream_speed", "online.stream_speed", 30, (MODEL,), ("data",), alone=True, shorter_minutes=3,
-        shorter=("--samples", "1000000", "--messages", "200000", "--requests", "2000"),
-    ),
+    Experiment("stream_speed", "online.stream_speed", 1, (MODEL,), ("data",), alone=True),
     Experiment(
         "endurance", "online.endurance", 60, alone=True, shorter_minutes=1.5,
         shorter=("--hours", "0.1", "--messages", "5000", "--page-hours", "0.1"),
@@ -204,7 +199,7 @@ EXPERIMENTS = (
         "calibration_curves", "calibration.curves", 120, (STORE,), ("data",), shorter_minutes=4,
         shorter=("--methods", "random", "halving"),
     ),
-    Experiment("calibration_near", "calibration.near_preset", 6, (STORE, "--simulated", SETS), ("data",)),
+    Experiment("calibration_near", "calibration.near_preset", 6, (STORE, SETS), ("data",)),
     Experiment("calibration_bank", "calibration.bank", 8, (STORE,), ("data",)),
     Experiment(
         "fit_calibration", "calibration.fit_rule", 5, needs=("data",), shorter=("--only", "default", "rest"),
@@ -224,10 +219,7 @@ EXPERIMENTS = (
     Experiment("encoder_speed", "words.encoder_speed", 3, elsewhere=GPU),
     Experiment("repeatability", "simulation.repeatability", 2, elsewhere=GPU),
     Experiment("step_profile", "simulation.step_profile", 2, elsewhere=GPU),
-    Experiment(
-        "engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"),
-        elsewhere=GPU,
-    ),
+    Experiment("engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp"), elsewhere=GPU),
     Experiment(
         "learn_setpoints_gpu", "simulation.learn_setpoints", 18,
         ("--engine", "warp", "--population", "128", "--trials", "32", "--generations", "15", "--tests", "256"),

@@ -45,7 +45,6 @@ class Rows:
             wanted: how to make each row (JSON values); all of them together are the complete result.
             only: texts; rows whose names contain one of them are made now.
         """
-        self.done = {row: self.done[row] for row in wanted if row in self.done}
         missing = [row for row in wanted if row not in self.done and any(text in row for text in only)]
         with tqdm(missing, desc=self.name, unit="row", file=sys.stderr, disable=None) as bar:
             for row in bar:

@@ -10,17 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.task import CONTROL_PERIOD
-from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis.pipeline import earlier, synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
+from sim_mjx.synthesis.shards import folder_of
 
 
 def simulated(path: Path, job: SynthesisConfig) -> Recordings:
-    """The trials of a store; one that was interrupted goes on."""
-    if not path.exists():
+    """The trials of a store, made if it is missing; one that was interrupted goes on.
+
+    Raises:
+        InputError: the store that is there was made by another job or other code; files were made from it, too.
+    """
+    if earlier(path, job) is None:
+        if path.exists() and not folder_of(path).exists():
+            raise InputError(f"{path} was made with other options or code; delete it, and the files made from it.")
         path.parent.mkdir(parents=True, exist_ok=True)
         synthesise(path, job)
     return read_recordings(path)

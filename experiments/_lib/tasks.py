@@ -16,9 +16,3 @@ def states(boundaries: str = "harmonised", **filters: Any) -> TaskSpec:
 def failure_types(**filters: Any) -> TaskSpec:
     """Failures by the signs of their deviation, of the types with nine trials or more."""
     return TaskSpec("failure-type", classes=FAILURE_TYPES, **filters)
-
-
-def task(name: str, **filters: Any) -> TaskSpec:
-    """The task of a name: states, failure-type, or a column."""
-    made = {"states": states, "failure-type": failure_types}
-    return made[name](**filters) if name in made else TaskSpec(name, **filters)

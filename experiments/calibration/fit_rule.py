@@ -21,7 +21,6 @@ from experiments._lib.benchmarks import BENCHMARKS, REAL, items_of, of_sources, 
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import FIT_RULE
 from experiments.classification.grammar import RANKS
-from rcbht_jax.calibration import gradient as training
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
 from rcbht_jax.calibration.rest import rest_not_constant, rest_thresholds
 from rcbht_jax.calibration.rest_runs import RestRuns, fit_rest_limits
@@ -41,7 +40,7 @@ WINDOW, SIDE = 5, "A"
 BENCHMARK = "REAL states, A to B"
 SCORED = (BENCHMARK, "REAL merged states, A to B")
 METHODS = ("default", "rest", "search")
-CANDIDATES, STEPS = 256, 30
+CANDIDATES = 256
 GROUPS = (0, 0, 0, 1, 1, 1)  # forces and moments
 WORDS = FeatureSpec(families=PLAIN, balance=True)
 
@@ -89,12 +88,6 @@ class Experiment:
         options = SearchOptions(space=space, candidates=CANDIDATES, seed=self.seed)
         return search(self.data, self.config, options, rest=self.rest).thresholds
 
-    def _gradient(self) -> AnyLimits:
-        options = training.GradientOptions(
-            steps=STEPS, rate=0.1, loss="fit", temperature=training.FIT_TEMPERATURE, seed=self.seed
-        )
-        return training.calibrate(self.data, self.config, self.limits("default"), options, rest=self.rest).thresholds
-
     def calibrated(self, method: str) -> dict[str, Any]:
         """Limits of a method, and their scores on the session that chose them."""
         limits, data = self.limits(method), self.training
@@ -130,7 +123,6 @@ class Experiment:
             "fit rule": FIT_RULE,
             "trials": len(self.data),
             "candidates": CANDIDATES,
-            "steps": STEPS,
             "choices": (
                 "rows and settings were fixed before the first score; what rest takes for noise was changed after its "
                 "tolerances on session A had been seen (with second differences they were about a fiftieth of the "
@@ -142,14 +134,13 @@ class Experiment:
         }
 
 
-def main(seed: int = 0, gradient: bool = False, only: Only = ALL_ROWS) -> None:
-    """Make the rows; those of the method gradient, which take a quarter of an hour or more, if ``gradient`` is set."""
+def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(seed)
     rows = Rows(
         "fit_calibration", f"python -m experiments.calibration.fit_rule --seed {seed}", experiment.about(), seed
     )
     wanted = {}
-    for method in (*METHODS, *("gradient",) * gradient):
+    for method in METHODS:
         wanted[f"limits | {method}"] = partial(experiment.calibrated, method)
         wanted |= {f"{name} | {method}": partial(experiment.scored, name, method) for name in SCORED}
     rows.fill(wanted, only)

@@ -4,11 +4,11 @@ A thousand candidates cannot be ranked with 29 trials. Here three numbers vary, 
 small limit of the forces, that of the moments, and all larger limits. Features are words alone (histogram, n-grams,
 attributes; no duration, no offset), scaled by ranks, with a linear kernel per candidate. Selection uses repeated
 grouped folds of the training side: the best candidate, the one nearest to the preset within a standard error of it, the
-best by margin; or the kernels of all candidates, or of the best eight, are averaged. With --simulated, a folder made by
-experiments.classification.sim_to_real_sets (--sets mild), candidates are ranked by the accuracy of states between
-simulated sessions; the preset identified from the tested session is left out of that.
+best by margin; or the kernels of all candidates, or of the best eight, are averaged. Two more
+rows rank candidates by the accuracy of states between simulated sessions, whose sets are kept in FOLDER; the preset
+identified from the tested session is left out of that.
 
-Run: python -m experiments.calibration.near_preset STORE.zarr [--simulated FOLDER]
+Run: python -m experiments.calibration.near_preset STORE.zarr FOLDER
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import tyro
@@ -28,10 +28,9 @@ from scipy.stats import qmc
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.intervals import of_folds
-from experiments._lib.results_io import defaults_of, given
 from experiments._lib.tasks import states
 from experiments.calibration.methods import WORDS
-from experiments.classification.sim_to_real_sets import make, store_of
+from experiments.classification.sim_to_real_sets import make
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
@@ -46,7 +45,11 @@ TOP = 8
 SEED = 0
 SIMULATED = ("A", "B", "C", "openhrp")
 SIMULATED_TRIALS = 40  # of each
-METHODS = ("preset", "best inside", "one standard error", "best margin inside", "average of the best", "average of all")
+CANDIDATES, REPEATS = 64, 3  # REPEATS of the five outer folds of SIM1
+METHODS = (
+    "preset", "best inside", "one standard error", "best margin inside", "average of the best", "average of all",
+    "simulated, best", "simulated, average",
+)  # fmt: skip
 
 Floats = NDArray[np.float64]
 Kernel = NDArray[np.floating[Any]]
@@ -74,8 +77,7 @@ def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Fl
     """Accuracy ``[candidate]`` of states learned on one simulated session and predicted on another one."""
     parts = {}
     for name in SIMULATED:
-        make(folder, "mild", name)
-        store = read_recordings(store_of(folder, "mild", name))
+        store = make(folder, "mild", name)
         recordings = store.take(np.arange(min(SIMULATED_TRIALS, len(store))))
         items = labelled_intervals(recordings, states())
         parts[name] = words(recordings, items, limits), items.y
@@ -171,13 +173,13 @@ class Near:
 class Experiment:
     """The sets of the store, read and labelled once."""
 
-    def __init__(self, store: Path, simulated: Path | None, candidates: int, repeats: int) -> None:
-        self._everything, self._simulated, self._repeats = read_recordings(store), simulated, repeats
-        self._limits, self._distance = candidates_of(candidates)
+    def __init__(self, store: Path, folder: Path) -> None:
+        self._everything, self._folder = read_recordings(store), folder
+        self._limits, self._distance = candidates_of(CANDIDATES)
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def transfers(self) -> dict[tuple[str, str], Floats]:
-        return simulated_transfer(self._simulated, self._limits)
+        return simulated_transfer(self._folder, self._limits)
 
     @cache  # noqa: B019
     def of(self, source: str) -> tuple[Near, LabelledIntervals]:
@@ -196,7 +198,7 @@ class Experiment:
     def sim1(self, method: str) -> dict[str, Any]:
         _, items = self.of(SIM1)
         trials = len(np.unique(items.trial))
-        splits = validation.repeated_folds(items.y, items.trial, 5, self._repeats, SEED)
+        splits = validation.repeated_folds(items.y, items.trial, 5, REPEATS, SEED)
         scores = validation.cross_validate(self.learner(SIM1, method, "openhrp"), items.y, splits, SEED)
         chosen = [choice["candidates"][0] for repeat in scores.chosen for choice in repeat]
         return {"accuracy": rounded(of_folds(scores, trials)["accuracy"]), "chosen": chosen}
@@ -212,26 +214,20 @@ def between(learner: validation.Estimator, items: LabelledIntervals, one: str, o
     return validation.holdout_score(learner, items.y, items.trial, split, SEED)
 
 
-def main(
-    store: tyro.conf.Positional[Path],
-    simulated: Annotated[Path | None, tyro.conf.arg(help="Folder of simulated sets; missing ones are made.")] = None,
-    candidates: int = 64,
-    repeats: Annotated[int, tyro.conf.arg(help="Of the five outer folds of SIM1.")] = 3,
-) -> None:
-    options = given(locals(), defaults_of(main))
-    experiment = Experiment(store, simulated, candidates, repeats)
+def main(store: tyro.conf.Positional[Path], folder: tyro.conf.Positional[Path]) -> None:
+    experiment = Experiment(store, folder)
     wanted: dict[str, Callable[[], Any]] = {}
-    methods = (*METHODS, *(("simulated, best", "simulated, average") if simulated else ()))
-    for method in methods:
+    for method in METHODS:
         wanted[f"REAL A -> B | {method}"] = partial(experiment.transfer, "A", "B", method)
         wanted[f"REAL B -> A | {method}"] = partial(experiment.transfer, "B", "A", method)
-    wanted |= {f"SIM1 | {method}": partial(experiment.sim1, method) for method in methods}
+    wanted |= {f"SIM1 | {method}": partial(experiment.sim1, method) for method in METHODS}
     about = {
         "features": "words, scaled by ranks; states, harmonised",
-        "candidates": candidates, "repeats": repeats, "octaves": OCTAVES, "costs": COSTS,
+        "candidates": CANDIDATES, "repeats": REPEATS, "octaves": OCTAVES, "costs": COSTS,
     }  # fmt: skip
-    command = f"python -m experiments.calibration.near_preset STORE.zarr{options}"
-    Rows("calibration_near", command, about, SEED).fill(wanted)
+    Rows("calibration_near", "python -m experiments.calibration.near_preset STORE.zarr FOLDER", about, SEED).fill(
+        wanted
+    )
 
 
 if __name__ == "__main__":

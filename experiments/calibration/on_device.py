@@ -3,20 +3,16 @@
 Run: python -m experiments.calibration.on_device --engine warp (GPU; or mjx). A small run on a CPU: --engine mjx
 --trials 48 --preset openhrp --longest 7 --candidates 16 --generations 1 --steps 4 --batch 8 --svm-trials 16
 --agreement 8 --agreement-trials 8
-Tasks: types of simulated failures (default), and the states of simulated successes, which are easy. A fifth of the
-trials is held out of all selection. The result is written after each part, so that an interruption loses one part at
-most. Parts: rollouts, search, gradient, storage, svm, agreement.
+A fifth of the trials is held out of all selection. The result is written after each part, so that an interruption loses
+one part at most. Parts: rollouts, search, gradient, svm, agreement.
 """
 
 from __future__ import annotations
 
 import argparse
-import tempfile
 import time
-import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -25,9 +21,9 @@ import numpy as np
 from experiments._lib.results_io import given as stated
 from experiments._lib.results_io import write_result
 from experiments._lib.simulated import assembled
-from experiments._lib.tasks import task
+from experiments._lib.tasks import failure_types
 from experiments._lib.timing import seconds_of
-from rcbht_jax.calibration import contextual, gradient
+from rcbht_jax.calibration import gradient
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.objective import SCORES, Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates, search
@@ -36,19 +32,17 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import PLAIN
-from rcbht_jax.io.label_store import write_tracks
-from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import extract_features, labelled_intervals
-from rcbht_jax.robots.snap_assembly import FAILURE_TYPES, STATES
+from rcbht_jax.robots.snap_assembly import FAILURE_TYPES
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import device
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis.calibration_data import states_corpus, whole_corpus
+from sim_mjx.synthesis.calibration_data import whole_corpus
 
 SEED = 0
 CONFIG = EncoderConfig(5, CONTROL_PERIOD)
@@ -65,7 +59,6 @@ class Run:
     result: dict[str, Any]
     data: CalibrationData = field(init=False)  # on the device; training trials first
     training: int = field(init=False)  # trials
-    recordings: Recordings = field(init=False)  # the same on the host
     limits: dict[str, np.ndarray] = field(default_factory=lambda: {"preset": np.asarray(preset().limits)})  # [6, 4]
 
     def parts(self) -> tuple[CalibrationData, CalibrationData]:
@@ -91,8 +84,7 @@ def unseen(work: Callable[[], Any], direction: Any) -> tuple[Any, str]:
 def rollouts(run: Run) -> dict[str, Any]:
     """Simulate; the compiled programs do not depend on how long the trials last, so short ones compile them."""
     given, impl = run.given, engines.IMPLEMENTATIONS[run.given.engine]
-    share = 1.0 if given.task == "states" else 0.0
-    spec = DomainRandomization(nominal_share=share, faults=("pose",), longest=given.longest)
+    spec = DomainRandomization(nominal_share=0.0, faults=("pose",), longest=given.longest)
     scenario = get_scenario(given.preset)
     scene = scenario.scene()
     (params, faults), drawn = seconds_of(lambda: scenario.draw_batch(SEED, range(given.trials), spec))
@@ -102,12 +94,9 @@ def rollouts(run: Run) -> dict[str, Any]:
     out, copies = unseen(lambda: device.run(scene, params, impl), jax.transfer_guard_device_to_host)
     jax.block_until_ready(out.wrench)
     simulated = time.perf_counter() - start
-    if given.task == "states":
-        run.data = states_corpus(out, CONFIG)
-    else:
-        kinds = [fault.failure_type for fault in faults]
-        y = np.array([FAILURE_TYPES.index(kind) if kind in FAILURE_TYPES else -1 for kind in kinds])
-        run.data = whole_corpus(out, y, FAILURE_TYPES, CONFIG)
+    kinds = [fault.failure_type for fault in faults]
+    y = np.array([FAILURE_TYPES.index(kind) if kind in FAILURE_TYPES else -1 for kind in kinds])
+    run.data = whole_corpus(out, y, FAILURE_TYPES, CONFIG)
     run.training = round(len(run.data) * 0.8)
     periods = int(out.length.sum())
     return {
@@ -120,43 +109,24 @@ def rollouts(run: Run) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def walks(trials: int) -> CalibrationData:
-    """Trials whose bits are the same on every machine: walks of whole steps, steeper from state to state."""
-    rng, samples = np.random.default_rng(SEED), 800
-    steep = np.repeat([1, 4, 16, 64], samples // 4)[None, :, None]
-    steps = rng.integers(-8, 9, (trials, samples // 20, 6)).repeat(20, axis=1) * steep
-    scale = np.where(np.arange(6) < 3, 2.0**-10, 2.0**-13)
-    wrench = ((np.cumsum(steps, axis=1) + rng.integers(-8, 9, (trials, samples, 6))) * scale).astype(np.float32)
-    edges = np.tile(np.arange(0, samples + 1, samples // 4, dtype=np.int32), (trials, 1))
-    y = np.tile(np.arange(4, dtype=np.int32), (trials, 1))
-    return _on_device(wrench, edges, y, STATES)
-
-
-def _on_device(wrench: np.ndarray, edges: np.ndarray, y: np.ndarray, classes: tuple[str, ...]) -> CalibrationData:
-    there = jax.device_put((wrench, edges, y))
-    return device_calibration_data(CONFIG, there[0], there[1], there[2], classes)
-
-
 def agreement(run: Run) -> dict[str, Any]:
     """The objective of fixed candidates here and on this machine's CPU, for the same trials."""
     options = SearchOptions(space=SPACE, candidates=run.given.agreement, seed=SEED)
     candidates, weights = options.space.thresholds(options.points()), Objective().weights()
     out: dict[str, Any] = {"candidates": run.given.agreement, "device": jax.devices()[0].device_kind}
-    trials = run.given.agreement_trials
-    for name, data in (("simulated", _rows(run.parts()[0], slice(trials))), ("walks", walks(trials))):
-        here = score_candidates(data, CONFIG, candidates)
-        with jax.default_device(jax.devices("cpu")[0]):
-            wrench, edges, y = jax.device_get((data.wrench, data.edges, data.y))
-            there = score_candidates(_on_device(wrench, edges, y, data.classes), CONFIG, candidates, chunk=64, group=8)
-        off = np.abs((here - there).astype(np.float64))
-        out[name] = {
-            "trials": len(data),
-            "largest difference of the objective": float((off @ weights).max()),
-            "largest difference of each score": dict(zip(SCORES, off.max(0).round(7).tolist(), strict=True)),
-            "same choice": bool((here @ weights).round(6).argmax() == (there @ weights).round(6).argmax()),
-        }
-        if name == "walks":  # the same trials on any machine
-            out[name]["objective"] = (here.astype(np.float64) @ weights).round(5).tolist()
+    data = _rows(run.parts()[0], slice(run.given.agreement_trials))
+    here = score_candidates(data, CONFIG, candidates)
+    with jax.default_device(jax.devices("cpu")[0]):
+        wrench, edges, y = jax.device_put(jax.device_get((data.wrench, data.edges, data.y)))
+        same = device_calibration_data(CONFIG, wrench, edges, y, data.classes)
+        there = score_candidates(same, CONFIG, candidates, chunk=64, group=8)
+    off = np.abs((here - there).astype(np.float64))
+    out["simulated"] = {
+        "trials": len(data),
+        "largest difference of the objective": float((off @ weights).max()),
+        "largest difference of each score": dict(zip(SCORES, off.max(0).round(7).tolist(), strict=True)),
+        "same choice": bool((here @ weights).round(6).argmax() == (there @ weights).round(6).argmax()),
+    }
     return out
 
 
@@ -199,45 +169,15 @@ def trained(run: Run) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def stored(run: Run) -> dict[str, Any]:
-    """The completed trials with the labels of every method, as a store; the method context runs here, on the host."""
-    run.recordings, copied = seconds_of(lambda: _recordings(run.data, run.given.preset))
-    summary: dict[str, Any] = {}
-    if run.given.task == "states":  # the rule reads rotation and insertion, which a failure need not have
-        rows = np.arange(run.training)[: run.given.svm_trials]
-        found, spent = seconds_of(lambda: contextual.calibrate(run.recordings, rows, CONFIG, copy=contextual.OWN))
-        run.limits["context"] = np.asarray(found.thresholds.limits)
-        summary = {"trials": found.trials.tolist(), "seconds": round(spent, 2)}
-    start = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "simulated.zarr"
-        write_recordings(path, run.recordings, {"simulated": {"engine": run.given.engine, "seed": SEED}})
-        for name, limits in run.limits.items():
-            tracks = jax.device_get(encode_on_device(CONFIG, limits, run.data.wrench, run.data.windows.length))
-            how = {"semantics": "online", "window": CONFIG.window, "thresholds": limits.tolist(), "method": name}
-            write_tracks(path, f"online-W{CONFIG.window}-{name}", tracks, how)
-        size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
-    return {
-        "trials": len(run.recordings), "seconds to copy them to the host": round(copied, 2),
-        "context (states only)": summary,
-        "seconds to store them with the labels of each method": round(time.perf_counter() - start, 2),
-        "GB": round(size / 1e9, 3),
-    }  # fmt: skip
-
-
 def _recordings(data: CalibrationData, name: str) -> Recordings:
-    count = len(data)
-    wrench, edges, y = jax.device_get((data.wrench, data.edges, data.y))
-    failed = edges.shape[1] == 2
+    """The completed trials on the host."""
+    count, (wrench, edges, y) = len(data), jax.device_get((data.wrench, data.edges, data.y))
     onset = np.full((count, 4), np.nan)
-    onset[:, : edges.shape[1] - 1] = edges[:, :-1] * CONTROL_PERIOD
-
-    outcome = "failure" if failed else "success"
+    onset[:, 0] = edges[:, 0] * CONTROL_PERIOD
     return assembled(
-        wrench, edges[:, -1], onset, f"SIM_MJX_{name}", outcome=np.full(count, outcome),
-        failure_type=np.array(data.classes)[y[:, 0]] if failed else np.full(count, ""),
-        deviation=np.full((count, 3), np.nan), session=np.full(count, f"sim-{name}"),
-        trial=np.array([f"sim-{name}-{i:06d}" for i in range(count)]),
+        wrench, edges[:, -1], onset, f"SIM_MJX_{name}", outcome=np.full(count, "failure"),
+        failure_type=np.array(data.classes)[y[:, 0]], deviation=np.full((count, 3), np.nan),
+        session=np.full(count, f"sim-{name}"), trial=np.array([f"sim-{name}-{i:06d}" for i in range(count)]),
     )  # fmt: skip
 
 
@@ -245,9 +185,10 @@ def svm(run: Run) -> dict[str, Any]:
     """Support vector machines on the words of each method, on as many trials as is affordable."""
     count = run.given.svm_trials
     some = np.r_[np.arange(run.training)[:count], np.arange(run.training, len(run.data))[:count]]
-    recordings = run.recordings.take(some)
-    items = labelled_intervals(recordings, task(run.given.task))
-    inside = np.isin(items.trial, run.recordings.trial[: run.training])
+    everything = _recordings(run.data, run.given.preset)
+    recordings = everything.take(some)
+    items = labelled_intervals(recordings, failure_types())
+    inside = np.isin(items.trial, everything.trial[: run.training])
     split = np.flatnonzero(inside), np.flatnonzero(~inside)
     out: dict[str, Any] = {"trials": len(some), "training": len(np.unique(items.trial[inside]))}
 
@@ -273,16 +214,14 @@ def _named(values: np.ndarray) -> dict[str, float]:
 
 
 PARTS: dict[str, Callable[[Run], dict[str, Any]]] = {
-    "rollouts": rollouts, "search": searched, "gradient": trained, "storage": stored, "svm": svm,
-    "agreement": agreement,
+    "rollouts": rollouts, "search": searched, "gradient": trained, "svm": svm, "agreement": agreement,
 }  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--engine", choices=["mjx", "warp"], required=True)
-    parser.add_argument("--task", choices=["failure-type", "states"], default="failure-type")
-    parser.add_argument("--preset", default="hooked-B", help="of one arm; states need one that rotates for long, as A")
+    parser.add_argument("--preset", default="hooked-B", help="of one arm")
     parser.add_argument("--trials", type=int, default=10240, help="four fifths of the usable ones calibrate")
     parser.add_argument("--longest", type=float, default=25.0, help="s, cuts every trial")
     parser.add_argument("--candidates", type=int, default=2048)
@@ -293,15 +232,12 @@ def main() -> None:
     parser.add_argument("--agreement", type=int, default=64, help="candidates compared between devices")
     parser.add_argument("--agreement-trials", type=int, default=2048, help="for them")
     given = parser.parse_args()
-    run = Run(given, {"engine": given.engine, "task": given.task, "preset": given.preset})
+    run = Run(given, {"engine": given.engine, "preset": given.preset})
     options = stated(vars(given), vars(parser.parse_args(["--engine", "mjx"])) | {"engine": None})
-    name_of_result = f"calibration_device_{given.engine}_{given.task}_{given.preset}".replace("-", "_").lower()
+    name_of_result = f"calibration_device_{given.engine}_failure_type_{given.preset}".replace("-", "_").lower()
     for name, part in PARTS.items():
         start = time.perf_counter()
-        try:
-            run.result[name] = part(run)
-        except Exception:  # on a rented machine the other parts should still run
-            run.result[name] = {"failed": traceback.format_exc()[-1500:]}
+        run.result[name] = part(run)
         run.result[name]["seconds of this part"] = round(time.perf_counter() - start, 1)
         write_result(name_of_result, f"python -m experiments.calibration.on_device{options}", run.result, seed=SEED)
 

@@ -1,8 +1,7 @@
 """Simulated sets for ``experiments.classification.sim_to_real``: each session with no, mild or wide randomisation.
 
-Run: python -m experiments.classification.sim_to_real_sets FOLDER [--sets none mild wide]
-Every simulated set is a store made by ``sim_mjx.synthesis.pipeline``, which resumes interrupted sets and keeps finished
-ones. The name of a set is a recorded session, or a level of randomisation and a simulated one, such as "wide B".
+Every simulated set is a store, made when it is first asked for. The name of a set is a recorded session, or a level of
+randomisation and a simulated one, such as "wide B".
 """
 
 from __future__ import annotations
@@ -10,26 +9,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-import tyro
 
+from experiments._lib.simulated import simulated
 from experiments._lib.tasks import states
 from experiments._lib.zero_shot_set import TARE_SECONDS, WIDE
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import config_of, limits_for
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FAMILIES, Features, FeatureSpec
-from rcbht_jax.io.store import read_recordings
 from rcbht_jax.io.tare import tare
 from rcbht_jax.learning.tasks import LabelledIntervals, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.presets import preset as preset_of
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
-from sim_mjx.synthesis.workers import SynthesisProgress
 
 SEED = 20
 # Session -> the preset that simulates it: hooks that catch, one part for A, B and C.
@@ -94,8 +89,7 @@ class Sets:
             found = self.recorded.take(self.recorded.session == session)
         else:
             level, which = name.split()
-            make(self.folder, level, which, self.seed)
-            found = read_recordings(store_of(self.folder, level, which))
+            found = make(self.folder, level, which, self.seed)
         return tare(found, round(TARE_SECONDS / found.dt)) if tared else found
 
     @cache  # noqa: B019
@@ -123,37 +117,10 @@ class Sets:
         return extract_features(self.tracks(name, how), self.items(name, boundaries), spec)
 
 
-def store_of(folder: Path, level: str, session: str) -> Path:
-    """Where a set is kept."""
-    return folder / f"{level}-{PRESETS[session]}.zarr"
-
-
-def make(folder: Path, level: str, session: str, seed: int = SEED) -> None:
-    """Simulate a set unless it is there."""
-    target, preset = store_of(folder, level, session), PRESETS[session]
-    if target.exists():
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    spec = SETS[level].spec
+def make(folder: Path, level: str, session: str, seed: int = SEED) -> Recordings:
+    """A simulated set, made if it is missing."""
+    preset, spec = PRESETS[session], SETS[level].spec
     if not preset_of(preset).real and level != "ideal":
         spec = replace(spec, sensor=WORN)
     job = SynthesisConfig(preset, SETS[level].trials, seed, shard=64, spec=spec)
-
-    def progress(now: SynthesisProgress) -> None:
-        print(f"{target.name}: {now.done}/{now.total}, {now.per_minute:.0f} a minute", flush=True)
-
-    print(pipeline.synthesise(target, job, progress=progress), flush=True)
-
-
-def main(
-    folder: tyro.conf.Positional[Path],
-    sets: tuple[Literal["none", "mild", "wide", "own-end", "ideal"], ...] = ("none", "mild", "wide"),
-    presets: tuple[Literal["A", "B", "C", "openhrp"], ...] = ("A", "B", "C", "openhrp"),
-) -> None:
-    for level in sets:
-        for name in presets:
-            make(folder, level, name)
-
-
-if __name__ == "__main__":
-    tyro.cli(main, description=__doc__)
+    return simulated(folder / f"{level}-{preset}.zarr", job)

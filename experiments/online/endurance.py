@@ -12,12 +12,14 @@ Memory is the result. Times are those of this machine, and mean little if other 
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
+import random
+import resource
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from pathlib import Path
@@ -30,17 +32,16 @@ from scipy.stats import linregress
 
 from experiments._lib.faulty_stream import HERTZ, readings
 from experiments._lib.results_io import parts_of, write_result
-from experiments.online.stream_speed import fuzz_stream, megabytes
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.events import Belief
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import names
-from rcbht_jax.introspection import model as models
 from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import Head, IntrospectionModel
 from rcbht_jax.introspection.session import Session
+from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, read_lines
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.svm import SvmSpec, fit
 from rcbht_jax.report.live_frames import Frames
@@ -52,6 +53,12 @@ HOUR, MINUTE = 3600, 60
 QUARTERS = 4
 QUANTILES = {"median": 0.5, "p99": 0.99}
 WARM = 60  # minutes of stream after which memory must not grow
+
+
+def megabytes() -> float:
+    """Memory that this process holds now."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
 
 
 def model() -> IntrospectionModel:
@@ -145,6 +152,51 @@ def _latency(times: NDArray[np.float64]) -> dict[str, float]:
     return {name: round(float(np.quantile(known, q)) * 1e3, 3) for name, q in QUANTILES.items() if len(known)}
 
 
+def hostile_line(rng: random.Random) -> bytes:
+    """A line that a broken or malicious source might send."""
+    good = {"wrench": [rng.gauss(0, 10) for _ in range(6)], "time": rng.uniform(0, 100)}
+    kind = rng.randrange(8)
+    if kind == 0:
+        return rng.randbytes(rng.randrange(200)).replace(b"\n", b" ")
+    if kind == 1:
+        return b"[" * rng.randrange(1, 5000)
+    if kind == 2:
+        good["time"] = rng.choice([1e308, -1e308, 0.0, 1e-300, float(2**63), rng.uniform(-1e9, 1e9)])
+    elif kind == 3:
+        good["wrench"][rng.randrange(6)] = rng.choice([1e308, -1e38, None, "1", True, [], {}])  # type: ignore[call-overload]
+    elif kind == 4:
+        return json.dumps(good).encode()[: rng.randrange(60)]
+    elif kind == 5:
+        return rng.choice([b'{"begin": true}', b'{"reset": true}', b"NaN", b'{"wrench": 1}', b'{"time": 1}'])
+    return json.dumps(good).encode()
+
+
+def messages_of(count: int, seed: int) -> dict[str, Any]:
+    """Hostile lines through the reader and the chain."""
+    rng, session = random.Random(seed), Session(Introspector(model(), rate=2.0))
+    session.introspector.warm_up()
+    memory, kinds, longest = [megabytes()], dict.fromkeys((Sample, Begin, Reset, Malformed), 0), 0.0
+    for _ in range(10):
+        for _ in range(max(1, count // 10_000)):
+            block = io.BytesIO(b"\n".join(hostile_line(rng) for _ in range(1000)) + b"\n")
+            for message in read_lines(block):
+                kinds[type(message)] = kinds.get(type(message), 0) + 1
+                longest = max(longest, _seconds(session, message))
+        memory.append(megabytes())
+    return {
+        "messages": sum(kinds.values()),
+        "by kind": {kind.__name__: number for kind, number in kinds.items()},
+        "longest message, ms": round(longest * 1e3, 1),
+        "memory before and after each tenth, MB": [round(m, 1) for m in memory],
+    }
+
+
+def _seconds(session: Session, message: Message) -> float:
+    start = time.perf_counter()
+    session.feed(message)
+    return time.perf_counter() - start
+
+
 def page(seconds: int, clients: int, seed: int) -> dict[str, Any]:
     """A stream on the live page before viewers, as fast as it goes."""
     session = Session(Introspector(model(), rate=RATE))
@@ -211,9 +263,7 @@ def main(
     if "page" in parts:
         keep("page", page(round(page_hours * HOUR), clients, seed))
     if "messages" in parts:
-        with tempfile.TemporaryDirectory() as folder:
-            models.save(Path(folder) / "endurance.model", model())
-            keep("messages", fuzz_stream(Path(folder) / "endurance.model", messages, seed))
+        keep("messages", messages_of(messages, seed))
     if "stream" in parts:
         day = Day(round(hours * HOUR), seed)
         while day.minute():

@@ -116,9 +116,7 @@ def batches(nominal: tuple[int, ...], per_kind: int) -> list[tuple[str, int, int
     return [first, *faulty, *more]
 
 
-def trials(
-    folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, seed: int, engine: str = "native"
-) -> Trials:
+def trials(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, seed: int) -> Trials:
     """Simulate what is not in the folder yet, and read it all.
 
     Args:
@@ -127,21 +125,20 @@ def trials(
         nominal: numbers of nominal trials, one store each.
         per_kind: trials of each kind of fault.
         seed: of the simulation.
-        engine: that simulates; stores that are there are read, whatever engine made them.
     """
     lots = [
         Lot(f"{preset}-{kind}-{grade}", kind, grade, count, spec_of(kind, grade))
         for kind, grade, count in batches(nominal, per_kind)
     ]
-    return made(folder, preset, lots, seed, engine)
+    return made(folder, preset, lots, seed)
 
 
-def made(folder: Path, preset: str, lots: Sequence[Lot], seed: int, engine: str = "native", shard: int = 256) -> Trials:
+def made(folder: Path, preset: str, lots: Sequence[Lot], seed: int, shard: int = 256) -> Trials:
     """The trials of several stores, of which those that are missing are simulated; an interrupted run goes on."""
     found = []
     for number, lot in enumerate(tqdm(lots, desc=f"simulate {preset}", file=sys.stderr, disable=None)):
         its = 1000 * seed + number
-        job = SynthesisConfig(preset, lot.count, its, engine, shard, lot.spec)
+        job = SynthesisConfig(preset, lot.count, its, shard=shard, spec=lot.spec)
         found.append(_read(folder / f"{lot.name}-{lot.count}-{its}.zarr", job, lot))
     return Trials.join(found)
 

@@ -59,11 +59,9 @@ def schedule(recordings: Recordings, every: int) -> tuple[NDArray[np.int64], ...
     return schedule_snapshots(np.column_stack([begins, settled]), recordings.length, every)
 
 
-def watched(
-    folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, seed: int, engine: str = "native"
-) -> Watched:
+def watched(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, seed: int) -> Watched:
     """Simulate, and describe the streams ten times a second; features are kept in the folder."""
-    data = trials(folder, preset, nominal, per_kind, seed, engine)
+    data = trials(folder, preset, nominal, per_kind, seed)
     recordings = data.recordings
     config = EncoderConfig(dt=recordings.dt)
     trial, subtask, begin, now = schedule(recordings, round(1 / (CONFIG.rate * config.dt)))

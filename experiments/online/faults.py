@@ -7,7 +7,7 @@ that never ends counts until the planned end of mating. Every record goes on for
 in a nominal trial is a false one whenever it comes, there as well. A trial with a fault that seats nevertheless is a
 success: alarms about those are counted apart. So are faults without contact.
 
-Run: python -m experiments.online.faults --folder faults --repeats 5 --seed 2 [--engine warp] [--jobs 5]
+Run: python -m experiments.online.faults --folder faults --repeats 5 --seed 2 [--jobs 5]
 Simulated trials and their features are kept in the folder; run it again to go on where it was interrupted.
 """
 
@@ -226,7 +226,6 @@ def arguments(about: str | None) -> argparse.ArgumentParser:
     parser.add_argument("--per-kind", type=int, default=40)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--seed", type=int, default=2)
-    parser.add_argument("--engine", default="native", help="that simulates what is missing")
     parser.add_argument("--jobs", type=int, default=1, help="repeats at a time")
     return parser
 
@@ -235,7 +234,7 @@ def main() -> None:
     args = arguments(__doc__).parse_args()
     done: dict[str, Any] = {}
     for preset in args.preset:
-        w = watched(args.folder, preset, tuple(args.nominal), args.per_kind, args.seed, args.engine)
+        w = watched(args.folder, preset, tuple(args.nominal), args.per_kind, args.seed)
         done[preset] = measure(w, args.repeats, args.seed, args.jobs)
         keep(done, args, preset == args.preset[-1])
 
@@ -263,7 +262,6 @@ def keep_faults(name: str, module: str, result: dict[str, Any], args: argparse.N
     """Write a result with the command that makes it."""
     presets, nominal = (" ".join(map(str, values)) for values in (args.preset, args.nominal))
     sizes = f"--nominal {nominal} --per-kind {args.per_kind} --repeats {args.repeats} --seed {args.seed}"
-    sizes += f" --engine {args.engine}" * (args.engine != "native")
     command = f"python -m experiments.online.{module} --folder FOLDER --preset {presets} {sizes}"
     write_result(name, command, result, args.seed, show=result["complete"])
 

@@ -116,7 +116,7 @@ def measure(those: Trials, repeats: dict[str, list[dict[str, Streamed]]]) -> dic
 
 def main() -> None:
     args = arguments(__doc__).parse_args()
-    sets = {p: watched(args.folder, p, tuple(args.nominal), args.per_kind, args.seed, args.engine) for p in args.preset}
+    sets = {p: watched(args.folder, p, tuple(args.nominal), args.per_kind, args.seed) for p in args.preset}
     seeds = range(args.seed, args.seed + args.repeats)
     lot = f"{'-'.join(str(count) for count in args.nominal)}-{args.per_kind}-{args.seed}"
 

@@ -28,12 +28,13 @@ from tqdm import tqdm
 
 from experiments._lib.results_io import write_result
 from experiments._lib.simulated import assembled
-from experiments._lib.tasks import task
+from experiments._lib.tasks import failure_types
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, EventHub, FailureType
 from rcbht_jax.introspection.introspector import FAILURE_TYPE, Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.training import HeadSpec, train_model
 from rcbht_jax.learning.metrics import wilson
+from rcbht_jax.learning.tasks import TaskSpec
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.task import CONTROL_PERIOD, horizontal
@@ -91,7 +92,7 @@ def learn(per_kind: int, seed: int) -> tuple[IntrospectionModel, dict[str, Any]]
     run = simulate(offsets, seed, 0)
     recordings = as_recordings(run, offsets, kinds)
     known = (np.array(kinds) != "") | (recordings.outcome == "success")  # a nominal trial that fails is of no kind
-    heads = tuple(HeadSpec(task(name)) for name in ("outcome", FAILURE_TYPE))
+    heads = HeadSpec(TaskSpec("outcome")), HeadSpec(failure_types())
     failed = {
         kind or "nominal": int((recordings.outcome[np.array(kinds) == kind] == "failure").sum()) for kind in {*kinds}
     }

@@ -32,7 +32,7 @@ from sim_mjx.registry import get_scenario
 CERTAIN = 0.7  # belief in a failure above which an attempt is in doubt, where the classifier has no level of its own
 SIZES = (0.006, 0.008, 0.010)  # m, of the faults
 FIRST = 2_000_000  # index of the first trial, beyond those of the training
-CONFIG = env.EnvConfig(observe=("wrench", "beliefs"))
+ENGINE, CONFIG = "mjx", env.EnvConfig(observe=("wrench", "beliefs"))
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
@@ -54,13 +54,12 @@ class Bench:
         model: whose beliefs are observed.
         faults: m, x and y of the hand from each part.
         seed: of the trials.
-        engine: of the environment.
     """
 
-    def __init__(self, model: IntrospectionModel, faults: Floats, seed: int, engine: str) -> None:
+    def __init__(self, model: IntrospectionModel, faults: Floats, seed: int) -> None:
         self.faults, self.seed = faults, seed
         params, _ = get_scenario(PRESET).draw_batch(seed, range(FIRST, FIRST + len(faults)), MILD)
-        self.scene = env.load(PRESET, CONFIG, params=params, model=model, engine=engine, parallel=len(faults))
+        self.scene = env.load(PRESET, CONFIG, params=params, model=model, engine=ENGINE, parallel=len(faults))
         self.begin, self.step = (env.jit(jax.vmap(method)) for method in (self.scene.begin, self.scene.step))
         at, self.columns, self.level = self.scene.observation_slices["beliefs"].start, {}, CERTAIN
         for head in model.heads:
@@ -134,15 +133,14 @@ def main(
     trials: Annotated[int, tyro.conf.arg(help="Training trials per kind of fault.")] = 24,
     repeats: Annotated[int, tyro.conf.arg(help="Parts per kind and size of fault; some more have none.")] = 2,
     attempts: int = ATTEMPTS,
-    engine: str = "mjx",
     seed: int = 0,
 ) -> None:
     model, trained = learn(trials, seed)
     faulty = [np.array(way) * size for way in DIRECTIONS.values() for size in SIZES]
     faults = np.array(repeats * (faulty + [np.zeros(2)] * len(DIRECTIONS)))
     result = {
-        "training": trained, "engine": engine, "sizes_mm": [size * 1e3 for size in SIZES],
-        "faulty parts": repeats * len(faulty), **assemble(Bench(model, faults, seed, engine), attempts),
+        "training": trained, "engine": ENGINE, "sizes_mm": [size * 1e3 for size in SIZES],
+        "faulty parts": repeats * len(faulty), **assemble(Bench(model, faults, seed), attempts),
     }  # fmt: skip
     command = "python -m experiments.online.retry" + given(locals(), defaults_of(main))
     write_result("retry", command, result, seed)

@@ -1,9 +1,9 @@
 """The engines on a GPU: parity with C MuJoCo, steps per second, and a synthesis with labels and storage.
 
-Run on a machine with a GPU:
-python -m experiments.simulation.engines_gpu --engine mjx --out result.json [--sections ...]
-Sections: parity, speed, sweep (batch sizes), solver (iterations), synthesis. The file is rewritten after each. Times
-are seconds; compilation is measured apart.
+Run on a machine with a GPU, for each preset and engine:
+python -m experiments.simulation.engines_gpu --engine mjx [--preset B] [--sections ...]
+Sections: parity, speed, sweep (batch sizes), solver (iterations), synthesis. Each replaces its part of the result.
+Times are seconds; compilation is measured apart.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import os
 import resource
 import tempfile
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -25,7 +24,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments._lib.results_io import machine
+from experiments._lib.results_io import machine, record_of, write_result
 from experiments._lib.timing import seconds_of
 from experiments.simulation.engines import PRESET, SEED, trials_of
 from rcbht_jax.io import store
@@ -39,6 +38,8 @@ from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
 from sim_mjx.validation.engine_parity import parity, reference
 
+PARITY, LONGEST, SHORT, LONG = 200, 15.0, 9.0, 25.0  # trials; s of a trial of parity, of speed and of a synthesis
+BATCH, SWEEP = 8192, (32768,)  # trials at once
 SOLVERS = ((6, 4), (4, 4), (1, 1), (10, 6))  # most iterations, of its line search; the first cannot converge
 CONVERGED = (30, 20)
 COMPARED = 64  # trials
@@ -50,20 +51,20 @@ def scene_of(options: argparse.Namespace) -> Scene:
     return scene
 
 
-def timed_parity(engine: str, options: argparse.Namespace) -> dict[str, Any]:
-    params, scene = trials_of(options.parity, options.longest, preset=options.preset), scene_of(options)
+def timed_parity(options: argparse.Namespace) -> dict[str, Any]:
+    params, scene = trials_of(PARITY, LONGEST, preset=options.preset), scene_of(options)
     (expected, contact), native = seconds_of(lambda: reference(scene, params))
-    found, first = seconds_of(lambda: engines.simulate(scene, params, engine))
+    found, first = seconds_of(lambda: engines.simulate(scene, params, options.engine))
     return {
         "native_seconds": round(native, 2), "first_run_seconds": round(first, 2),
         **asdict(parity(expected, contact, found)),
     }  # fmt: skip
 
 
-def throughput(engine: str, batch: int, options: argparse.Namespace) -> dict[str, Any]:
+def throughput(batch: int, options: argparse.Namespace) -> dict[str, Any]:
     """Physics steps per second with controller, sensor and state machine, all trials running to the end."""
-    params, scene = trials_of(batch, options.short, 1.0, options.preset), scene_of(options)
-    impl = engines.IMPLEMENTATIONS[engine]
+    params, scene = trials_of(batch, SHORT, 1.0, options.preset), scene_of(options)
+    impl = engines.IMPLEMENTATIONS[options.engine]
     (_, first), (out, seconds) = (seconds_of(lambda: device.run(scene, params, impl)) for _ in range(2))
     _, prepared = seconds_of(lambda: device.fields_of(scene, params))
     steps = int((out.phase < ENDED).sum()) * scene.substeps
@@ -79,16 +80,16 @@ def throughput(engine: str, batch: int, options: argparse.Namespace) -> dict[str
     }
 
 
-def solver(engine: str, options: argparse.Namespace) -> list[dict[str, Any]]:
+def solver(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Speed with other iterations of the solver, and the wrench of 64 trials against that of many iterations."""
-    kept, rows = device.SOLVER, []
-    few, scene = trials_of(COMPARED, options.short, 1.0, options.preset), scene_of(options)
+    kept, rows, impl = device.SOLVER, [], engines.IMPLEMENTATIONS[options.engine]
+    few, scene = trials_of(COMPARED, SHORT, 1.0, options.preset), scene_of(options)
     try:
         device.SOLVER = CONVERGED
-        expected = device.run(scene, few, engines.IMPLEMENTATIONS[engine])
+        expected = device.run(scene, few, impl)
         for device.SOLVER in SOLVERS:
-            found = device.run(scene, few, engines.IMPLEMENTATIONS[engine])
-            speed = throughput(engine, options.batch, options)
+            found = device.run(scene, few, impl)
+            speed = throughput(BATCH, options)
             rows.append({"solver": device.SOLVER, **speed, **_differences(expected, found)})
     finally:
         device.SOLVER = kept
@@ -109,20 +110,15 @@ def _differences(expected: device.Outcome, found: device.Outcome) -> dict[str, f
     }
 
 
-def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
-    """Sets of trials with onsets, outcome, fault and all label tracks, stored; by their number of trials."""
-    return {str(count): _synthesis(engine, count, options) for count in options.trials}
-
-
-def _synthesis(engine: str, trials: int, options: argparse.Namespace) -> dict[str, Any]:
-    """One set, after a set of one wave on as many lanes, which compiles."""
-    count, substeps = pipeline.lanes_for(trials, engine), get_scenario(options.preset).scene().substeps
-    out: dict[str, Any] = {"trials": trials, "preset": options.preset, "longest": options.synthesis_longest}
+def synthesis(trials: int, options: argparse.Namespace) -> dict[str, Any]:
+    """A store with onsets, outcomes, faults and all label tracks, after one of one wave of lanes, which compiles."""
+    count, substeps = pipeline.lanes_for(trials, options.engine), get_scenario(options.preset).scene().substeps
+    out: dict[str, Any] = {"trials": trials}
     for turn, many in (("with_compilation_s", count), ("seconds", trials)):
         with tempfile.TemporaryDirectory() as folder:
             target = Path(folder) / "trials.zarr"
-            spec = DomainRandomization(longest=options.synthesis_longest)
-            job = SynthesisConfig(options.preset, many, SEED, engine, spec=spec, window=5)
+            spec = DomainRandomization(longest=LONG)
+            job = SynthesisConfig(options.preset, many, SEED, options.engine, spec=spec, window=5)
             with _memory() as memory, _kept_lanes() as kept:
                 start = time.perf_counter()
                 report = pipeline.synthesise(target, job, lanes=count)
@@ -190,33 +186,25 @@ def _kept_lanes() -> Iterator[list[lanes.Lanes]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--engine", choices=["mjx", "warp"], required=True)
-    parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--sections", nargs="*", default=["parity", "speed", "synthesis", "sweep", "solver"])
-    parser.add_argument("--parity", type=int, default=200, help="trials")
-    parser.add_argument("--longest", type=float, default=25.0, help="s, of the trials of parity and speed")
-    parser.add_argument("--short", type=float, default=9.0, help="s, of the trials of sweep and solver")
-    parser.add_argument("--batch", type=int, default=8192)
-    parser.add_argument("--batches", type=int, nargs="*", default=[1024, 4096, 16384, 32768])
-    parser.add_argument("--trials", type=int, nargs="*", default=[10000], help="of each set")
+    parser.add_argument("--trials", type=int, nargs="*", default=[10000], help="of each synthesis")
     parser.add_argument("--preset", default=PRESET)
-    parser.add_argument("--synthesis-longest", type=float, default=25.0, help="s")
     options = parser.parse_args()
     work: dict[str, Callable[[], Any]] = {
-        "parity": lambda: timed_parity(options.engine, options),
-        "speed": lambda: throughput(options.engine, options.batch, options),
-        "synthesis": lambda: synthesis(options.engine, options),
-        "sweep": lambda: [throughput(options.engine, n, options) for n in options.batches],
-        "solver": lambda: solver(options.engine, options),
+        "parity": lambda: timed_parity(options),
+        "speed": lambda: throughput(BATCH, options),
+        "synthesis": lambda: {str(count): synthesis(count, options) for count in options.trials},
+        "sweep": lambda: [throughput(n, options) for n in SWEEP],
+        "solver": lambda: solver(options),
     }
-    result: dict[str, Any] = {"engine": options.engine, "preset": options.preset, "machine": machine(), "seed": SEED}
+    result = record_of("engines_gpu").get("result", {"presets": {}})
+    measured = result["presets"].setdefault(options.preset, {}).setdefault(options.engine, {})
+    measured["machine"] = machine()
     for section in options.sections:
-        start = time.perf_counter()
-        try:
-            result[section] = work[section]()
-        except Exception:
-            result[section] = traceback.format_exc()[-1500:]
-        print(section, round(time.perf_counter() - start, 1), "s", json.dumps(result[section]), flush=True)
-        options.out.write_text(json.dumps(result, indent=1) + "\n")
+        measured[section] = work[section]()
+        print(section, json.dumps(measured[section]), flush=True)
+        command = "python -m experiments.simulation.engines_gpu --engine ENGINE --preset PRESET"
+        write_result("engines_gpu", command, result, SEED, show=False)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,10 @@
 
 CMA-ES over what all sessions share (the parts) and what each has of its own (place and stand). The cells of B's grid
 are divided like a chess board. The search begins at the presets, or at the start of an earlier result (--first), and
-resumes from its checkpoint. The committed result is that of an earlier ``impratio`` and of 9 s of mating. With
-``--stands`` the part stays as it is, and only what each session has of its own is searched.
-Run: python -m experiments.simulation.joint_fit --engine warp --population 128 --generations 45 --spread 0.06 --seed 2
+resumes from its checkpoint. The committed result began at the best of 18 other generations, and is that of an earlier
+``impratio`` and of 9 s of mating. With ``--stands`` the part stays as it is, and only what each session has of its own
+is searched.
+Run: python -m experiments.simulation.joint_fit --engine warp --population 128 --generations 25 --spread 0.06 --seed 2
 """
 
 from __future__ import annotations

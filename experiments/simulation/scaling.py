@@ -29,7 +29,7 @@ import tyro
 from jax.experimental.layout import Format, Layout
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from experiments._lib.results_io import defaults_of, given, machine, write_result
+from experiments._lib.results_io import machine, record_of, write_result
 from experiments._lib.timing import SAMPLES, recordings
 from experiments.simulation.simulate_gpu import COMMAND, PRESET
 from rcbht_jax._util.ratios import interleaved
@@ -43,7 +43,7 @@ from rcbht_jax.types import Array, LabelTracks
 from sim_mjx.synthesis import claims, launch, shards
 
 SEED = 0
-TRIALS = 20_480  # of a device
+TRIALS = 6_144  # of a device
 SEARCHED = (65_536, 64, SAMPLES)  # candidates, trials and their samples
 LOOK, QUANTILES = 0.2, (0.1, 0.5, 0.9, 1.0)  # s between two checks of a running command
 SIZES = ((32_768, 5), (32_768, 20))  # recordings of a device, and the window
@@ -247,10 +247,10 @@ def main(
 
     Args:
         folder: for stores, which are deleted, and compiled programs.
-        only: what is measured.
+        only: what is measured; the rest of the result stays.
     """
     gpus = launch.visible_devices()
-    result: dict[str, Any] = {"devices": max(1, len(gpus))}
+    result: dict[str, Any] = record_of("scaling").get("result", {}) | {"devices": max(1, len(gpus))}
     if "simulation" in only:
         result["simulation"] = simulation(folder, TRIALS, gpus)
         print(json.dumps(result), flush=True)
@@ -263,8 +263,7 @@ def main(
             result["labels"] += made(*size)
             print(json.dumps(result["labels"]), flush=True)
     print(machine())
-    command = "python -m experiments.simulation.scaling FOLDER" + given(locals(), defaults_of(main))
-    write_result("scaling", command, result, SEED)
+    write_result("scaling", "python -m experiments.simulation.scaling FOLDER", result, SEED)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ python -m experiments.simulation.simulate_gpu FOLDER
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -21,7 +20,7 @@ from typing import Annotated, Any
 import jax
 import tyro
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import record_of, write_result
 from rcbht_jax._util import checkpoint
 from sim_mjx.synthesis import launch
 
@@ -32,12 +31,11 @@ Row = dict[str, Any]
 
 def in_one_process(folder: Path, trials: int, preset: str) -> Row:
     """A set of trials in a process that has compiled."""
-    out = folder / "in_one_process.json"
     words = ["--engine", ENGINE, "--preset", preset, "--sections", "synthesis", "--trials", str(trials)]
-    env = {**os.environ, launch.AS_NEEDED[0]: launch.AS_NEEDED[1]}  # as the command does
-    program = [sys.executable, "-m", "experiments.simulation.engines_gpu", *words, "--out", str(out)]
-    subprocess.run(program, check=True, env=env)
-    found: Row = json.loads(out.read_text())["synthesis"][str(trials)]
+    # memory as the command takes it
+    env = {**os.environ, launch.AS_NEEDED[0]: launch.AS_NEEDED[1], "RCBHT_RESULTS": str(folder)}
+    subprocess.run([sys.executable, "-m", "experiments.simulation.engines_gpu", *words], check=True, env=env)
+    found: Row = record_of("engines_gpu", folder)["result"]["presets"][preset][ENGINE]["synthesis"][str(trials)]
     return found | {"gpus": 1, "cores": os.cpu_count()}
 
 

@@ -14,9 +14,9 @@ Result = dict[str, Any]
 def _runs(gpu: Result, cpu: Result, part: str) -> Result:
     """One part of the measurements on a GPU, by preset and engine, and of those on a CPU where they have it."""
     runs = {
-        f"{preset}: `{engine}`, one {measured['card']}": measured[engine].get(part)
-        for preset, measured in gpu["presets"].items()
-        for engine in ("warp", "mjx")
+        f"{preset}: `{engine}`, one {measured['machine'].split('NVIDIA ')[1].split()[0]}": measured.get(part)
+        for preset, engines in gpu["presets"].items()
+        for engine, measured in engines.items()
     }
     runs[f"{cpu['preset']}: `mjx`, 2 CPU cores"] = cpu["mjx"].get(part)
     return {name: run for name, run in runs.items() if run is not None}
@@ -232,7 +232,7 @@ def native_cores(result: Result) -> Lines:
 
 @table("scaling", "scaling")
 def scaling(result: Result) -> Lines:
-    """All devices of one machine against one of them; the result has other machines, too."""
+    """All devices of one machine against one of them."""
     yield "", "one GPU, s", "all, s", "of linear", "same bits"
     simulated, found = result["simulation"], result["search"]
     counts = ", ".join(f"{simulated[which]['trials']:,}" for which in ("one", "all"))

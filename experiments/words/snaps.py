@@ -73,10 +73,10 @@ def simulated(name: str, seed: int, count: int) -> Trials:
 
 
 def joined(sets: Sequence[Trials]) -> Trials:
-    """Sets of equally long arrays as one."""
-    wrench, length, worn = (
-        np.concatenate([getattr(one, name) for one in sets]) for name in ("wrench", "length", "worn")
-    )
+    """Sets as one; the wrench of shorter ones ends with zeros."""
+    longest = max(one.wrench.shape[1] for one in sets)
+    wrench = np.concatenate([np.pad(one.wrench, ((0, 0), (0, longest - one.wrench.shape[1]), (0, 0))) for one in sets])
+    length, worn = (np.concatenate([getattr(one, name) for one in sets]) for name in ("length", "worn"))
     return Trials(wrench, length, [row for one in sets for row in one.passes], worn)
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from experiments._lib import results_io
-from experiments.simulation.sessions import medians
 from rcbht_jax._util.untrusted import parse_json
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,7 +38,8 @@ def test_a_result_that_is_not_a_number_is_refused_with_its_place(
     assert parse_json(path.read_text())["result"] == {"rows": [None, 1.0]}
 
 
-def test_a_state_that_no_trial_entered_has_no_onset() -> None:
-
-    nan = np.nan
-    assert medians(np.array([[0.0, 1.0, nan], [0.0, nan, nan], [0.0, 4.0, nan]])) == [0.0, 2.5, None]
+def test_parts_that_other_options_made_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results_io, "RESULTS", tmp_path)
+    results_io.write_result("x", "python -m experiments.x --trials 3", {"a": 1, "b": 2}, show=False)
+    assert results_io.parts_of("x", "python -m experiments.x --trials 3", ("a", "c")) == {"a": 1}
+    assert results_io.parts_of("x", "python -m experiments.x --trials 4", ("a", "c")) == {}

@@ -13,7 +13,7 @@ import rcbht_jax as rj
 from experiments._lib.benchmarks import REAL
 from experiments._lib.fit_words import WORDS, tolerances
 from experiments._lib.results_io import RESULTS
-from experiments._lib.simulated import assembled
+from experiments._lib.simulated import assembled, simulated
 from experiments.classification.sim_to_real import Pool, choose, scored, some_trials
 from experiments.classification.sim_to_real_fit import FIT, PROTOCOL
 from experiments.classification.sim_to_real_rows import CANDIDATES, ROWS
@@ -21,11 +21,14 @@ from experiments.classification.sim_to_real_sets import RECORDED, SETS, Labellin
 from experiments.figures.sim_to_real import draw, lines
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.tolerance import FitLimits
+from rcbht_jax.errors import InputError
 from rcbht_jax.features import FAMILIES
+from rcbht_jax.io.store import write_recordings
 from rcbht_jax.io.tare import tare
 from rcbht_jax.plots.canvas import save
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import ONE_ARM as PRESETS
+from sim_mjx.synthesis.plan import SynthesisConfig, manifest_of, provenance
 
 SETS_OF_POOL = ("wide A", "wide B", "wide C")
 TRIALS, CLASSES = 12, ("approach", "mating")
@@ -101,6 +104,16 @@ def test_joined_sets_keep_every_trial() -> None:
     assert whole.wrench.shape == (3, 400, 6)
     np.testing.assert_array_equal(whole.take(np.array([2])).wrench[0, :90], trials((90,)).wrench[0])
     assert whole.trial.tolist() == ["trial 150", "trial 400", "trial 90"]
+
+
+def test_a_store_of_another_job_is_refused(tmp_path: Path) -> None:
+    path, job, made = tmp_path / "set.zarr", SynthesisConfig("A", 1), trials((150,))
+    attrs = {"simulated": provenance(manifest_of(job)), "diverged": []}
+    truth = {"seated": np.ones((1, 4), bool), "fault": np.array(["none"])}
+    write_recordings(path, made, attrs, simulation=truth)
+    np.testing.assert_array_equal(simulated(path, job).wrench, made.wrench)
+    with pytest.raises(InputError, match=r"set\.zarr was made with other options"):
+        simulated(path, replace(job, seed=1))
 
 
 def test_rows_train_on_nothing_that_they_are_tested_on() -> None:
