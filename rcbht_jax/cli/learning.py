@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -103,7 +103,8 @@ class _Learning(Command):
         choices = [choice.split("+") for choice in self.tracks or ("",)]
         grammars = [list(dict.fromkeys(choose_name(self.store, wanted) for wanted in choice)) for choice in choices]
         how = {name: read_tracks_attrs(self.store, name) for names in grammars for name in names}
-        return {"+".join(names): track_batches(self.store, {name: name for name in names}) for names in grammars}, how
+        read = {"+".join(names): track_batches(self.store, {name: name for name in names}) for names in grammars}
+        return {name: _counted(batches) for name, batches in read.items()}, how
 
 
 def table_and_facts(store: Path) -> tuple[Recordings, WrenchFacts]:
@@ -305,7 +306,7 @@ class Classify(Command):
             )
         chosen = {name: choose_name(self.store, wanted) for name, wanted in zip(names, given, strict=True)}
         check_encoders(model, {name: read_tracks_attrs(self.store, wanted) for name, wanted in chosen.items()})
-        return track_batches(self.store, chosen)
+        return _counted(track_batches(self.store, chosen))
 
     def text(self, result: dict[str, Any]) -> str:
         counts = ", ".join(f"{name} {count}" for name, count in result["classes"].items())
@@ -381,3 +382,8 @@ def _json_lines(classification: Classification, lines: list[dict[str, Any]]) -> 
         for line, decision in zip(lines, decisions, strict=True)
     )
     return "".join(f"{text}\n" for text in texts)
+
+
+def _counted(tracks: TrackBatches) -> TrackBatches:
+    """The same labels, with progress while they are read: those of a large store take minutes."""
+    return replace(tracks, read=lambda: iter(progress_bar("read labels", "batches", iterable=tracks.read())))
