@@ -20,6 +20,7 @@ from rcbht_jax.io.importing.words import rate_of
 
 LONGEST_TEXT = 100_000  # characters of a fact in which a rate is looked for
 _CONTROL = re.compile(r'"control_freq(?:uency)?"\s*:\s*(\d+(?:\.\d+)?)\s*[,}]')
+OF_COLUMNS = ("names", "columns", "channels", "axes")  # lists of names
 LENGTH_NAMES = ("length", "lengths", "n_samples", "num_samples", "n_steps", "num_steps", "seq_len", "seq_lengths")
 
 Interval = tuple[str, str, float, float]  # track, label, start, end (NaN = unknown) in s from the first sample
@@ -148,11 +149,12 @@ def _recordings(
 
 def _of_one_length(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
     """The arrays that are columns of one table, upright, and the names of the others; none without two rows."""
-    vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
+    numbers = {key: array for key, array in arrays.items() if array.dtype.kind in "fiub"} or arrays
+    vectors = {array.size for array in numbers.values() if array.ndim in (1, 2) and array.size in array.shape}
     flat = {
         key: _upright(key, array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)
     }
-    lengths = {key: len(array) for key, array in flat.items() if len(array) > 1}
+    lengths = {key: len(flat[key]) for key in flat if key in numbers and len(flat[key]) > 1}
     rows = _usual(lengths, lambda length: _titles({key: flat[key] for key in lengths if lengths[key] == length}))
     chosen = {key: array for key, array in flat.items() if len(array) == rows}
     return chosen, tuple(key for key in flat if key not in chosen)
@@ -191,7 +193,8 @@ def titled(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]],
     for key, array in arrays.items():
         texts = [str(text).strip() for text in plain(array.ravel()).tolist()] if array.dtype.kind in "US" else []
         named = array.size in array.shape and 1 < len(set(texts)) == len(texts) and not set(texts) & set(arrays)
-        if not named or not (wrenches(texts) or any(map(unit_of_time, texts))):
+        said = re.split(r"[\W_]", key.lower())[-1] in OF_COLUMNS
+        if not named or not (said or wrenches(texts) or any(map(unit_of_time, texts))):
             continue
         tables = [
             name for name, one in numeric.items() if len(texts) in (one.shape if one.ndim == 2 else one.shape[2:])

@@ -79,3 +79,12 @@ def test_an_empty_number_in_a_cell_of_texts_is_an_empty_text(tmp_path: Path) -> 
 def test_a_cell_of_empty_arrays_and_one_of_numbers_hold_no_texts(tmp_path: Path) -> None:
     written(tmp_path / "run.mat", 5, [np.empty((0, 0))] * (COUNT - 1) + [np.zeros((2, 2))], within=False)
     assert len(read_source(tmp_path).recordings.annotations) == 0
+
+
+@pytest.mark.parametrize("key", ["names", "parts"])
+def test_short_lists_of_texts_do_not_turn_a_matrix_and_name_its_columns_if_called_so(key: str, tmp_path: Path) -> None:
+    lists = {key: column(["grip", "twist"]), "units": column(["N", "Nm"])}
+    scipy.io.savemat(tmp_path / "a.mat", {"data": WRENCH[:, :2], "fs": 100.0, **lists})
+    recordings = read_source(tmp_path / "a.mat", "matlab").recordings
+    assert recordings.axes == (("grip", "twist") if key == "names" else ("data_0", "data_1"))
+    np.testing.assert_allclose(recordings.wrench[0], WRENCH[:, :2], rtol=1e-6)
