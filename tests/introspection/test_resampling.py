@@ -69,6 +69,8 @@ def test_missing_repeated_late_and_bad_readings():
     samples, kinds, anew = fed([(None, 0.0), (None, math.nan), (None, 1e30), (None, 3.0), (None, 4.0)])
     assert samples.tolist() == [0, 1, 2, 3, 4]
     assert anew == 0
+    samples, kinds, _ = fed([(None, math.nan), (None, 0.0), (None, 1.0)])  # the first reading begins the grid
+    assert (samples.tolist(), kinds) == ([0, 1], ["not-finite"])
 
 
 def test_long_gaps_and_jumps_start_anew():
@@ -182,6 +184,8 @@ def test_the_opening_is_bridged_as_the_stream_is() -> None:
     opening = read_opening(iter(readings))
     assert opening.recordings(100.0, ("Fz",), bridge=0.2).length.tolist() == [491]
     assert opening.recordings(100.0, ("Fz",)).length.tolist() == [50]  # the stream begins anew with every reading
+    untimed = read_opening(Sample(reading.wrench) for reading in readings)
+    assert untimed.recordings(100.0, ("Fz",)).wrench[0, :, 0].tolist() == list(range(50))
 
 
 @pytest.mark.parametrize(

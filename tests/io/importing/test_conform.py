@@ -118,6 +118,8 @@ def test_missing_values_and_repeated_stamps() -> None:
     values[10:16, 1] = np.nan
     with pytest.raises(InputError, match="6 values in a row are missing, first at sample 10"):
         conform.tidy(time, values)
+    with pytest.raises(InputError, match="3 values in a row are missing"):  # few, but all of a channel
+        conform.tidy(time[11:14], values[11:14])
 
 
 def test_a_few_samples_out_of_order_are_sorted() -> None:
