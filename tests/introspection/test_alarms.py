@@ -184,3 +184,8 @@ def test_a_belief_after_a_long_time_weighs_no_more_than_one() -> None:
     for one in (rare, dense):
         one.update([0.3, 0.7], 1.0)
     assert rare.filtered.tolist() == dense.filtered.tolist()
+    rare.update([1.0, 0.0], 2.0)
+    assert rare.filtered[1] > 0  # no single belief rules a sub-task out
+    rare.reset()
+    rare.update([0.5, 0.5], 1.0)  # after the mean duration of a sub-task
+    assert rare.filtered[0] == pytest.approx(np.exp(-1))
