@@ -127,7 +127,6 @@ class Resampler:
     def _start(self, time: float, value: Float[np.ndarray, " axis"]) -> Resampled:
         self._origin = self._last = self._since = time
         self._value, self._index, self._skipped, self._gaps = value, 0, 0, False
-        self._readings = self._off = self._missing = 0
         self._counted, self._first, self._summed, self._area = 0, time, 0, np.zeros_like(value)
         return Resampled(value[None].astype(np.float32), time)
 

@@ -17,6 +17,7 @@ from rcbht_jax.events import AnomalyRaised, Belief
 from rcbht_jax.introspection.alarms import (
     Alarm,
     Confidence,
+    PhaseFilter,
     conformal_threshold,
     held_out,
     peaks,
@@ -176,3 +177,15 @@ def test_the_least_level_is_the_one_that_the_error_names(margin: float, least: f
     with pytest.raises(InputError, match=f"here {least:g}, to less than 1"):
         Confidence(least - 0.01, margin)
     Confidence(least, margin)
+
+
+def test_a_belief_after_a_long_time_weighs_no_more_than_one() -> None:
+    rare, dense = (PhaseFilter(["reach", "push"], memory=memory) for memory in (0.1, 1.0))
+    for one in (rare, dense):
+        one.update([0.3, 0.7], 1.0)
+    assert rare.filtered.tolist() == dense.filtered.tolist()
+    rare.update([1.0, 0.0], 2.0)
+    assert rare.filtered[1] > 0  # no single belief rules a sub-task out
+    rare.reset()
+    rare.update([0.5, 0.5], 1.0)  # after the mean duration of a sub-task
+    assert rare.filtered[0] == pytest.approx(np.exp(-1))

@@ -106,3 +106,25 @@ def test_one_stamp_of_another_clock_or_a_pause_does_not_end_an_opening(first: li
 def test_readings_that_come_twice_do_not_end_an_opening_early() -> None:
     begun = read_opening((Sample((float(k),), 0.005 * (k // 2)) for k in count()), seconds=2.0)
     assert len(begun.wrench) == 801
+
+
+@pytest.mark.parametrize("before", [0, 3])
+def test_an_interruption_comes_after_the_readings_before_it(before: int) -> None:
+    def interrupted() -> Iterator[Message]:
+        yield from (Sample((1.0,), 0.1 * k) for k in range(before))
+        raise KeyboardInterrupt
+
+    if not before:
+        with pytest.raises(KeyboardInterrupt):
+            read_opening(interrupted())
+        return
+    begun, found = read_opening(interrupted()), list[Message]()
+    with pytest.raises(KeyboardInterrupt):
+        found.extend(begun.messages)
+    assert (len(begun.wrench), len(found)) == (before, before)
+
+
+def test_readings_of_another_width_than_most_are_left_out_of_an_opening() -> None:
+    begun = read_opening(Sample((1.0,) * (1 if k == 7 else 2), 0.1 * k) for k in range(20))
+    assert begun.wrench.shape == (19, 2)
+    assert len(list(begun.messages)) == 20

@@ -69,6 +69,8 @@ def test_missing_repeated_late_and_bad_readings():
     samples, kinds, anew = fed([(None, 0.0), (None, math.nan), (None, 1e30), (None, 3.0), (None, 4.0)])
     assert samples.tolist() == [0, 1, 2, 3, 4]
     assert anew == 0
+    samples, kinds, _ = fed([(None, math.nan), (None, 0.0), (None, 1.0)])  # the first reading begins the grid
+    assert (samples.tolist(), kinds) == ([0, 1], ["not-finite"])
 
 
 def test_long_gaps_and_jumps_start_anew():
@@ -76,6 +78,7 @@ def test_long_gaps_and_jumps_start_anew():
     assert samples.tolist() == [0, 1, 2, 3]
     assert kinds == ["gap", "gap"]
     assert anew == 2
+    assert not any(fed([(k / 7, 0.0), (k / 7 + 0.05, 1.0)])[2] for k in range(50))  # as long as is bridged
     with pytest.raises(InputError):
         Resampler(DT, bridge=DT)
 
@@ -121,6 +124,8 @@ def test_of_a_faster_source_samples_are_means_over_a_period(rate):
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
 def test_a_source_is_faster_from_eleven_tenths_on(start: float) -> None:
     """It was from 1.111 times on; docs/online.md states 1.1."""
+    later = [(start + min(k, 500 + k / 2) * DT, 0.0) for k in range(1150)]  # twice as fast from reading 1000 on
+    assert "faster" in fed(later)[1]
     for rate, kinds in ((216, []), (220, ["faster"])):
         assert fed([(start + k / rate, 0.0) for k in range(200)])[1][:1] == kinds
 
@@ -182,6 +187,8 @@ def test_the_opening_is_bridged_as_the_stream_is() -> None:
     opening = read_opening(iter(readings))
     assert opening.recordings(100.0, ("Fz",), bridge=0.2).length.tolist() == [491]
     assert opening.recordings(100.0, ("Fz",)).length.tolist() == [50]  # the stream begins anew with every reading
+    untimed = read_opening(Sample(reading.wrench) for reading in readings)
+    assert untimed.recordings(100.0, ("Fz",)).wrench[0, :, 0].tolist() == list(range(50))
 
 
 @pytest.mark.parametrize(

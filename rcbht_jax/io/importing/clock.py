@@ -128,7 +128,7 @@ def _dated(texts: Sequence[str]) -> tuple[NDArray[Any], NDArray[Any]] | None:
     Raises:
         ValueError: a date that does not exist.
     """
-    if not all(map(_ISO.match, texts)) or re.search(r"\d-\d\d-\d\d(?:[.,]\d+)?$", texts[0][8:]):
+    if not all(map(_ISO.match, texts)):
         found = [match.groups("") for match in map(_DATED.match, texts) if match]
         if len(found) < len(texts):
             return None

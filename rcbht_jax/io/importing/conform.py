@@ -161,11 +161,11 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
         return Clock(_short(period, DRIFT / len(time)), True)
     every = np.diff(time)
     middle = float(np.median(every))
-    if middle < SHORTEST:  # no sensor is this fast, and the rate may not even be finite
-        return Clock(middle, False)
     odd = max((every > GAP * middle).sum(), (every < middle / GAP).sum())
     if odd >= HELD and odd > BURSTS * len(every):
         return Clock(1 / _nice(1 / _within_bursts(every)), False, bursts=True)
+    if middle < SHORTEST:  # no sensor is this fast, and the rate may not even be finite
+        return Clock(middle, False)
     # The mean gives the rate more exactly; over several steps, jitter hides lost samples less.
     steps = min(SPAN, len(time) // 2)
     spans = time[steps:] - time[:-steps]

@@ -11,6 +11,9 @@ from rcbht_jax._util.columns import SECONDS
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.clock import seconds_of, since_epoch
 from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.timing import with_time
 
 
 @pytest.mark.parametrize(
@@ -48,6 +51,7 @@ def test_times(texts: list[str], seconds: list[float]) -> None:
         "00:61:00",
         "12",
         "12:30",
+        "5 parsecs",
         "00:00:00:5",
         "2024-13-01T00:00:00",
         "2024-05-01 12:00:00.5 CEST",
@@ -55,8 +59,9 @@ def test_times(texts: list[str], seconds: list[float]) -> None:
 )
 @pytest.mark.filterwarnings("error")  # NumPy warned of zones
 def test_no_times(text: str) -> None:
-    with pytest.raises(ValueError):
-        seconds_of([text])
+    for texts in ([text], ["0.5 s", text]):
+        with pytest.raises(ValueError):
+            seconds_of(texts)
 
 
 def test_times_by_themselves_are_counted_in_utc() -> None:
@@ -106,3 +111,8 @@ def test_seconds_and_their_rest_stay_one_time(names: tuple[str, str], tmp_path: 
     rows = (",".join(str(scale[name](k)) for name in names) + f",{k % 7}" for k in range(250))
     (tmp_path / "a.csv").write_text("\n".join([",".join(names) + ",Fz", *rows]))
     assert read_source(tmp_path / "a.csv").recordings.dt == pytest.approx(0.01)
+
+
+def test_the_unit_of_times_is_found_where_the_newest_comes_first() -> None:
+    for times in (np.arange(50) * 4.0, np.arange(50)[::-1] * 4.0):
+        assert with_time(Table("a.csv", {"time": times, "Fz": times}), Mapping(), ["time", "Fz"]).time_unit == "ms"

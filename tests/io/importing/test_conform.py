@@ -39,6 +39,9 @@ def test_a_lower_rate_is_interpolated_and_said() -> None:
     moved, notes = conform.on_grid(time, signal(time, 0.5), conform.clock(time), 0.01)
     assert notes == ["resampled:20"]
     np.testing.assert_allclose(moved[:, 0], signal(np.arange(len(moved)) * 0.01, 0.5)[:, 0], atol=4e-3)
+    source = conform.clock(time)
+    for count in range(2, 100):  # the last sample is on the grid, however its time is rounded
+        assert len(conform.on_grid(time[:count], time[:count, None], source, 0.01)[0]) == 5 * count - 4
 
 
 def test_steady_samples_stay_as_they_are() -> None:
@@ -81,7 +84,7 @@ def test_saturation() -> None:
     push = np.clip(40 * np.sin(np.linspace(0, 9, 900)), -30, 30)
     rest = np.maximum(40 * np.sin(np.linspace(0, 9, 900)), 0)
     few = np.repeat([0.0, 1.0, 2.0], 300)
-    assert conform.saturated(np.stack([push, rest, few, np.zeros(900)], 1)) == [0]
+    assert conform.saturated(np.stack([push, rest, few, np.zeros(900), rest + 5], 1)) == [0]
 
 
 def test_an_axis_that_stops_changing_is_stuck() -> None:
@@ -90,6 +93,7 @@ def test_an_axis_that_stops_changing_is_stuck() -> None:
     noise[-40:, 1] = 0.0  # at rest, as simulated sensors are
     steps = np.round(np.linspace(0, 9, 300))  # of a coarse sensor
     assert conform.stuck(np.column_stack([noise, steps])) == [0]
+    assert conform.stuck(np.array([[0.0, 1.0, 3.0, *[2.0] * 20]]).T) == []  # hardly anything else to compare with
 
 
 @pytest.mark.parametrize(("log", "sensor"), [(1000, 400), (500, 100), (500, 250)])
@@ -99,6 +103,7 @@ def test_repeats_of_a_slower_sensor_are_told_from_new_values(log: int, sensor: i
     new = conform.fresh(measured[number])
     np.testing.assert_array_equal(measured[number][new], measured[number[new[0]] :])
     assert len(conform.fresh(measured)) == len(measured)
+    assert conform.fresh(np.repeat(measured, 5, axis=0))[:2].tolist() == [0, 5]  # a first value that is held as long
     coarse = np.round(measured[:, :1])  # repeats by chance
     assert len(conform.fresh(coarse)) == len(coarse)
     ramp = np.repeat(np.arange(60.0), 5)[:, None]  # in whole numbers
@@ -118,6 +123,8 @@ def test_missing_values_and_repeated_stamps() -> None:
     values[10:16, 1] = np.nan
     with pytest.raises(InputError, match="6 values in a row are missing, first at sample 10"):
         conform.tidy(time, values)
+    with pytest.raises(InputError, match="3 values in a row are missing"):  # few, but all of a channel
+        conform.tidy(time[11:14], values[11:14])
 
 
 def test_a_few_samples_out_of_order_are_sorted() -> None:
@@ -138,6 +145,7 @@ def test_the_common_rate_is_that_of_most() -> None:
     assert conform.common([*steady, conform.Clock(0.001, True)]) == 0.005  # at a draw the lower rate
     uneven = [conform.Clock(1 / 38.5, False)] * 2 + [conform.Clock(0.025, False)] * 3
     assert conform.common(uneven) == 0.025
+    assert conform.common([conform.Clock(0.02, False)] * 3 + [conform.Clock(0.01, True)]) == 0.01
 
 
 @given(
@@ -201,18 +209,22 @@ def test_a_sensor_between_the_rows_of_a_faster_log_has_its_own_rate(share: float
 
 @pytest.mark.parametrize("count", [2, 4, 8])
 @pytest.mark.parametrize("extra", [0, 1])
-def test_samples_in_bursts_have_their_mean_rate(count: int, extra: int) -> None:
-    """The rate was that within a burst: 500 samples per second became 10,000."""
+@pytest.mark.parametrize("step", [1e-4, 2e-7])
+def test_samples_in_bursts_have_their_mean_rate(count: int, extra: int, step: float) -> None:
+    """The rate was that within a burst: 500 samples per second became 10,000, or the unit of time was doubted."""
     number = np.arange(1000 + extra)
-    time = number // count * count * 0.002 + number % count * 0.0001
+    time = number // count * count * 0.002 + number % count * step
     time[500:] += 30.0  # a pause
     source = conform.clock(time)
     assert (source.rate, source.bursts) == (500.0, True)
+    assert conform.clock(time[: 12 * count]).rate == 500.0  # the pauses between few bursts are fewer than the bursts
 
 
 def test_a_gap_of_a_short_recording_makes_no_bursts() -> None:
     time = np.delete(np.arange(30) * 0.1, np.r_[10:18])
     assert conform.clock(time) == conform.Clock(0.1, False)
+    often = np.arange(3000) / 250 + np.repeat(np.arange(15), 200)  # more gaps, but few beside the samples
+    assert conform.clock(often) == conform.Clock(1 / 250, False)
 
 
 @pytest.mark.parametrize(("rate", "tick"), [(750, 1e-3), (800, 1e-3), (900, 1e-3), (90, 1e-2), (240, 4e-3)])
@@ -232,3 +244,10 @@ def test_a_sample_that_is_lost_regularly_does_not_make_the_rate_lower(rate: floa
     """50 samples per second, of which every tenth was lost, were 45: no clock has ticks of 20 ms."""
     time = np.delete(np.arange(2000) / rate, np.s_[5::10])
     assert conform.clock(time).rate == pytest.approx(rate, rel=0.01)
+
+
+def test_few_or_irregularly_lost_samples_are_no_rounded_stamps() -> None:
+    """All steps are one or two ticks, as those of rounded stamps are."""
+    apart = np.random.default_rng(0).choice(np.arange(2, 1998, 2), 60, replace=False)
+    for lost, count in ((apart, 2000), (np.arange(5, 200, 10), 200)):
+        assert conform.clock(np.delete(np.arange(count), lost) / 1000).rate == pytest.approx(1000, rel=0.01)
