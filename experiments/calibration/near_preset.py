@@ -4,9 +4,9 @@ A thousand candidates cannot be ranked with 29 trials. Here three numbers vary, 
 small limit of the forces, that of the moments, and all larger limits. Features are words alone (histogram, n-grams,
 attributes; no duration, no offset), scaled by ranks, with a linear kernel per candidate. Selection uses repeated
 grouped folds of the training side: the best candidate, the one nearest to the preset within a standard error of it, the
-best by margin; or the kernels of all candidates, or of the best eight, are averaged. Two more
-rows rank candidates by the accuracy of states between simulated sessions, whose sets are kept in FOLDER; the preset
-identified from the tested session is left out of that.
+best by margin; or the kernels of all candidates, or of the best eight, are averaged. Two more methods rank candidates
+by the accuracy of states between simulated sessions, whose sets are kept in FOLDER; the preset identified from the
+tested session is left out of that.
 
 Run: python -m experiments.calibration.near_preset STORE.zarr FOLDER
 """
