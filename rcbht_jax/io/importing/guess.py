@@ -284,7 +284,7 @@ def more_wrenches(table: Table, mapping: Mapping) -> str:
         return ""
     return (
         f"{len(found)} wrenches were found, and that of {own['Fx']} was taken; to import that of {some(others)}, name "
-        "its channels with --map, or, if each is of an arm, the words that tell these apart (arms)."
+        "its channels with --map. If each is of an arm, list the words that differ there instead: arms = [..., ...]."
     )
 
 

@@ -234,9 +234,9 @@ def no_column(table: Table, name: str) -> str:
 def _check(table: Table, mapping: Mapping) -> None:
     check_columns(table, mapping)
     if not mapping.time and (mapping.source_rate or table.rate) is None:
-        texts = (key for key, values in table.columns.items() if base_and_unit(key)[0] in TIMES and len(values))
+        texts = (key for key, one in table.columns.items() if base_and_unit(key)[0] in TIMES and one.dtype.kind == "U")
         if name := next(texts, ""):
-            found = no_time([str(table.columns[name][0])])
+            found = no_time(table.columns[name][:1].tolist() or [""])
             raise InputError(f"{table.name}: column {name!r} holds {found}")
         raise InputError(f"{table.name} has no column of time; name it in a map, or give --source-rate.")
 

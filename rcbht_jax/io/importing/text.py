@@ -152,7 +152,9 @@ def _slow(
     _flush(path, columns, rows + (between.end(of_words=True) if between.too_many() else []))
     _flush(path, columns, between.end(columns[0].is_of_words()))
     if not columns[0].count:
-        raise InputError(f"{path} has no rows; expected a table.")
+        file.seek(0)
+        ends = " whose lines end in line feeds" if b"\r" in file.readline(MAX_TABLE_LINE).rstrip() else ""
+        raise InputError(f"{path} has no rows; expected a table{ends}.")
     faults.update(*(column.faults for column in columns))
     return [column.array() for column in columns]
 
@@ -168,7 +170,7 @@ def _rows(
         while raw := file.readline(MAX_TABLE_LINE):
             ended = raw.endswith(b"\n")
             if len(raw) == MAX_TABLE_LINE and not raw.endswith(b"\n"):
-                raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
+                raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; expected line feeds.")
             yield raw.decode(encoding, "strict" if ended else "ignore")  # half a sign may end a log that was cut off
 
     blanks = map(cells.between_blanks, lines())

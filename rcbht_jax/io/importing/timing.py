@@ -44,9 +44,10 @@ def with_one_time(path: Path, columns: AnyMapping[str, NDArray[Any]]) -> dict[st
         if own.dtype.kind != "f" or others.dtype.kind != "f":
             continue
         own, others = (both := np.stack([own, others]))[:, np.isfinite(both).all(0)]
-        if not (_grow(own) and _grow(others)):
+        alike = np.array_equal(own, others)  # also where they start anew
+        if not (alike or (_grow(own) and _grow(others))):
             continue
-        if (np.abs(own - others) > np.median(np.abs(np.diff(own))) / 2).any():
+        if not alike and (np.abs(own - others) > np.median(np.abs(np.diff(own))) / 2).any():
             raise InputError(
                 f"{path}: the times in column {name} are not those in {first}; save the signals of each one by one."
             )
@@ -74,6 +75,8 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     parsed = {name: base_and_unit(name) for name in free}
     bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if grows(table, name)}
     bases |= {base: name for name, (base, _) in reversed(parsed.items())}
+    if not {"min", "minute", "minutes"}.isdisjoint(bases):  # seconds beside them are those of a minute
+        bases = {base: name for base, name in bases.items() if base not in ("sec", "secs", "seconds")}
     whole = _with_nanoseconds(table, free)
     # The stamps of a header are better than times of receipt; else the order of the list decides.
     stamps = [name for name in whole if "stamp" in name.lower()]
@@ -82,8 +85,9 @@ def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         values = table.columns[candidate]
         if values.dtype.kind == "U" and not are_dates(values):
             continue
+        anew = parsed[candidate][0] == "x_value" and (values[1:] < values[:-1]).any()  # in each piece of LabVIEW's
         if (
-            table.rate is not None and candidate not in whole and (values[1:] == values[:-1]).mean() > 0.01
+            table.rate is not None and candidate not in whole and (anew or (values[1:] == values[:-1]).mean() > 0.01)
         ):  # too coarse for the rate
             continue
         unit = table.units.get(candidate) or (unit if unit in SECONDS else _unit(table, candidate))

@@ -93,7 +93,7 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
     comments: list[bytes] = []
     while line := file.readline(MAX_TABLE_LINE):
         if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
-            raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
+            raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; expected line feeds.")
         if mark := cells.COMMENT.match(line):
             comment = line[mark.end() :]
             comments = [*comments, line][:PREAMBLE]

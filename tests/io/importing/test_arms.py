@@ -79,7 +79,7 @@ def test_a_map_with_the_words_that_a_remark_asks_for_reads_both_arms(
 ) -> None:
     csv(tmp_path / "run1.csv", [name.format(axis) for name in (one, other) for axis in AXES], np.hstack([LEFT, RIGHT]))
     remark = next(text for text in read_source(tmp_path).report.remarks if "wrenches were found" in text)
-    assert remark.endswith("or, if each is of an arm, the words that tell these apart (arms).")
+    assert remark.endswith("If each is of an arm, list the words that differ there instead: arms = [..., ...].")
     recordings = read_source(tmp_path, mapping=Mapping(arms=words)).recordings
     assert recordings.arm.tolist() == list(words)
     np.testing.assert_allclose(recordings.wrench, np.stack([LEFT, RIGHT]), atol=1e-5)

@@ -81,7 +81,15 @@ def table_of(path: Path) -> Table:
 def test_hours_minutes_and_seconds_as_numbers_are_refused(head: str, form: str, tmp_path: Path) -> None:
     """Each minute is no recording of its own."""
     write(tmp_path / "run.csv", head, form)
-    with pytest.raises(InputError, match=r"no column of time|--source-rate, which replaces"):
+    with pytest.raises(InputError, match="no column of time"):
+        read_source(tmp_path / "run.csv")
+
+
+def test_seconds_of_three_minutes_are_no_time(tmp_path: Path) -> None:
+    """The minutes became three recordings, without a warning."""
+    rows = [f"12,{k // 60},{k % 60},{k % 7}" for k in range(180)]
+    (tmp_path / "run.csv").write_text("\n".join(["Hours,Minutes,Seconds,Fz", *rows]))
+    with pytest.raises(InputError, match="no column of time"):
         read_source(tmp_path / "run.csv")
 
 

@@ -268,6 +268,19 @@ def test_times_of_labview_before_every_signal_are_no_signals(tmp_path: Path) -> 
         read_source(tmp_path / "run.lvm", "csv")
 
 
+@pytest.mark.parametrize("between", ["X_Value\t", ""])
+def test_a_measurement_that_labview_wrote_in_pieces_is_one(between: str, tmp_path: Path) -> None:
+    """Its times start anew with each piece, which became a recording."""
+    rows = [(f"{k % 20 / 100}\t", WRENCH[k]) for k in range(N)]
+    lines = [f"{t}{row[0]}\t{t if between else ''}{row[1]}" for t, row in rows]
+    measurement(tmp_path / "run.lvm", f"X_Value\tFx\t{between}Fz", "0.01\t0.01", lines)
+    text = (tmp_path / "run.lvm").read_text()
+    (tmp_path / "run.lvm").write_text(text.replace("Newton\t\tNewton", "Newton\tNewton"))
+    imported = read_source(tmp_path / "run.lvm", "csv")
+    assert imported.recordings.axes == ("Fx", "Fz")
+    np.testing.assert_allclose(imported.recordings.wrench[0], WRENCH[:, :2], rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("factor", "shift", "refused"), [(2, 0, True), (1, 0.2, True), (1, 0, False), (1, 1e-3, False)]
 )

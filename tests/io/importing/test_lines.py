@@ -41,6 +41,11 @@ def test_lines_may_end_as_on_any_computer(end: str, text: str, tmp_path: Path) -
     same(imported, "preamble:2" if text[0] == "r" and end != "\r\r\n" else imported.recordings.note[0])
 
 
+def test_lines_that_end_in_carriage_returns_alone_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected a table whose lines end in line feeds"):
+        read(tmp_path, (HEAD + ROWS).replace("\n", "\r"))
+
+
 @pytest.mark.parametrize(
     ("below", "left"),
     [
