@@ -62,6 +62,10 @@ class Snapshots:
         """The chosen rows, by index or mask."""
         return Snapshots(*(getattr(self, field.name)[rows] for field in fields(self)))
 
+    def repeated(self, ends: int) -> Int[np.ndarray, " row"]:
+        """Every row, the last of a complete interval ``ends`` times."""
+        return np.repeat(np.arange(len(self)), np.where(self.complete, ends, 1))
+
 
 def regular_snapshots(items: LabelledIntervals, every: int) -> Snapshots:
     """Snapshots every ``every`` samples since the interval began, and one at its end."""
@@ -188,7 +192,7 @@ def learn(
     Raises:
         InputError: a class has fewer trials than the cross-validation has folds, or a feature is not finite.
     """
-    rows = np.repeat(np.arange(len(snapshots)), np.where(snapshots.complete, ends, 1))
+    rows = snapshots.repeated(ends)
     interval = snapshots.interval[rows]
     y, groups, weight = items.y[interval], items.trial[interval], weights(spec, axes)
     some = some_items(y, groups, groups, seed, most or len(y))
@@ -208,7 +212,7 @@ def train_head(
 
     Its probabilities for a whole trial are calibrated by progress (:mod:`rcbht_jax.learning.progress`), on beliefs
     about held-out trials. Trials with more than 24,000 snapshots in all are learnt in part (:func:`training_items`),
-    and hyper-parameters are chosen on at most 5,000 of the snapshots.
+    and hyper-parameters are chosen on 5,000 of the snapshots, but on five trials of every class.
 
     ``progress`` is called with the number of snapshots since the last call and the total.
 
@@ -252,14 +256,16 @@ def train_head(
 def training_items(recordings: Recordings, spec: HeadSpec, config: AnyConfig, seed: int = 0) -> LabelledIntervals:
     """The intervals that train a classifier, of classes with two trials or more.
 
-    Of trials with more than 24,000 snapshots it takes some in a seeded order
+    Of trials with more than 24,000 snapshots, repeated ones included, it takes some in a seeded order
     (:func:`rcbht_jax.learning.class_groups.some_items`), and counts the others as left out.
 
     Raises:
         InputError: as from :func:`rcbht_jax.learning.tasks.labelled_intervals`.
     """
     items, _ = learnable(labelled_intervals(recordings, spec.task))
-    interval = training_snapshots(items, _every(spec, config), early=bool(track_of(recordings, spec.task))).interval
+    spec = replace(spec, subtask=bool(track_of(recordings, spec.task)))
+    snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
+    interval = snapshots.interval[snapshots.repeated(spec.learning[1])]
     trial = items.trial[interval]
     rows = some_items(items.y[interval], trial, trial, seed, MOST)
     if len(rows) == len(interval):
