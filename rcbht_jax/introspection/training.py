@@ -62,10 +62,6 @@ class Snapshots:
         """The chosen rows, by index or mask."""
         return Snapshots(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def repeated(self, ends: int) -> Int[np.ndarray, " row"]:
-        """Every row, the last of a complete interval ``ends`` times."""
-        return np.repeat(np.arange(len(self)), np.where(self.complete, ends, 1))
-
 
 def regular_snapshots(items: LabelledIntervals, every: int) -> Snapshots:
     """Snapshots every ``every`` samples since the interval began, and one at its end."""
@@ -192,7 +188,7 @@ def learn(
     Raises:
         InputError: a class has fewer trials than the cross-validation has folds, or a feature is not finite.
     """
-    rows = snapshots.repeated(ends)
+    rows = np.repeat(np.arange(len(snapshots)), np.where(snapshots.complete, ends, 1))
     interval = snapshots.interval[rows]
     y, groups, weight = items.y[interval], items.trial[interval], weights(spec, axes)
     some = some_items(y, groups, groups, seed, most or len(y))
@@ -265,7 +261,7 @@ def training_items(recordings: Recordings, spec: HeadSpec, config: AnyConfig, se
     items, _ = learnable(labelled_intervals(recordings, spec.task))
     spec = replace(spec, subtask=bool(track_of(recordings, spec.task)))
     snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
-    interval = snapshots.interval[snapshots.repeated(spec.learning[1])]
+    interval = np.repeat(snapshots.interval, np.where(snapshots.complete, spec.learning[1], 1))
     trial = items.trial[interval]
     rows = some_items(items.y[interval], trial, trial, seed, MOST)
     if len(rows) == len(interval):
