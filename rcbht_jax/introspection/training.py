@@ -208,7 +208,7 @@ def train_head(
 
     Its probabilities for a whole trial are calibrated by progress (:mod:`rcbht_jax.learning.progress`), on beliefs
     about held-out trials. Trials with more than 24,000 snapshots in all are learnt in part (:func:`training_items`),
-    and hyper-parameters are chosen on at most 5,000 of the snapshots.
+    and hyper-parameters are chosen on 5,000 of the snapshots, but on five trials of every class.
 
     ``progress`` is called with the number of snapshots since the last call and the total.
 
@@ -252,14 +252,16 @@ def train_head(
 def training_items(recordings: Recordings, spec: HeadSpec, config: AnyConfig, seed: int = 0) -> LabelledIntervals:
     """The intervals that train a classifier, of classes with two trials or more.
 
-    Of trials with more than 24,000 snapshots it takes some in a seeded order
+    Of trials with more than 24,000 snapshots, repeated ones included, it takes some in a seeded order
     (:func:`rcbht_jax.learning.class_groups.some_items`), and counts the others as left out.
 
     Raises:
         InputError: as from :func:`rcbht_jax.learning.tasks.labelled_intervals`.
     """
     items, _ = learnable(labelled_intervals(recordings, spec.task))
-    interval = training_snapshots(items, _every(spec, config), early=bool(track_of(recordings, spec.task))).interval
+    spec = replace(spec, subtask=bool(track_of(recordings, spec.task)))
+    snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
+    interval = np.repeat(snapshots.interval, np.where(snapshots.complete, spec.learning[1], 1))
     trial = items.trial[interval]
     rows = some_items(items.y[interval], trial, trial, seed, MOST)
     if len(rows) == len(interval):

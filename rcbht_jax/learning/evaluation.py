@@ -160,7 +160,7 @@ def evaluate(
     """
     expect("The protocol", protocol, EvaluationProtocol)
     if protocol.train_on and splitter is not None:
-        raise InputError("Sessions are trained and tested on, which a splitter cannot divide otherwise; give one.")
+        raise InputError("train_on and test_on divide the trials, and so does a splitter; give one or the other.")
     items = labelled_intervals(recordings, task)
     column = protocol.group
     groups = groups_by(column, recordings, items)

@@ -31,6 +31,7 @@ from rcbht_jax.learning.scaling import Scale, fit_scale
 KERNELS = ("linear", "poly", "rbf")
 COSTS = tuple(10.0**p for p in range(-5, 5))
 DEGREE = 3
+_VALUES = 2**24  # of a kernel at once, 128 MiB: streams and stores have millions of items
 
 Matrix = NDArray[np.floating[Any]]
 Ints = NDArray[np.integer[Any]]
@@ -133,8 +134,10 @@ class SvmModel:
         scaled = Scale(self.center, self.width, self.knots)(x)
         if self.spec.kernel == "linear":  # one normal vector per pair costs far less than every support vector
             return np.asarray(scaled @ (self.support.T @ self.pair_weights()) + self.intercept, np.float64)
-        kernel = gram(scaled, self.support, self.spec.kernel, self.gamma)
-        return kernel @ self.pair_weights() + self.intercept
+        weights, step = self.pair_weights(), 1 + _VALUES // max(len(self.support), 1)
+        blocks = [scaled[first : first + step] for first in range(0, max(len(scaled), 1), step)]
+        parts = [gram(block, self.support, self.spec.kernel, self.gamma) @ weights for block in blocks]
+        return np.concatenate(parts) + self.intercept
 
     def pair_weights(self) -> NDArray[np.float64]:
         """``[vector, pair]``: libsvm keeps class i's weight against j in row j - 1, class j's in row i."""

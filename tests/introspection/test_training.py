@@ -181,6 +181,17 @@ def test_many_trials_are_learnt_in_part(monkeypatch, most):
     np.testing.assert_array_equal(model.digests, wrench_digests(data.wrench, data.length)[np.sort(rows)])
 
 
+def test_repeated_snapshots_are_within_the_bound(monkeypatch):
+    """Short intervals have hardly any but their last, which counts six times: six times the bound were learnt."""
+    monkeypatch.setattr(training, "MOST", 72)
+    marks = [(row, "phase", "ab"[k], k * 0.1, k * 0.1 + 0.1) for row in range(12) for k in range(2)]
+    data = Recordings.from_arrays(np.zeros((12, 40, 6)), 200, annotations=marks, outcome=["success"] * 12)
+    items = training.training_items(data, HeadSpec(TaskSpec("phase")), EncoderConfig())
+    assert len(items.y) == 12  # six trials of two intervals
+    items = training.training_items(data, HeadSpec(TaskSpec("phase"), phase=True), EncoderConfig())
+    assert len(items.y) == 24  # none is repeated where a stream finds out when intervals begin
+
+
 def test_hyper_parameters_are_chosen_on_some_snapshots_and_all_of_them_train(monkeypatch):
     asked = []
     monkeypatch.setattr(training, "LARGEST", 100)

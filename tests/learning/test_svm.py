@@ -13,6 +13,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.learning import svm
 from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.svm import COSTS, KERNELS, Grid, SvmSpec, fit, gram, grouped_folds, predictions, select, vote
 from rcbht_jax.learning.validation import cross_validate, forest, holdout_score, majority, nested_svm, repeated_folds
@@ -52,6 +53,18 @@ def test_decision_and_prediction_equal_scikit_learn(seed, classes, kernel, cost,
     np.testing.assert_allclose(model.decision(new), expected, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(model.predict_index(new), oracle.predict(b))
     np.testing.assert_array_equal(model.predict(new), np.array(NAMES)[oracle.predict(b)])
+
+
+@pytest.mark.parametrize("kernel", ["poly", "rbf"])
+def test_decisions_of_many_items_need_no_kernel_of_them_all(kernel, monkeypatch):
+    x, y = blobs(0, 3)
+    model, asked = fit(x, y, NAMES[:3], SvmSpec(kernel)), []
+    whole = model.decision(x)
+    monkeypatch.setattr(svm, "_VALUES", 7 * len(model.support))
+    monkeypatch.setattr(svm, "gram", lambda a, *rest: asked.append(len(a)) or gram(a, *rest))
+    np.testing.assert_allclose(model.decision(x), whole, rtol=1e-12)
+    assert asked == [8] * 7 + [4]
+    assert model.decision(x[:0]).shape == (0, 3)
 
 
 def test_gamma_auto_is_one_over_the_number_of_features():
