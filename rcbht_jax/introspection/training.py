@@ -208,7 +208,7 @@ def train_head(
 
     Its probabilities for a whole trial are calibrated by progress (:mod:`rcbht_jax.learning.progress`), on beliefs
     about held-out trials. Trials with more than 24,000 snapshots in all are learnt in part (:func:`training_items`),
-    and hyper-parameters are chosen on 5,000 of the snapshots, but on five trials of every class.
+    and hyper-parameters are chosen on at most 5,000 of the snapshots, or those of five trials of every class.
 
     ``progress`` is called with the number of snapshots since the last call and the total.
 

@@ -340,15 +340,17 @@ def test_serve_opens_the_page_before_the_first_reading(with_model, model_path, m
     """Also where words of another rule than the model's are shown, which needs the beginning of the stream."""
     axes, words = (6, ["-m", str(model_path)]) if with_model else (1, [])
     monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(2, 32, 300)[:, :axes])))
-    told: list[tuple[str, object]] = []
-    tell = live_page.Broadcast.tell
-    monkeypatch.setattr(live_page.Broadcast, "tell", lambda b, k, v: (told.append((k, v)), tell(b, k, v))[1])
+    announced: list[tuple[str, object]] = []
+    announce = live_page.Broadcast.announce
+    monkeypatch.setattr(
+        live_page.Broadcast, "announce", lambda b, k, v: (announced.append((k, v)), announce(b, k, v))[1]
+    )
     assert main(["serve", "-", *words, "--port", "0", "--no-stay", "--speed", "0", "--lead", "1"]) == 0
-    assert [value for kind, value in told if kind == "status"] == [
+    assert [value for kind, value in announced if kind == "status"] == [
         "waiting for the first readings", "taking the thresholds and tolerances from the first 1 s",
         "compiling the encoder, a few seconds", "",
     ]  # fmt: skip
-    [about] = [value for kind, value in told if kind == "about"]
+    [about] = [value for kind, value in announced if kind == "about"]
     assert len(about["axes"]) == axes
 
 
