@@ -225,9 +225,8 @@ def main(store: tyro.conf.Positional[Path], folder: tyro.conf.Positional[Path]) 
         "features": "words, scaled by ranks; states, harmonised",
         "candidates": CANDIDATES, "repeats": REPEATS, "octaves": OCTAVES, "costs": COSTS,
     }  # fmt: skip
-    Rows("calibration_near", "python -m experiments.calibration.near_preset STORE.zarr FOLDER", about, SEED).fill(
-        wanted
-    )
+    command = "python -m experiments.calibration.near_preset STORE.zarr FOLDER"
+    Rows("calibration_near", command, about, SEED).fill(wanted)
 
 
 if __name__ == "__main__":

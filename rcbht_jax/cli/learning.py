@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -98,13 +98,12 @@ class _Learning(Command):
 
     def read_tracks(self) -> tuple[Grammars, dict[str, dict[str, Any]]]:
         """The label tracks to choose from, and how those of each name were made."""
-        from rcbht_jax.io.label_store import choose_name, read_tracks_attrs, track_batches
+        from rcbht_jax.io.label_store import choose_name, read_tracks_attrs
 
         choices = [choice.split("+") for choice in self.tracks or ("",)]
         grammars = [list(dict.fromkeys(choose_name(self.store, wanted) for wanted in choice)) for choice in choices]
         how = {name: read_tracks_attrs(self.store, name) for names in grammars for name in names}
-        read = {"+".join(names): track_batches(self.store, {name: name for name in names}) for names in grammars}
-        return {name: _counted(batches) for name, batches in read.items()}, how
+        return {"+".join(names): _batches(self.store, {name: name for name in names}) for names in grammars}, how
 
 
 def table_and_facts(store: Path) -> tuple[Recordings, WrenchFacts]:
@@ -294,7 +293,7 @@ class Classify(Command):
 
     def _tracks(self, model: TrainedModel) -> TrackBatches:
         """The labels that the model reads, by the names that it gives them, in batches."""
-        from rcbht_jax.io.label_store import choose_name, read_tracks_attrs, track_batches
+        from rcbht_jax.io.label_store import choose_name, read_tracks_attrs
         from rcbht_jax.learning.predict import check_encoders, encoders_of
 
         names = list(encoders_of(model))
@@ -306,7 +305,7 @@ class Classify(Command):
             )
         chosen = {name: choose_name(self.store, wanted) for name, wanted in zip(names, given, strict=True)}
         check_encoders(model, {name: read_tracks_attrs(self.store, wanted) for name, wanted in chosen.items()})
-        return _counted(track_batches(self.store, chosen))
+        return _batches(self.store, chosen)
 
     def text(self, result: dict[str, Any]) -> str:
         counts = ", ".join(f"{name} {count}" for name, count in result["classes"].items())
@@ -384,6 +383,9 @@ def _json_lines(classification: Classification, lines: list[dict[str, Any]]) -> 
     return "".join(f"{text}\n" for text in texts)
 
 
-def _counted(tracks: TrackBatches) -> TrackBatches:
-    """The same labels, with progress while they are read: those of a large store take minutes."""
+def _batches(store: Path, names: Mapping[str, str]) -> TrackBatches:
+    """Label tracks, with progress while they are read: those of a large store take minutes."""
+    from rcbht_jax.io.label_store import track_batches
+
+    tracks = track_batches(store, names)
     return replace(tracks, read=lambda: iter(progress_bar("read labels", "batches", iterable=tracks.read())))

@@ -49,9 +49,7 @@ _FIRST_ARM = re.compile(r"\{arm\}(?=[^\W_])")  # {arm}Fx
 _LAST_ARM = re.compile(r"(?:[\s\[(]+|(?<=[^\W_]))\{arm\}[\s\])]*$")  # Fx{arm}, Fx [{arm}]
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
 _QUOTES = re.compile(r"""["'`,]|^\(|\)$""")  # of parts of a path: /'FT'/'Fx', or of levels: ('FT', 'Fx')
-_SAID = re.compile(
-    r"(?:force|torque|moment)s?(\d*)[._/ \-]*$"
-)  # before an axis that says it: Force Fx, cartTorque1_TauX
+_SAID = re.compile(r"(?:force|torque|moment)s?(\d*)[._/ \-]*$")  # before an axis: Force Fx, cartTorque1_TauX
 _AXIS = re.compile(
     r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?((?:[._/ \-](?:" + _FRAMES + r"))?)"
     r"[._/ \-]*([xyz])(?:[._/](?:data|values?))?"
@@ -166,12 +164,8 @@ def _axis_of(base: str, unit: str) -> tuple[tuple[str, str], str, str, bool] | N
     if after[1:] in (*TIMES, *NANOSECONDS) or unit in ("m", "mm"):  # of its samples, a translation
         return None
     kind = "M" if is_moment(f"{word}{letter}", unit) else "F"
-    return (
-        (_SAID.sub(r"\1", f"{before}{number}"), f"{frame}{after}"),
-        kind,
-        letter,
-        word in ("torque", "moment", "tau", "m"),
-    )
+    place = _SAID.sub(r"\1", f"{before}{number}"), f"{frame}{after}"
+    return place, kind, letter, word in ("torque", "moment", "tau", "m")
 
 
 def _words(name: str) -> list[str]:
