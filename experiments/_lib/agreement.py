@@ -59,17 +59,21 @@ def largest_difference(first: Any, second: Any) -> tuple[float, str]:
     return worst
 
 
-def inside(repeated: Any, committed: Any) -> tuple[int, list[str]]:
-    """Number of scores for which the committed result has an interval, and a line for each that lies outside."""
-    scores = {place: score for place, score, _, _ in intervals(repeated)}
+def apart(repeated: Any, committed: Any) -> tuple[int, list[str]]:
+    """Number of scores of which both results have an interval, and a line for each whose intervals do not overlap."""
+    scores = {place: score for place, *score in intervals(repeated)}
     known = [one for one in intervals(committed) if one[0] in scores]
     margin = 5e-4  # results are rounded
     out = [
-        f"{place}: {scores[place]:.3f}, committed {score:.3f} ({low:.3f} to {high:.3f})"
+        f"{place}: {_score(*scores[place])}, committed {_score(score, low, high)}"
         for place, score, low, high in known
-        if not low - margin <= scores[place] <= high + margin
+        if scores[place][1] > high + margin or scores[place][2] < low - margin
     ]
     return len(known), out
+
+
+def _score(score: float, low: float, high: float) -> str:
+    return f"{score:.3f} ({low:.3f} to {high:.3f})"
 
 
 def whole(name: str, repeated: Any, committed: Any) -> str:
@@ -80,15 +84,13 @@ def whole(name: str, repeated: Any, committed: Any) -> str:
 
 def shorter(name: str, repeated: Any, committed: Any, options: str) -> str:
     """A sentence on a shorter form of a result."""
-    count, out = inside(repeated, committed)
+    count, out = apart(repeated, committed)
     if count:
-        text = f"{count - len(out)} of {count} scores lie in the committed 95 % intervals"
+        text = f"the 95 % intervals of {count - len(out)} of {count} scores overlap the committed ones"
     else:
         here, there = dict(numbers(repeated)), dict(numbers(committed))
         both = {place: abs(here[place] - there[place]) for place in here if place in there}
         place = max(both, key=lambda one: both[one], default="")
-        text = (
-            f"no interval to hold it against; largest difference of {len(both)} numbers {both.get(place, 0):g} {place}"
-        )
-    lines = [f"{name}: a shorter form ({options}); {text}", *(f"  outside: {line}" for line in out)]
+        text = f"no interval to compare; largest difference of {len(both)} numbers {both.get(place, 0):g} {place}"
+    lines = [f"{name}: a shorter form ({options}); {text}", *(f"  apart: {line}" for line in out)]
     return "\n".join(lines).rstrip()

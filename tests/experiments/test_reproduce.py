@@ -138,13 +138,12 @@ def test_a_shorter_form_leaves_the_whole_result_alone(
     write(place, **committed)
     before = (place / "some.json").read_bytes()
     assert call(monkeypatch, place) == []  # the whole one is there
-    made = {"a": {"mean": 0.55}, "b": {"accuracy": 0.7, "interval": [0.6, 0.8]}}
-    made["a"] |= {"low": 0.5, "high": 0.6}
+    made = {"a": {"mean": 0.7, "low": 0.6, "high": 0.8}, "b": {"accuracy": 0.7, "interval": [0.6, 0.79]}}
     assert call(monkeypatch, place, "--force", makes=made)[0][-2:] == ["--all", "--few"]
     assert (place / "some.json").read_bytes() == before
     said = capsys.readouterr().out
-    assert "some: a shorter form (--few); 1 of 2 scores lie in the committed 95 % intervals" in said
-    assert "outside: b: 0.700, committed 0.900 (0.800 to 1.000)" in said
+    assert "some: a shorter form (--few); the 95 % intervals of 1 of 2 scores overlap the committed ones" in said
+    assert "apart: b: 0.700 (0.600 to 0.790), committed 0.900 (0.800 to 1.000)" in said
     (place / "some.json").unlink()
     assert call(monkeypatch, place) == []  # the shorter one is there
     assert call(monkeypatch, place, "--long", makes=committed)[0][-1] == "--all"
@@ -220,10 +219,11 @@ def test_a_score_is_compared_whatever_its_row_is_called(key: str) -> None:
 
 def test_a_shorter_form_without_intervals() -> None:
     said = agreement.shorter("some", {"a": 0.5, "b": 2}, {"a": 0.75, "c": 1}, "--few")
-    assert said.endswith("no interval to hold it against; largest difference of 1 numbers 0.25 a")
+    assert said.endswith("no interval to compare; largest difference of 1 numbers 0.25 a")
     made, committed = {"a": {"mean": 0.60049}}, {"a": {"mean": 0.5, "interval": [0.4, 0.6]}}
-    assert agreement.inside({"a": made["a"] | {"low": 0.5, "high": 0.7}}, committed) == (1, [])  # results are rounded
-    assert agreement.inside(made, committed) == (0, [])  # a score without an interval is another kind of number
+    made_with_interval = {"a": made["a"] | {"low": 0.6004, "high": 0.7}}
+    assert agreement.apart(made_with_interval, committed) == (1, [])  # results are rounded
+    assert agreement.apart(made, committed) == (0, [])  # a score without an interval is another kind of number
 
 
 def test_rows_go_on_and_start_anew_when_made_differently(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
