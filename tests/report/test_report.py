@@ -119,6 +119,14 @@ def test_the_page_has_the_confounds_of_every_task_that_the_commands_print(tmp_pa
         assert "Task phase" not in text
 
 
+def test_a_confound_of_several_tasks_is_stated_once() -> None:
+    spans = [("phase", "near", 0, 2), ("phase", "far", 2, 4)]
+    marks = [(row, *span) for row in range(8) for span in spans]
+    columns = {"arm": ["R", "L"] * 4, "outcome": ["success"] * 4 + ["failure"] * 4}
+    data = DataSet.of(Recordings.from_arrays(np.ones((8, 80, 1)), 20.0, annotations=marks, **columns))
+    assert "<li>Tasks phase of all outcomes, outcome: Only the right arm is used.</li>" in page(data)
+
+
 def unpack(about: dict[str, Any], blob: str) -> dict[str, Any]:
     """The blob as its layout is described, read independently of the page."""
     raw, at = zlib.decompress(base64.b64decode(blob)), 0

@@ -101,15 +101,17 @@ def _axes(recordings: Recordings) -> str:
 
 def confounds(data: DataSet) -> Sequence[str]:
     """Confounds: what may be mistaken for a result on this data, one sentence each, derived from the data."""
-    recordings, facts, sentences = data.recordings, data.facts(), list[str]()
+    recordings, facts, tasks_of = data.recordings, data.facts(), dict[str, list[str]]()
     for task in task_names(recordings):
-        spec, of_all = TaskSpec(task), ""
+        spec, title = TaskSpec(task), task
         if task in recordings.annotations.tracks:  # as the files hold it
-            spec, of_all = TaskSpec(task, "recorded", outcomes=()), " of all outcomes"
+            spec, title = TaskSpec(task, "recorded", outcomes=()), f"{task} of all outcomes"
         classes, found = learning.examined(recordings, spec, facts)
-        sentences += [f"Task {task}{of_all}: {sentence}" for sentence in found if classes]
+        for sentence in found if classes else ():
+            tasks_of.setdefault(sentence, []).append(title)
+    sentences = [f"Task{'s' * (len(of) > 1)} {', '.join(of)}: {sentence}" for sentence, of in tasks_of.items()]
     copies = learning.copies(data.digests)  # also of recordings that are in no task
-    if copies and not any(sentence.endswith(copies) for sentence in sentences):
+    if copies and copies not in tasks_of:
         sentences.append(copies)
     sentences = sentences or ["None was detected; that does not mean that there is none."]
     if facts is None:
