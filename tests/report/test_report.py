@@ -124,7 +124,8 @@ def test_a_confound_of_several_tasks_is_stated_once() -> None:
     marks = [(row, *span) for row in range(8) for span in spans]
     columns = {"arm": ["R", "L"] * 4, "outcome": ["success"] * 4 + ["failure"] * 4}
     data = DataSet.of(Recordings.from_arrays(np.ones((8, 80, 1)), 20.0, annotations=marks, **columns))
-    assert "<li>Tasks phase of all outcomes, outcome: Only the right arm is used.</li>" in page(data)
+    assert "<li>Tasks phase of all outcomes, outcome: Only the right arm is used.</li>" in (text := page(data))
+    assert "All of them are in the browser" in text
 
 
 def unpack(about: dict[str, Any], blob: str) -> dict[str, Any]:
@@ -248,7 +249,7 @@ def test_a_store_without_labels_gets_words_on_the_way(tmp_path: Path, capsys: py
     assert "1 of 1 recording, labels online-W5-fit, 0 results" in capsys.readouterr().out
     text = out.read_text()
     assert "<p>1 recording of set: 1 success; 3.0 s at 200 Hz; labels online-W5-fit, words by the fit rule" in text
-    assert "1 of them is in the browser below" in text
+    assert "rule. It is in the browser below" in text
     [trial] = json.loads(re.search(r'id="facts">(.*?)</script>', text, re.S)[1])["trials"]
     assert all(min(counts) > 0 for counts in trial["words"])
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import rcbht_jax
-from rcbht_jax._util.columns import measured
+from rcbht_jax._util.columns import measured, with_units
 from rcbht_jax._util.printable import plural
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
@@ -82,7 +82,8 @@ def card(data: DataSet, layout: str, front: str = "", about: dict[str, Any] | No
         "**Licence:** not stated yet; add it here before you share this data. It is the licence of the recordings, not "
         "that of the program that wrote these files.",
         f"## Files\n\n{layout}",
-        f"## Units and frames\n\n{_axes(recordings)}; times in s from the first sample of a recording, evenly spaced. "
+        f"## Units and frames\n\n{with_units(about['axes'])}; times in s from the first sample of a "
+        "recording, evenly spaced. "
         + str(data.attrs.get("frames", "The source does not state the frame of the axes.")),
         f"## Labels\n\n{_labels(data)}",
         f"## Counts\n\n{_counts(recordings)}",
@@ -92,11 +93,6 @@ def card(data: DataSet, layout: str, front: str = "", about: dict[str, Any] | No
         + "\n```",
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _axes(recordings: Recordings) -> str:
-    pairs = zip(recordings.axes, recordings.units, strict=True)
-    return ", ".join(f"{axis} in {unit}" if unit else f"{axis} (unit not stated)" for axis, unit in pairs)
 
 
 def confounds(data: DataSet) -> Sequence[str]:
