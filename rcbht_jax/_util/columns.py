@@ -305,3 +305,14 @@ def measured(axes: Sequence[str], units: Sequence[str]) -> str:
     pairs = zip(axes, units, strict=True)
     named = (unit in (*FORCES, *MOMENTS) if unit else _WRENCH.search(axis) for axis, unit in pairs)
     return "wrench" if all(named) else "signal"
+
+
+def with_units(axes: Mapping[str, str]) -> str:
+    """Axes and their units as a list for people.
+
+    >>> with_units({"Fz": "N", "grip": ""}), with_units({"Fx": "", "Fy": ""})
+    ('Fz (N), grip (unit not stated)', 'Fx, Fy (units not stated)')
+    """
+    if not any(axes.values()) and len(axes) > 1:
+        return f"{', '.join(axes)} (units not stated)"
+    return ", ".join(f"{axis} ({unit or 'unit not stated'})" for axis, unit in axes.items())

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
+from rcbht_jax._util.columns import with_units
 from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar
 from rcbht_jax.cli.store import listed
@@ -98,9 +99,8 @@ class Import(Command):
         return mapping
 
     def text(self, result: dict[str, Any]) -> str:
-        axes = ", ".join(f"{axis} ({unit or 'unit not stated'})" for axis, unit in result["axes"].items())
         count = plural(result["recordings"], "recording")
-        lines = [f"{count} at {result['rate']:g} Hz in {result['store']}", f"axes: {axes}"]
+        lines = [f"{count} at {result['rate']:g} Hz in {result['store']}", f"axes: {with_units(result['axes'])}"]
         lines += [f"annotations {track}: {', '.join(names[:MOST])}" for track, names in result["tracks"].items()]
         if result["columns"]:
             lines.append(f"columns: {', '.join(result['columns'])}")

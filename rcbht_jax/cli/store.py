@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar
 
 import tyro
 
+from rcbht_jax._util.columns import with_units
 from rcbht_jax._util.printable import padded, plural, room
 from rcbht_jax._util.untrusted import checked_number
 from rcbht_jax.cli.command import Command, Flag, Folder, OutStore, Store, Stores, option, progress_bar
@@ -154,9 +155,8 @@ class Info(Command):
         }
 
     def text(self, result: dict[str, Any]) -> str:
-        axes = ", ".join(f"{axis} ({unit or 'unit not stated'})" for axis, unit in result["axes"].items())
         count = plural(result["recordings"], "recording")
-        head = f"{result['store']}: {count} of {axes} at {1 / result['dt']:g} Hz"
+        head = f"{result['store']}: {count} of {with_units(result['axes'])} at {1 / result['dt']:g} Hz"
         if result["content_sha256"] is None:
             head += f"\n{result['recordings']} of {plural(result['expected'], 'recording')}; still being written"
         elif not result["verified"]:

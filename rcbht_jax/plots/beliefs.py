@@ -12,7 +12,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Event, SubtaskStarted
 from rcbht_jax.plots.canvas import cut, new_figure, plain, stacked
 
-LETTERS = 150  # of a name of a sub-task, in the width of a panel
+LETTER = 0.062  # inches of one letter of a name of a sub-task, at most
 MOST_ROWS = 3  # of names
 WIDE = 110  # letters that fit into the title
 ABOVE, LINE = 17.0, 9.0  # points: of the first row of names above the panel, below which its title is; of one row
@@ -57,10 +57,11 @@ def belief_map(events: Sequence[Event], title: str = "") -> Figure:
         bar = figure.colorbar(image, ax=panel, pad=0.015, fraction=0.04)
         bar.set_label("probability", fontsize=8)
         bar.ax.tick_params(labelsize=7)
-    _mark_starts(figure, len(heads), events)
     panels[-1].set_xlabel("time, s", fontsize=9)
     figure.suptitle(plain(cut(title, WIDE)), fontsize=10)
     figure.set_layout_engine("tight")
+    figure.draw_without_rendering()  # names of classes decide how wide the panels are
+    _mark_starts(figure, len(heads), events)
     return figure
 
 
@@ -72,7 +73,7 @@ def _mark_starts(figure: Figure, panels: int, events: Sequence[Event]) -> None:
             panel.axvline(start.time, color="white", linewidth=1.5)
             panel.axvline(start.time, color="black", linewidth=0.8, linestyle="--" if start.detected else "-")
     low, high = figure.axes[0].get_xlim()
-    letter = (high - low) / LETTERS
+    letter = LETTER * (high - low) * figure.dpi / figure.axes[0].get_window_extent().width
     widths = [(room(start.label) + 1) * letter for start in starts]
     ends = [min(start.time + width, high) for start, width in zip(starts, widths, strict=True)]
     rows = stacked([(end - width, end) for end, width in zip(ends, widths, strict=True)], MOST_ROWS)

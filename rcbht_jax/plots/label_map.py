@@ -26,8 +26,9 @@ POINTS_PER_STATE = 100  # columns of a state when time is normalised
 _LEFT, RIGHT = 0.115, 0.985  # figure coordinates
 LETTER = 0.095  # inches of one letter of a state's name, at most
 LONG = 22  # letters beside a panel
-LONG_STATE = 40  # letters of a state's name
+LONG_STATE, LONG_LEANING = 40, 24  # letters of a state's name
 LINE = 0.19  # inches of a line of names
+MOST_LINES = 3  # of names of states
 _CAPTIONS = {
     "word": "rows: recordings by session and outcome (number of recordings); columns: labels in order; white: after "
     "the last label",
@@ -89,17 +90,15 @@ def label_map(
         codes, caption = _cut(codes, words, caption)
     # Up to a thousand labels need one wide panel per axis; states are short and fit in two columns.
     columns = 1 if by == "word" or len(recordings.axes) == 1 else 2
-    states = tuple(cut(state, LONG_STATE) for state in states)
-    leaning = LETTER * max(map(room, states), default=0)  # inches below the panels, for names wider than their state
-    leaning *= leaning * len(states) > WIDTH * (RIGHT - _LEFT) / columns
+    states, rotation, extra = _named(states, WIDTH * (RIGHT - _LEFT) / columns - GAP * (columns - 1))
     groups = _groups(recordings, rows)
-    figure, panels = _panels(recordings.axes, columns, len(rows), len(groups), FOOT + leaning)
+    figure, panels = _panels(recordings.axes, columns, len(rows), len(groups), FOOT + extra)
     per_column = -(-len(panels) // columns)
     for axis, ax in enumerate(panels):
         _draw(ax, codes[:, axis], layer)
         ax.set_title(plain(recordings.axes[axis]), fontsize=12, loc="left", pad=4)
         _separate_sessions(ax, groups, named=axis < per_column)
-        _label_columns(ax, states, axis % per_column == per_column - 1, 90.0 if leaning else 0.0)
+        _label_columns(ax, states, axis % per_column == per_column - 1, rotation)
     facts = f"{LAYER_TITLES[layer]} of {plural(len(rows), 'recording')}"
     text = f"{title}: {facts.lower()}\n{caption}" if title else f"{facts}\n{caption}"
     height = figure.get_figheight()
@@ -108,6 +107,28 @@ def label_map(
     if used:
         label_legend(figure, layer, used, (_LEFT, 0.15 / height), len(used) if len(used) <= 6 else -(-len(used) // 2))
     return figure
+
+
+def _named(states: tuple[str, ...], inches: float) -> tuple[tuple[str, ...], float, float]:
+    r"""Names of states below a panel of a width, in lines where they would overlap, or leaning if they need too many.
+
+    >>> _named(("near", "a longer name", "far"), 2.0)
+    (('near', '\na longer name', 'far'), 0.0, 0.19)
+
+    Returns:
+        the names; their rotation in degrees; inches below the panel that they take beyond a line.
+    """
+    names = tuple(cut(state, LONG_STATE) for state in states)
+    if not names:
+        return (), 0.0, 0.0
+    middles = [inches * (state + 0.5) / len(names) for state in range(len(names))]
+    halves = [LETTER * (room(name) + 1) / 2 for name in names]
+    ends = [(middle - half, middle + half) for middle, half in zip(middles, halves, strict=True)]
+    lines = [line for line in stacked(ends, MOST_LINES) if line is not None]
+    if len(lines) == len(names) and min(ends)[0] >= -GAP / 2 and max(end for _, end in ends) <= inches + GAP / 2:
+        return tuple("\n" * line + name for line, name in zip(lines, names, strict=True)), 0.0, LINE * max(lines)
+    names = tuple(cut(state, LONG_LEANING) for state in states)
+    return names, 90.0, LETTER * max(map(room, names))
 
 
 def _panels(axes: tuple[str, ...], columns: int, rows: int, groups: int, foot: float) -> tuple[Figure, list[Axes]]:

@@ -147,10 +147,13 @@ def _summary(data: DataSet, shown: int) -> str:
     lasting = f"{seconds / 60:.1f} minutes" if seconds >= 60 else f"{seconds:.1f} s"
     warnings = "".join(f"<li>{escape(sentence)}</li>" for sentence in confounds(data))
     digest = escape(str(data.attrs.get("content_sha256", "not hashed"))[:12])
+    browsed = f"{shown} of them {'is' if shown == 1 else 'are'}"
+    if shown == len(recordings):
+        browsed = "It is" if shown == 1 else "All of them are"
     return (
         f"<p>{plural(len(recordings), 'recording')} of {sources}: {', '.join(map(escape, outcomes))}; "
         f"{lasting} at {1 / recordings.dt:g} Hz; {labels}. "
-        f"{shown} of them {'is' if shown == 1 else 'are'} in the browser below.</p>"
+        f"{browsed} in the browser below.</p>"
         f"<h3>Known confounds of this data</h3><ul>{warnings}</ul>"
         f'<p class="made">Made by rcbht-jax {escape(rcbht_jax.__version__)}; content {digest}.</p>'
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -18,6 +19,7 @@ from rcbht_jax.errors import InputError
 TRIALS, SAMPLES, WINDOW = 100, 2000, 5  # of the measurement, as "rcbht bench" makes it
 USUAL = 0.084  # speed of the encoder in plain line fits on a CPU: the newest record of benchmarks/history.json
 SLOW = 0.5  # of the usual ratio
+_OTHER_ADVICE = re.compile(r"[.;] \w+ or copy it again\.$")  # of a reader that does not know what can be repaired
 
 
 @dataclass(frozen=True)
@@ -165,23 +167,25 @@ def _machine_text(result: dict[str, Any]) -> str:
 
 
 def _store_text(result: dict[str, Any]) -> str:
+    repair, offers = f'"rcbht doctor {result["store"]} --repair"', list[str]()
+    if not result["intact"] and result["repairable"]:
+        offers.append("simulates it again from its seed, and keeps the label tracks")
+    elif result["intact"] and result["tracks"]:
+        offers.append(f"encodes the labels again from the stored wrenches: {', '.join(result['tracks'])}")
+    if result["uncollected"]:
+        offers.append(f"collects the metadata of {', '.join(result['uncollected'])}")
     lines = [f"{result['store']}: {plural(result['recordings'], 'recording')}"]
-    lines += [f"damaged: {sentence}" for sentence in result["damage"]] or [
-        "every checksum is right, nothing is missing"
-    ]
+    for sentence in result["damage"]:
+        lines.append(f"damaged: {_OTHER_ADVICE.sub('.', sentence) if offers else sentence}")
+    if not result["damage"]:
+        lines.append("every checksum is right, nothing is missing")
     if result["simulated_again"]:
         lines.append("it was damaged and has been simulated again")
     if result["encoded_tracks"]:
         lines.append(f"label tracks were damaged and have been encoded again: {', '.join(result['encoded_tracks'])}")
     if result["collected"]:
         lines.append(f"metadata of label tracks were not collected and now are: {', '.join(result['collected'])}")
-    repair = f'"rcbht doctor {result["store"]} --repair"'
-    if not result["intact"] and result["repairable"]:
-        lines.append(f"{repair} simulates it again from its seed, and keeps the label tracks")
-    elif result["intact"] and result["tracks"]:
-        lines.append(f"{repair} encodes the labels again from the stored wrenches: {', '.join(result['tracks'])}")
-    if result["uncollected"]:
-        lines.append(f"{repair} collects the metadata of {', '.join(result['uncollected'])}")
+    lines += [f"{repair} {what}" for what in offers]
     if result["unknown"]:
         lines.append(f"label tracks that cannot be made again as they were: {', '.join(result['unknown'])}")
     return "\n".join([*lines, *result["notes"]])

@@ -234,5 +234,5 @@ def test_streams_pictures_reports_and_exports(store: Path, tmp_path: Path, capsy
     for kind in ("csv", "parquet", "mcap", "lerobot"):
         assert main(["export", str(store), "-o", str(tmp_path / kind), "--format", kind, *track]) == 0
         card = (tmp_path / kind / "README.md").read_text()
-        assert "grip in N, twist in Nm; times in s" in card
+        assert "grip (N), twist (Nm); times in s" in card
         assert "base frame" not in card

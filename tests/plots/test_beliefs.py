@@ -104,8 +104,10 @@ def test_a_recording_of_the_training_is_said_to_be_one(
 
 def test_names_of_sub_tasks_do_not_overlap() -> None:
     """Neither each other nor the title of the panel, and all of them are in the figure."""
-    beliefs = [Belief(k, k / 10, "states", "a", 0.9, "certain", 0.1, ("a", "b"), (0.9, 0.1)) for k in range(1, 300)]
-    begins = {"search": 0.2, "insertion": 11.8, "mating": 12.2, "a much longer name": 29.7}
+    classes = "align", "free_space_motion"
+    beliefs = [Belief(k, k / 10, "states", "align", 0.9, "certain", 0.1, classes, (0.9, 0.1)) for k in range(1, 300)]
+    begins = {"search": 0.2, "free_space_motion": 3.0, "align": 6.8}
+    begins |= {"insertion": 11.8, "mating": 12.2, "a much longer name": 29.7}
     starts = [SubtaskStarted(round(time * 10), time, 0, False, label) for label, time in begins.items()]
     figure = belief_map([*beliefs, *starts], "a trial")
     figure.canvas.draw()

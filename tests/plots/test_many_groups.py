@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -10,13 +12,13 @@ from rcbht_jax.plots import label_map
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 
-def map_of(sessions: list[str], words: int = 4, states: int = 0) -> Figure:
+def map_of(sessions: list[str], words: int = 4, states: Sequence[str] = ()) -> Figure:
     """Of one recording with one axis for each session, drawn."""
     code = np.ones((len(sessions), 1, words), np.int32)
     t0 = np.broadcast_to(np.arange(words, dtype=np.int32) * 10, code.shape)
     zero = np.zeros(code.shape)
     track = LabelTrack(code.astype(np.int8), t0, t0 + 10, t0 + 10, zero, zero, zero, zero)
-    marks = [(0, "step", f"step {number} " + "and so on " * 9, 0.01 * number, 3.0) for number in range(states)]
+    marks = [(0, "step", state, 0.005 * number, 3.0) for number, state in enumerate(states)]
     recordings = Recordings.from_arrays(
         np.zeros((len(sessions), 100, 1)), 100.0, axes=["Fz"], session=sessions, outcome=["success"] * len(sessions),
         annotations=marks,
@@ -52,8 +54,16 @@ def test_labels_are_counted_in_whole_numbers(words: int) -> None:
     assert shown == list(range(1, words + 1))
 
 
-def test_names_of_two_hundred_states_are_apart_and_inside() -> None:
-    figure = map_of(["a"], states=200)
+LONG = "a name of a state that is rather long"
+
+
+@pytest.mark.parametrize(
+    ("states", "inches"),
+    [([f"step {number} {LONG} and so on" for number in range(200)], 4.0), (["near", LONG, LONG + "er", "far"], 0.5)],
+)
+def test_names_of_states_are_apart_and_inside_and_take_little_room(states: list[str], inches: float) -> None:
+    figure = map_of(["a"], states=states)
+    assert figure.get_figheight() < map_of(["a"], states=["near", "far"]).get_figheight() + inches
     boxes = [text.get_window_extent() for text in figure.axes[0].get_xticklabels()]
     legend = figure.legends[0].get_window_extent()
     assert not any(a.overlaps(b) for n, a in enumerate(boxes) for b in [*boxes[n + 1 :], legend])

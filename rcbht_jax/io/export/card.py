@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import rcbht_jax
-from rcbht_jax._util.columns import measured
+from rcbht_jax._util.columns import measured, with_units
 from rcbht_jax._util.printable import plural
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
@@ -82,7 +82,8 @@ def card(data: DataSet, layout: str, front: str = "", about: dict[str, Any] | No
         "**Licence:** not stated yet; add it here before you share this data. It is the licence of the recordings, not "
         "that of the program that wrote these files.",
         f"## Files\n\n{layout}",
-        f"## Units and frames\n\n{_axes(recordings)}; times in s from the first sample of a recording, evenly spaced. "
+        f"## Units and frames\n\n{with_units(about['axes'])}; times in s from the first sample of a "
+        "recording, evenly spaced. "
         + str(data.attrs.get("frames", "The source does not state the frame of the axes.")),
         f"## Labels\n\n{_labels(data)}",
         f"## Counts\n\n{_counts(recordings)}",
@@ -94,22 +95,19 @@ def card(data: DataSet, layout: str, front: str = "", about: dict[str, Any] | No
     return "\n\n".join(parts) + "\n"
 
 
-def _axes(recordings: Recordings) -> str:
-    pairs = zip(recordings.axes, recordings.units, strict=True)
-    return ", ".join(f"{axis} in {unit}" if unit else f"{axis} (unit not stated)" for axis, unit in pairs)
-
-
 def confounds(data: DataSet) -> Sequence[str]:
     """Confounds: what may be mistaken for a result on this data, one sentence each, derived from the data."""
-    recordings, facts, sentences = data.recordings, data.facts(), list[str]()
+    recordings, facts, tasks_of = data.recordings, data.facts(), dict[str, list[str]]()
     for task in task_names(recordings):
-        spec, of_all = TaskSpec(task), ""
+        spec, title = TaskSpec(task), task
         if task in recordings.annotations.tracks:  # as the files hold it
-            spec, of_all = TaskSpec(task, "recorded", outcomes=()), " of all outcomes"
+            spec, title = TaskSpec(task, "recorded", outcomes=()), f"{task} of all outcomes"
         classes, found = learning.examined(recordings, spec, facts)
-        sentences += [f"Task {task}{of_all}: {sentence}" for sentence in found if classes]
+        for sentence in found if classes else ():
+            tasks_of.setdefault(sentence, []).append(title)
+    sentences = [f"Task{'s' * (len(of) > 1)} {', '.join(of)}: {sentence}" for sentence, of in tasks_of.items()]
     copies = learning.copies(data.digests)  # also of recordings that are in no task
-    if copies and not any(sentence.endswith(copies) for sentence in sentences):
+    if copies and copies not in tasks_of:
         sentences.append(copies)
     sentences = sentences or ["None was detected; that does not mean that there is none."]
     if facts is None:
