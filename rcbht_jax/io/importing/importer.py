@@ -33,6 +33,7 @@ from rcbht_jax.io.importing.find import Item, chosen, find, is_export
 from rcbht_jax.io.importing.given import from_start, possible
 from rcbht_jax.io.importing.guess import (
     Understood,
+    as_pose,
     guess,
     interleaved,
     more_wrenches,
@@ -296,7 +297,8 @@ def _understood(
     words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
     bare = "" if base.channels else nameless(table, mapping)
     hot = [] if base.channels or base.annotations else one_hot(table)
-    texts = (more, bare, left, lines, words, *hot)
+    pose = "" if base.channels else as_pose(table, mapping)
+    texts = (more, bare, pose, left, lines, words, *hot)
     report.remarks += [text for text in texts if text and text not in report.remarks]
     doubts = interleaved(table, mapping), stand_ins(table, mapping)
     report.warnings += [(table.name, doubt) for doubt in doubts if doubt]

@@ -302,3 +302,40 @@ def test_hdf5_groups_beside_a_wrench_are_no_recordings(groups: tuple[str, str], 
         for number, group in enumerate(groups):
             file[f"{group}/values"] = np.random.default_rng(number).normal(size=(len(TIME), 4))
     np.testing.assert_allclose(read_source(tmp_path / "run.h5").recordings.wrench[0], WRENCH, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["npz", "mat", "h5", "zarr"])
+def test_groups_with_a_wrench_and_times_of_their_own_are_recordings_in_every_format(kind: str, tmp_path: Path) -> None:
+    path, runs = tmp_path / f"a.{kind}", {"remove": WRENCH, "insert": WRENCH[:-5]}
+    arrays = {f"{name}/{key}": one for name, run in runs.items() for key, one in (("t", TIME[: len(run)]), ("ft", run))}
+    if kind == "npz":
+        np.savez(path, **arrays)
+    elif kind == "mat":
+        scipy.io.savemat(path, {name: {"t": TIME[: len(run)], "ft": run} for name, run in runs.items()})
+    elif kind == "h5":
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            for key, one in arrays.items():
+                file[key] = one
+    else:
+        group = pytest.importorskip("zarr").open_group(path, mode="w")
+        for key, one in arrays.items():
+            group.create_array(key, data=one)
+    imported = read_source(path)
+    assert imported.recordings.trial.tolist() == ["a-insert", "a-remove"]
+    assert imported.recordings.length.tolist() == [N - 5, N]
+    assert imported.report.warnings == []
+
+
+def test_groups_of_what_was_done_to_a_wrench_are_one_recording(tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        for name, force in {"raw": WRENCH - 9, "compensated": WRENCH}.items():
+            file[f"{name}/t"], file[f"{name}/ft"] = TIME, force
+    recordings = read_source(tmp_path / "a.h5").recordings
+    np.testing.assert_array_equal(recordings.wrench, WRENCH[None].astype(np.float32))
+
+
+def test_arms_of_other_lengths_are_both_imported(tmp_path: Path) -> None:
+    arrays = {"left/t": TIME, "left/ft": WRENCH, "right/t": TIME[:-5], "right/ft": WRENCH[:-5]}
+    np.savez(tmp_path / "a.npz", **arrays)
+    recordings = read_source(tmp_path / "a.npz").recordings
+    assert (recordings.arm.tolist(), recordings.length.tolist()) == (["left", "right"], [N, N - 5])
