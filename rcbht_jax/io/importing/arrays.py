@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.columns import decoded
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_MEMBERS, check_declared, check_file, declared_bytes, read_arrays
 from rcbht_jax.errors import InputError
@@ -136,7 +137,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             node = file["/".join(filter(None, (group, part))) or "/"]
             above = accumulate(filter(None, node.name.split("/")), "{}/{}".format)
             around = [file, node] if turned else [file, *map(file.get, above)]
-            arrays: dict[str, Any] = {key: np.asarray(value) for one in around for key, value in one.attrs.items()}
+            arrays: dict[str, Any] = {key: _attribute(value) for one in around for key, value in one.attrs.items()}
             objects = _objects(found) if turned else []
             for key in objects:
                 del found[key.partition(" ")[0]]
@@ -147,16 +148,24 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             stated = {key: texts for key, one in found.items() if (texts := stated_units(getattr(one, "attrs", {})))}
             for table in without_objects(path, f"{name}#{part}" if part else name, usable, objects, part):
                 arm = {"arm": part} if sides and part else {}
-                yield replace(table, units=units_of(table.columns, stated), facts={**arm, **table.facts})
+                units = {**table.units, **units_of(table.columns, stated)}
+                yield replace(table, units=units, facts={**arm, **table.facts})
 
 
 def _titles(item: Any) -> dict[str, NDArray[Any]]:
     """The attributes of a table that name its columns."""
     if len(item.shape or ()) not in (2, 3) or item.dtype.kind not in "fiu":
         return {}
-    lists = {key: np.asarray(value) for key, value in getattr(item, "attrs", {}).items()}
-    lists = {key: one.astype(np.str_) for key, one in lists.items() if one.ndim == 1 and one.dtype.kind in "OSU"}
+    lists = {key: _attribute(value) for key, value in getattr(item, "attrs", {}).items()}
+    lists = {key: one.astype(np.str_) for key, one in lists.items() if one.ndim == 1 and one.dtype.kind in "SU"}
     return {key: one for key, one in lists.items() if len(one) in item.shape and wrenches(one.tolist())}
+
+
+def _attribute(value: Any) -> NDArray[Any]:
+    """An attribute as an array, of text where it is a list of texts, and not of references such as to dimensions."""
+    array = np.asarray(value)
+    texts = array.dtype.kind == "O" and array.size > 0 and all(isinstance(one, str | bytes) for one in array.flat)
+    return np.array([str(decoded(one)) for one in array.flat]) if texts else array
 
 
 def _pandas(found: dict[str, Any]) -> dict[str, Any]:

@@ -236,7 +236,7 @@ def _read(
                 check_inside(item.path, source)
             wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                named = marks.headed(table)
+                named = marks.counted(marks.headed(table))
                 if item.kind == "csv" and marks.is_intervals(named.columns):
                     marked.append(marks.with_words(named, item.path))
                     report.remarks += marks.unused(named)
@@ -369,6 +369,9 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
         of_each, twofold, unknown = marks.by_recording(rows, names, marks.named_after(table.name))
         for place, intervals in of_each.items():
             record = found[place]
+            if marks.SAMPLES in table.notes:
+                record.intervals.extend(marks.at_samples(intervals, record.time, record.period))
+                continue
             moved, doubts = from_start(intervals, record.origin, record.end, record.period)
             record.intervals.extend(moved)
             report.warnings += [(record.name, f"{doubt[:-1]} ({table.name}).") for doubt in doubts]

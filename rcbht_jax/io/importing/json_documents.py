@@ -15,13 +15,15 @@ from rcbht_jax._util.columns import unit_of_time
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, parse_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
+from rcbht_jax.io.importing.attributes import UNITS
 from rcbht_jax.io.importing.groups import MAX_GROUPS
 from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.json_lines import Rows
 from rcbht_jax.io.importing.mapping import Track
 from rcbht_jax.io.importing.marks import intervals_of, is_intervals
 from rcbht_jax.io.importing.names import column_name, names_side, wrenches
-from rcbht_jax.io.importing.table import UNITS, Interval, Table, scalars_of, tables_of, with_units
+from rcbht_jax.io.importing.table import Interval, Table, scalars_of, tables_of, with_units
+from rcbht_jax.io.importing.trees import are_quantities
 from rcbht_jax.io.importing.unpacked import opened
 
 DEPTH = 16  # of objects and lists within each other
@@ -200,7 +202,8 @@ def _several(value: Any) -> dict[str, Object]:
     if not isinstance(value, dict):
         return {}
     inner: dict[str, Object] = {key: one for key, one in value.items() if isinstance(one, dict) and _is_recording(one)}
-    if len(inner) > 1 and len({tuple(sorted(one)) for one in inner.values()}) == 1:
+    alike = len({tuple(sorted(one)) for one in inner.values()}) == 1
+    if len(inner) > 1 and alike and not are_quantities(inner):
         return inner
     lists = [one for one in value.values() if _are_objects(one) and any(map(_is_recording, one[:PROBES]))]
     if len(lists) == 1:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import decoded, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.attributes import stated_units, units_of
+from rcbht_jax.io.importing.attributes import lists_units, units_in
 from rcbht_jax.io.importing.families import families, segments
 from rcbht_jax.io.importing.names import has_axes, has_forces, wrenches
 from rcbht_jax.io.importing.trees import of_groups
@@ -24,8 +23,6 @@ from rcbht_jax.io.importing.words import rate_of
 LONGEST_TEXT = 100_000  # characters of a fact in which a rate is looked for
 _CONTROL = re.compile(r'"control_freq(?:uency)?"\s*:\s*(\d+(?:\.\d+)?)\s*[,}]')
 OF_COLUMNS = ("names", "columns", "channels", "axes")  # lists of names
-UNITS = ("unit", "units")
-_OF_UNITS = re.compile(r"(?:^|[./]|([^./]+)_)units?$", re.IGNORECASE)
 LENGTH_NAMES = ("length", "lengths", "n_samples", "num_samples", "n_steps", "num_steps", "seq_len", "seq_lengths")
 
 Interval = tuple[str, str, float, float]  # track, label, start, end (NaN = unknown) in s from the first sample
@@ -63,7 +60,7 @@ def tables_of(
     recording, and arrays ``[recording]`` beside it are facts; one called lengths states where the padding begins.
     Beside a wrench or a time ``[row, element]`` of its length, it is a matrix for every row, and left out.
     Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own,
-    as does each group with a wrench of its own (:func:`~rcbht_jax.io.importing.trees.of_groups`).
+    as does each group of a whole file with a wrench of its own (:func:`~rcbht_jax.io.importing.trees.of_groups`).
     Scalars called dt or rate state the sampling, other scalars are facts, but for those of numbered groups of
     annotations (:func:`~rcbht_jax.io.importing.families.segments`). Of windows of the last samples,
     ``[row, sample, element]``, each of which is the one before and a new sample, the newest sample is a row.
@@ -82,7 +79,7 @@ def tables_of(
     Raises:
         InputError: no array has at least two rows, or there are too many columns.
     """
-    if several := families(arrays, shared) or of_groups(arrays):
+    if several := families(arrays, shared) or ({} if part else of_groups(arrays)):
         for which, those in several.items():
             yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which, arrays.keys())
         return
@@ -91,7 +88,7 @@ def tables_of(
         for table in tables_of(path, name, known, part, shared):
             yield replace(table, units={**table.units, **{key: "s" for key in dated if key in table.columns}})
         return
-    if lists := {key: array for key, array in arrays.items() if _lists_units(key, array, arrays)}:
+    if lists := {key: array for key, array in arrays.items() if lists_units(key, array, arrays)}:
         joined = {key: np.array(",".join(map(str, plain(array.ravel()).tolist()))) for key, array in lists.items()}
         for table in tables_of(path, name, {**arrays, **joined}, part, shared):
             yield with_units(table)
@@ -125,41 +122,9 @@ def tables_of(
     )  # fmt: skip
 
 
-def _lists_units(key: str, array: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
-    """Whether a list of texts has a name such as units or wrench_units, and is not one for each row or recording."""
-    if array.dtype.kind not in "US" or not 1 < array.size == max(array.shape) or not _OF_UNITS.search(key):
-        return False
-    others = (one for name, one in arrays.items() if one.ndim == 3 or (one.ndim and unit_of_time(name.split(".")[-1])))
-    return all(len(one) != array.size for one in others)
-
-
 def with_units(table: Table) -> Table:
-    """The table with the units that facts state, which are no facts then.
-
-    They are those of an object ``units`` for the names of columns, of ``wrench_units``, or the only list ``units`` as
-    long as an array has elements.
-
-    >>> columns = {f"run.F_{number}": np.zeros(2) for number in range(3)}
-    >>> with_units(Table("a.mat", columns, facts={"run.units": "kN,kN,N"})).units
-    {'run.F_0': 'kN', 'run.F_1': 'kN', 'run.F_2': 'N'}
-    """
-    short = {column: re.split("[./]", column)[-1] for column in table.columns}
-    heads = Counter(name.rpartition("_")[0] for name in short.values())
-    stated: dict[str, list[str]] = {}
-    taken = dict[str, str]()  # fact -> name of its columns; "" = none
-    for key, fact in table.facts.items():
-        texts, words = stated_units({"units": fact}), re.split("[./]", key)
-        if len(words) > 1 and words[-2].lower() in UNITS:
-            taken[key] = words[-1]
-        elif texts and (found := _OF_UNITS.search(key)):
-            wide = [head for head, count in heads.items() if count == len(texts) > 1]
-            own = found[1] or (wide[0] if len(wide) == 1 else "")
-            taken |= {key: own} if own in heads or own in short.values() else {}
-        if texts and key in taken:
-            stated[taken[key]] = texts
-    known = units_of(short.values(), stated)
-    units = {column: known[name] for column, name in short.items() if name in known}
-    facts = {key: fact for key, fact in table.facts.items() if key not in taken}
+    """The table with the units that its facts state (:func:`~rcbht_jax.io.importing.attributes.units_in`)."""
+    facts, units = units_in(table.facts, table.columns)
     return replace(table, facts=facts, units={**units, **table.units})
 
 

@@ -131,15 +131,18 @@ def _path(tree: Tree, wrench: bool) -> list[str] | None:
 
 
 def _are_recordings(tree: Tree, wrench: bool) -> bool:
-    children = list(_groups(tree).values())
+    groups = _groups(tree)
+    children = list(groups.values())
     if wrench or _one_wrench(children):
         return _one_wrench(children)
     arrays = [one for child in children for one in leaves(child)]
     if not any(array.size > 1 for _, array in arrays):
         return False
     alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0]) > 0
+    columns = {name: _columns((path, one.shape[1:]) for path, one in leaves(child)) for name, child in groups.items()}
+    alike = alike and not are_quantities(columns)
     beside = _one_wrench([tree]) and not any(has_forces(path) for path, _ in arrays)
-    return (alike and not beside) or _are_numbered(_groups(tree))
+    return (alike and not beside) or _are_numbered(groups)
 
 
 def _at(tree: Tree, path: Iterable[str]) -> Tree:
@@ -150,12 +153,35 @@ def _at(tree: Tree, path: Iterable[str]) -> Tree:
 
 def _one_wrench(trees: Sequence[Tree]) -> bool:
     """Whether all groups have a wrench of the same name."""
-    widths = [{key: one.shape[1:] for key, one in tree.items() if not isinstance(one, dict) and one.size > 1}
+    arrays = [{key: one.shape[1:] for key, one in tree.items() if not isinstance(one, dict) and one.size > 1}
               for tree in trees]  # fmt: skip
-    shared = {key: width for key, width in widths[0].items() if all(one.get(key) == width for one in widths)}
-    rows = [(key, min(width[0], 6)) for key, width in shared.items() if len(width) == 1]
-    wide = [f"{key}_{number}" for key, count in rows for number in range(count)]
-    return bool(wrenches([*(key for key, width in shared.items() if not width), *wide]))
+    shared = [(key, width) for key, width in arrays[0].items() if all(one.get(key) == width for one in arrays)]
+    return bool(wrenches(_columns(shared)))
+
+
+def are_quantities(groups: Mapping[str, Iterable[str]]) -> bool:
+    """Whether names of columns are those of a wrench only with the name of their group, and not of one in each.
+
+    >>> are_quantities({"force": "xyz", "torque": "xyz"}), are_quantities({"force": "xyz", "position": "xyz"})
+    (True, True)
+    >>> are_quantities({"insert": ["Fx", "Fy", "Fz"], "remove": ["Fx", "Fy", "Fz"]}), are_quantities({"a": "xyz"})
+    (False, False)
+    """
+    names = {group: list(columns) for group, columns in groups.items()}
+    owners = {f"{group}/{column}": group for group, columns in names.items() for column in columns}
+    found = [{owners[column] for column in wrench.values()} for wrench in wrenches(owners)]
+    apart = all(len(one) == 1 for one in found) and len(found) == len(names)
+    return bool(found) and not apart and not any(map(wrenches, names.values()))
+
+
+def _columns(widths: Iterable[tuple[str, tuple[int, ...]]]) -> list[str]:
+    """The names of the columns of arrays by their names and the shape of a row."""
+    return [
+        name
+        for key, width in widths
+        if len(width) < 2
+        for name in ([f"{key}_{number}" for number in range(min(width[0], 6))] if width else [key])
+    ]
 
 
 def _are_numbered(names: Iterable[str]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 from typing import Any
@@ -339,3 +340,45 @@ def test_arms_of_other_lengths_are_both_imported(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", **arrays)
     recordings = read_source(tmp_path / "a.npz").recordings
     assert (recordings.arm.tolist(), recordings.length.tolist()) == (["left", "right"], [N, N - 5])
+
+
+def test_hdf5_with_dimensions_as_xarray_writes_them_is_read(tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        for name, values in {"time": TIME, "axis": np.array(AXES, "S"), "wrench": WRENCH}.items():
+            file[name] = values
+        for number, name in enumerate(("time", "axis")):
+            file[name].make_scale(name)
+            file["wrench"].dims[number].attach_scale(file[name])
+    same(read_source(tmp_path / "a.h5"))
+
+
+@pytest.mark.parametrize("other", ["torque", "position"])
+@pytest.mark.parametrize("kind", ["h5", "json"])
+def test_groups_of_quantities_are_no_recordings(kind: str, other: str, tmp_path: Path) -> None:
+    groups = {name: dict(zip("xyz", WRENCH.T[first:], strict=False)) for name, first in (("force", 0), (other, 3))}
+    if kind == "h5":
+        with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+            file["time"] = TIME
+            for name, axes in groups.items():
+                for axis, values in axes.items():
+                    file[f"{name}/{axis}"] = values
+    else:
+        lists = {name: {axis: values.tolist() for axis, values in axes.items()} for name, axes in groups.items()}
+        (tmp_path / "a.json").write_text(json.dumps({"time": TIME.tolist(), **lists}))
+    recordings = read_source(tmp_path / f"a.{kind}").recordings
+    assert recordings.axes == AXES[: 6 if other == "torque" else 3]
+    np.testing.assert_array_equal(recordings.wrench[0], WRENCH[:, : len(recordings.axes)].astype(np.float32))
+
+
+def test_a_list_of_units_among_the_attributes_of_a_group_is_understood(tmp_path: Path) -> None:
+    units = ["N", "N", "N", "Nmm", "Nmm", "Nmm"]
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        file["t"], file["wrench"], file.attrs["units"] = TIME, WRENCH, units
+    assert read_source(tmp_path / "a.h5").recordings.units == tuple(units)
+
+
+def test_groups_of_sensors_within_a_recording_stay_in_it(tmp_path: Path) -> None:
+    arrays = {f"trial_{k}/{name}/t": TIME for k in range(2) for name in ("wrist", "base")}
+    arrays |= {f"trial_{k}/{name}/ft": WRENCH + k for k in range(2) for name in ("wrist", "base")}
+    np.savez(tmp_path / "a.npz", **arrays)
+    assert len(read_source(tmp_path / "a.npz").recordings) == 2

@@ -97,3 +97,11 @@ def test_a_cell_array_of_units_is_understood(name: str, given: list[str], tmp_pa
     imported = read_source(tmp_path / "a.mat")
     assert imported.recordings.units == ("kN",) * 3 + ("Nmm",) * 3
     assert not any("left out" in remark for remark in imported.report.remarks)
+
+
+def test_units_of_a_table_stand_beside_the_names_of_its_columns(tmp_path: Path) -> None:
+    names, units = ["Time", *(f"{kind}{axis}" for kind in "FM" for axis in "xyz")], ["ms", *["N"] * 3, *["Nmm"] * 3]
+    values = {"data": np.column_stack([10.0 * np.arange(COUNT), WRENCH])}
+    scipy.io.savemat(tmp_path / "a.mat", {**values, "VariableNames": column(names), "VariableUnits": column(units)})
+    recordings = read_source(tmp_path / "a.mat").recordings
+    assert (recordings.units, recordings.dt) == (tuple(units[1:]), 0.01)
