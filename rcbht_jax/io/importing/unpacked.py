@@ -71,8 +71,10 @@ def opened(path: Path, most: int = MAX_TEXT_BYTES) -> Iterator[BinaryIO]:
 def line_of(file: BinaryIO, path: Path) -> bytes:
     """The next line of a table, with its end; empty where the file ends.
 
-    >>> line_of(io.BytesIO(b"t,Fz\\n0,1"), Path("run.csv"))
-    b't,Fz\\n'
+    >>> _ = Path("a.csv").write_text("t,Fz\\n0,1.5")
+    >>> with open("a.csv", "rb") as file:
+    ...     line_of(file, Path("a.csv")), line_of(file, Path("a.csv"))
+    (b't,Fz\\n', b'0,1.5')
 
     Raises:
         InputError: it is too long.
