@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import split_unit
 from rcbht_jax.io.importing.mapping import Mapping
-from rcbht_jax.io.importing.names import preference, wrenches
+from rcbht_jax.io.importing.names import SIDES, mark_of, preference, wrenches
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.words import in_order
 
 MOST_ARMS = 16
 PLACE = "{arm}"  # of the arm's name in that of a column
-_SIDES = (("left", "right"), ("l", "r"))
 _LETTER = re.compile(r"(?<![A-Za-z])([LR])(?=[FMT][xyz])")  # LFx, RFx
 _NUMBERED = re.compile(r"(?<![A-Za-z])(?i:(?:robot|arm|hand|panda|ur|yumi|iiwa)_?\d+)(?!\d)")
 
@@ -39,28 +38,19 @@ def arms_of(names: Iterable[str]) -> tuple[str, ...]:
     bases = [split_unit(name)[0] for name in names]
     left, right = ({_LETTER.sub("", one) for one in bases if side in _LETTER.findall(one)} for side in "LR")
     if left == right and wrenches(left):
-        return _SIDES[1]
+        return SIDES[1]
     found = wrenches(names)
     best = max((preference(wrench["Fx"]) for wrench in found), default=0)
     firsts = [split_unit(wrench["Fx"])[0] for wrench in found if preference(wrench["Fx"]) == best]
-    for sides in _SIDES:
+    for sides in SIDES:
         if set.intersection(*(_without(side, firsts) for side in sides)):
             return sides
     shared: defaultdict[str, set[str]] = defaultdict(set)
     for first in firsts:
         for arm in _NUMBERED.findall(first):
-            shared[_mark(arm).sub(PLACE, first)].add(arm)
+            shared[mark_of(arm).sub(PLACE, first)].add(arm)
     arms = {arm for several in shared.values() if len(several) > 1 for arm in several}
     return tuple(sorted(arms, key=in_order)) if len(arms) <= MOST_ARMS else ()
-
-
-def names_side(name: str) -> bool:
-    """Whether a name holds the word left or right, as that of an arm's group does.
-
-    >>> names_side("arm_left"), names_side("Right"), names_side("upright")
-    (True, True, False)
-    """
-    return any(_mark(side).search(name) for side in _SIDES[0])
 
 
 def tables_of_arms(table: Table, mapping: Mapping) -> Iterator[Table]:
@@ -80,7 +70,7 @@ def tables_of_arms(table: Table, mapping: Mapping) -> Iterator[Table]:
     arms = mapping.arms
     if not (arms or mapping.channels or "arm" in mapping.columns or "arm" in table.facts):
         arms = arms_of(name for name, values in table.columns.items() if values.dtype.kind != "U")
-    marks = {arm: _mark(arm) for arm in arms}
+    marks = {arm: mark_of(arm) for arm in arms}
     owners = {name: next((arm for arm, mark in marks.items() if mark.search(name)), "") for name in table.columns}
     there = [arm for arm in arms if arm in owners.values()]
     if not there:
@@ -110,10 +100,5 @@ def column_of_arms(table: Table, mapping: Mapping, groups: AnyMapping[str, NDArr
 
 def _without(arm: str, names: Iterable[str]) -> set[str]:
     """The names that hold an arm, with its place for it."""
-    mark = _mark(arm)
+    mark = mark_of(arm)
     return {mark.sub(PLACE, name) for name in names if mark.search(name)}
-
-
-def _mark(arm: str) -> re.Pattern[str]:
-    """Finds an arm as a word of a name, also one that only a capital separates from others."""
-    return re.compile(rf"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))(?i:{re.escape(arm)})(?![a-z])(?!(?<=\d)\d)")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,16 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.columns import decoded
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_MEMBERS, check_declared, check_file, declared_bytes, read_arrays
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
-from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.isolated import apart
-from rcbht_jax.io.importing.names import GROUPS, has_forces, wrenches
+from rcbht_jax.io.importing.names import names_side, wrenches
 from rcbht_jax.io.importing.table import Table, tables_of
-from rcbht_jax.io.importing.words import in_order
+from rcbht_jax.io.importing.trees import Tree, leaves, put, separated
 
 
 @contextmanager
@@ -118,12 +116,14 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
     h5py = require("h5py", "import")
     with reading(path, "HDF5"), h5py.File(path, "r") as file:
         datasets: list[Any] = []
+        tree: Tree = {}
 
-        def visit(_: str, item: Any) -> None:
+        def visit(name: str, item: Any) -> None:
             if isinstance(item, h5py.Dataset):
                 datasets.append(item)
                 if len(datasets) > MAX_MEMBERS:
                     raise InputError(f"{path} holds more than {MAX_MEMBERS} arrays; split it.")
+            put(tree, name.split("/"), item if isinstance(item, h5py.Dataset) else None)
 
         file.visititems(visit)  # follows neither soft nor external links
         if any(item.external or item.is_virtual for item in datasets):
@@ -131,15 +131,13 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         check_declared(
             path, sum(int(np.prod(item.shape or (0,), dtype=object)) * item.dtype.itemsize for item in datasets), size
         )
-        group = _like(file, h5py)
-        parts = [("", file)] if group is None else _groups(group, h5py)
-        sides = all(names_side(part) for part, _ in parts)
-        members = _members(datasets, group)
-        for part, node in parts:
-            found = {**_shared(members[""], members[part], turned), **members[part]}
+        group, parts = separated(tree, -1 if turned else 0) or ("", {"": dict(leaves(tree))})
+        sides = all(map(names_side, parts))
+        for part, found in parts.items():
+            node = file["/".join(filter(None, (group, part))) or "/"]
             above = accumulate(filter(None, node.name.split("/")), "{}/{}".format)
             around = [file, node] if turned else [file, *map(file.get, above)]
-            arrays: dict[str, Any] = {key: np.asarray(value) for one in around for key, value in one.attrs.items()}
+            arrays: dict[str, Any] = {key: _attribute(value) for one in around for key, value in one.attrs.items()}
             objects = _objects(found) if turned else []
             for key in objects:
                 del found[key.partition(" ")[0]]
@@ -150,76 +148,24 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             stated = {key: texts for key, one in found.items() if (texts := stated_units(getattr(one, "attrs", {})))}
             for table in without_objects(path, f"{name}#{part}" if part else name, usable, objects, part):
                 arm = {"arm": part} if sides and part else {}
-                yield replace(table, units=units_of(table.columns, stated), facts={**arm, **table.facts})
-
-
-def _members(datasets: Iterable[Any], group: Any) -> defaultdict[str, dict[str, Any]]:
-    """The data sets of each sub-group by their path in it; of "" those outside of any, or all if there is no group."""
-    above = "/" if group is None else group.name.rstrip("/") + "/"
-    found: defaultdict[str, dict[str, Any]] = defaultdict(dict)
-    for path, one in ((one.name.removeprefix(above), one) for one in datasets):
-        part, slash, key = ("", "", path) if group is None else path.partition("/")
-        found[part if slash else ""][key if slash else path] = one
-    return found
-
-
-def _shared(beside: Mapping[str, Any], own: Mapping[str, Any], turned: bool) -> dict[str, Any]:
-    """Single values beside a recording, and arrays as long as one of its own, such as a time that all share."""
-    lengths = {one.shape[-1 if turned else 0] for one in own.values() if one.shape}
-    near = {key: one for key, one in beside.items() if "/" not in key and key not in own}
-    return {key: one for key, one in near.items() if one.size == 1 or one.size == max(one.shape or (0,)) in lengths}
+                units = {**table.units, **units_of(table.columns, stated)}
+                yield replace(table, units=units, facts={**arm, **table.facts})
 
 
 def _titles(item: Any) -> dict[str, NDArray[Any]]:
     """The attributes of a table that name its columns."""
     if len(item.shape or ()) not in (2, 3) or item.dtype.kind not in "fiu":
         return {}
-    lists = {key: np.asarray(value) for key, value in getattr(item, "attrs", {}).items()}
-    lists = {key: one.astype(np.str_) for key, one in lists.items() if one.ndim == 1 and one.dtype.kind in "OSU"}
+    lists = {key: _attribute(value) for key, value in getattr(item, "attrs", {}).items()}
+    lists = {key: one.astype(np.str_) for key, one in lists.items() if one.ndim == 1 and one.dtype.kind in "SU"}
     return {key: one for key, one in lists.items() if len(one) in item.shape and wrenches(one.tolist())}
 
 
-def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
-    """Sub-groups that are in the file itself, not linked from elsewhere, by the numbers in their names."""
-    hard = [key for key in sorted(group, key=in_order) if group.get(key, getlink=True, getclass=True) is h5py.HardLink]
-    return [(key, group[key]) for key in hard if group.get(key, getclass=True) is h5py.Group]
-
-
-def _like(group: Any, h5py: Any) -> Any:
-    """The outermost group whose sub-groups (two or more) hold the same names, or the same wrench, or are trial_0, ...
-
-    None: there is no such group; those of single values alone describe segments, and those beside a wrench, without
-    one of their own, hold more signals of its recording.
-    """
-    groups = dict(_groups(group, h5py))
-    children = list(groups.values())
-    alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0])
-    signals = any(child.visititems(lambda _, one: getattr(one, "size", 0) > 1 or None) for child in children)
-    forces = any(child.visititems(lambda name, _: has_forces(name) or None) for child in children)
-    beside = _one_wrench([group], h5py) and not forces
-    if len(children) > 1 and signals and ((alike and not beside) or _named(groups) or _one_wrench(children, h5py)):
-        return group
-    if len(children) == 1:
-        return _like(children[0], h5py)
-    # Beside a group of recordings there may be one of splits.
-    found = (_like(child, h5py) for child in children)
-    return next((one for one in found if one is not None and _named(one)), None)
-
-
-def _one_wrench(groups: Iterable[Any], h5py: Any) -> bool:
-    """Whether all groups have a wrench of the same name."""
-    widths = [
-        {key: item.shape[1:] for key, item in group.items() if isinstance(item, h5py.Dataset)} for group in groups
-    ]
-    shared = {key: width for key, width in widths[0].items() if all(one.get(key) == width for one in widths)}
-    rows = [(key, min(width[0], 6)) for key, width in shared.items() if len(width) == 1]
-    wide = [f"{key}_{number}" for key, count in rows for number in range(count)]
-    return bool(wrenches([*(key for key, width in shared.items() if not width), *wide]))
-
-
-def _named(keys: Iterable[str]) -> bool:
-    """Whether names are trial_0, trial_1, ... or the like."""
-    return all(numbered(key.rstrip("0123456789")) in GROUPS for key in keys)
+def _attribute(value: Any) -> NDArray[Any]:
+    """An attribute as an array, of text where it is a list of texts, and not of references such as to dimensions."""
+    array = np.asarray(value)
+    texts = array.dtype.kind == "O" and array.size > 0 and all(isinstance(one, str | bytes) for one in array.flat)
+    return np.array([str(decoded(one)) for one in array.flat]) if texts else array
 
 
 def _pandas(found: dict[str, Any]) -> dict[str, Any]:

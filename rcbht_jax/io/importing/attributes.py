@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -9,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import split_unit
+from rcbht_jax._util.columns import snake, split_unit, unit_of_time
 from rcbht_jax.labels import AXES
 
+UNITS = ("unit", "units")
+_OF_UNITS = re.compile(r"(?:^|[./]|([^./]+)_)units?$")
 FILL = ("_FillValue", "missing_value")
 
 
@@ -82,3 +85,48 @@ def units_of(columns: Iterable[str], stated: Mapping[str, list[str]]) -> dict[st
         if own and own[0]:
             units[column] = own[0]
     return units
+
+
+def lists_units(key: str, array: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether a list of texts has a name such as units or wrench_units, and is not one for each row or recording.
+
+    >>> lists_units("wrench_units", np.array(["N", "Nm"]), {"t": np.zeros(9)})
+    True
+    """
+    if array.dtype.kind not in "US" or not 1 < array.size == max(array.shape) or not _OF_UNITS.search(snake(key)):
+        return False
+    others = (one for name, one in arrays.items() if one.ndim == 3 or (one.ndim and unit_of_time(name.split(".")[-1])))
+    return all(len(one) != array.size for one in others)
+
+
+def units_in(facts: Mapping[str, str | float], columns: Iterable[str]) -> tuple[dict[str, str | float], dict[str, str]]:
+    """The facts without those that state units, and the units of columns that these state.
+
+    They are those of an object ``units`` for the names of columns, of ``wrench_units``, or a list ``units`` as long
+    as one array has elements, or as there are columns.
+
+    >>> units_in({"run.units": "kN,kN,N", "part": "A"}, [f"run.F_{number}" for number in range(3)])
+    ({'part': 'A'}, {'run.F_0': 'kN', 'run.F_1': 'kN', 'run.F_2': 'N'})
+    """
+    short = {column: re.split("[./]", column)[-1] for column in columns}
+    heads = Counter(name.rpartition("_")[0] for name in short.values())
+    stated: dict[str, list[str]] = {}
+    taken = dict[str, str]()  # fact -> name of its columns; "" = none
+    for key, fact in facts.items():
+        texts, words = stated_units({"units": fact}), re.split("[./]", key)
+        if len(words) > 1 and words[-2].lower() in UNITS:
+            taken[key] = words[-1]
+        elif texts and (found := _OF_UNITS.search(snake(key))):
+            wide = [head for head, count in heads.items() if head and count == len(texts) > 1]
+            if found[1] in heads or found[1] in short.values():
+                taken[key] = found[1]
+            elif len(wide) == 1:
+                taken[key] = wide[0]
+            elif len(texts) == len(short):  # beside as many names
+                taken[key] = ""
+                stated |= {column: [unit] for column, unit in zip(short.values(), texts, strict=True)}
+        if texts and taken.get(key):
+            stated[taken[key]] = texts
+    known = units_of(short.values(), stated)
+    units = {column: known[name] for column, name in short.items() if name in known}
+    return {key: fact for key, fact in facts.items() if key not in taken}, units

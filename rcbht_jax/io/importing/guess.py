@@ -321,6 +321,23 @@ def nameless(table: Table, mapping: Mapping) -> str:
     )
 
 
+def as_pose(table: Table, mapping: Mapping) -> str:
+    """A remark on columns that may be torques after those of forces, and are read as a position; "" = there are none.
+
+    >>> table = Table("a.csv", {name: np.zeros(2) for name in ("fx", "fy", "fz", "tx", "ty", "tz", "rx")})
+    >>> as_pose(table, Mapping(tuple(Channel(f"f{axis}", f"F{axis}") for axis in "xyz")))[:45]
+    'tx ... tz are read as a position, since rx fo'
+    """
+    columns = list(table.columns)
+    forces = next((channel.column for channel in mapping.channels if channel.name == "Fz"), "")
+    after = columns[columns.index(forces) + 1 :][:4] if forces and "Mx" not in mapping.axes else []
+    bases = "".join(split_unit(name)[0].lower()[-2:] for name in after)
+    if bases not in ("txtytzrx", "txtytzqx"):
+        return ""
+    how = f"if they are torques, say so in their names, such as {after[0]} [Nm], or in a map."
+    return f"{after[0]} ... {after[2]} are read as a position, since {after[3]} follows; {how}"
+
+
 def one_hot(table: Table) -> list[str]:
     """A remark on each run of columns of 0 and 1 of which just one is 1 in every row: a label for each.
 

@@ -33,6 +33,7 @@ from rcbht_jax.io.importing.find import Item, chosen, find, is_export
 from rcbht_jax.io.importing.given import from_start, possible
 from rcbht_jax.io.importing.guess import (
     Understood,
+    as_pose,
     guess,
     interleaved,
     more_wrenches,
@@ -235,7 +236,7 @@ def _read(
                 check_inside(item.path, source)
             wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                named = marks.headed(table)
+                named = marks.counted(marks.headed(table))
                 if item.kind == "csv" and marks.is_intervals(named.columns):
                     marked.append(marks.with_words(named, item.path))
                     report.remarks += marks.unused(named)
@@ -296,7 +297,8 @@ def _understood(
     words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
     bare = "" if base.channels else nameless(table, mapping)
     hot = [] if base.channels or base.annotations else one_hot(table)
-    texts = (more, bare, left, lines, words, *hot)
+    pose = "" if base.channels else as_pose(table, mapping)
+    texts = (more, bare, pose, left, lines, words, *hot)
     report.remarks += [text for text in texts if text and text not in report.remarks]
     doubts = interleaved(table, mapping), stand_ins(table, mapping)
     report.warnings += [(table.name, doubt) for doubt in doubts if doubt]
@@ -367,6 +369,9 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
         of_each, twofold, unknown = marks.by_recording(rows, names, marks.named_after(table.name))
         for place, intervals in of_each.items():
             record = found[place]
+            if marks.SAMPLES in table.notes:
+                record.intervals.extend(marks.at_samples(intervals, record.time, record.period))
+                continue
             moved, doubts = from_start(intervals, record.origin, record.end, record.period)
             record.intervals.extend(moved)
             report.warnings += [(record.name, f"{doubt[:-1]} ({table.name}).") for doubt in doubts]

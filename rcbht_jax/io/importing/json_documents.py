@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import unit_of_time
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, parse_json
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.arms import names_side
 from rcbht_jax.io.importing.arrays import reading
-from rcbht_jax.io.importing.attributes import stated_units, units_of
+from rcbht_jax.io.importing.attributes import UNITS
 from rcbht_jax.io.importing.groups import MAX_GROUPS
 from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.json_lines import Rows
 from rcbht_jax.io.importing.mapping import Track
 from rcbht_jax.io.importing.marks import intervals_of, is_intervals
-from rcbht_jax.io.importing.names import column_name, wrenches
-from rcbht_jax.io.importing.table import Interval, Table, scalars_of, tables_of
+from rcbht_jax.io.importing.names import column_name, names_side, wrenches
+from rcbht_jax.io.importing.table import Interval, Table, scalars_of, tables_of, with_units
+from rcbht_jax.io.importing.trees import are_quantities
 from rcbht_jax.io.importing.unpacked import opened
 
 DEPTH = 16  # of objects and lists within each other
@@ -75,7 +75,7 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
                 own = {**facts, **({"arm": which} if sides else {}), **table.facts}
                 marks = (*table.intervals, *(intervals if sides else ()))
                 whole = replace(table, rate=table.rate or rate, facts=own, intervals=marks)
-                yield _with_units(replace(whole, others=(*table.others, *lost)))
+                yield with_units(replace(whole, others=(*table.others, *lost)))
         return
     value = value if isinstance(value, dict) else {"values": value}
     lists = {key: one for key, one in _flat(value) if _are_objects(one)}
@@ -86,7 +86,7 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
         yield _of_rows(path, name, rows, arrays, intervals, part)
         return
     for table in tables_of(path, name, arrays, part):
-        yield _with_units(replace(table, intervals=(*table.intervals, *intervals)))
+        yield with_units(replace(table, intervals=(*table.intervals, *intervals)))
 
 
 def _is_shared(value: Any) -> bool:
@@ -105,22 +105,6 @@ def _with_shared(one: Any, around: Object) -> Any:
     return {**{key: value for key, value in lists if not isinstance(value[0], list | dict)}, **one}
 
 
-def _with_units(table: Table) -> Table:
-    """The table with the units that an object ``units`` states for the names of columns, which are no facts."""
-    words = {key: key.split(".") for key in table.facts if "." in key}
-    of_units = {key: own[-1] for key, own in words.items() if _states_units(key)}
-    stated = {name: texts for key, name in of_units.items() if (texts := stated_units({"units": table.facts[key]}))}
-    short = {column: column.rpartition(".")[2] for column in table.columns}
-    known = units_of(short.values(), stated)
-    units = {column: known[name] for column, name in short.items() if name in known}
-    facts = {key: fact for key, fact in table.facts.items() if key not in of_units}
-    return replace(table, facts=facts, units={**units, **table.units})
-
-
-def _states_units(key: str) -> bool:
-    return key.rpartition(".")[0].rpartition(".")[2].lower() in ("unit", "units")
-
-
 def _of_rows(
     path: Path, name: str, objects: list[Object], arrays: Mapping[str, NDArray[Any]], intervals: Any, part: str
 ) -> Table:
@@ -132,9 +116,7 @@ def _of_rows(
             raise InputError(f"{path}, object {number}: {error}.") from None
     rate, facts = scalars_of({key: array for key, array in arrays.items() if array.ndim == 0})
     others = tuple(sorted({*rows.others, *(key for key, array in arrays.items() if array.ndim)}))
-    return _with_units(
-        Table(name, rows.columns(path), rate, facts=facts, intervals=intervals, others=others, part=part)
-    )
+    return with_units(Table(name, rows.columns(path), rate, facts=facts, intervals=intervals, others=others, part=part))
 
 
 def annotations_in(name: str, value: Any) -> Table | None:
@@ -220,7 +202,8 @@ def _several(value: Any) -> dict[str, Object]:
     if not isinstance(value, dict):
         return {}
     inner: dict[str, Object] = {key: one for key, one in value.items() if isinstance(one, dict) and _is_recording(one)}
-    if len(inner) > 1 and len({tuple(sorted(one)) for one in inner.values()}) == 1:
+    alike = len({tuple(sorted(one)) for one in inner.values()}) == 1
+    if len(inner) > 1 and alike and not are_quantities(inner):
         return inner
     lists = [one for one in value.values() if _are_objects(one) and any(map(_is_recording, one[:PROBES]))]
     if len(lists) == 1:
@@ -264,7 +247,9 @@ def _named(value: Object) -> Iterator[tuple[str, NDArray[Any]]]:
     for number, (key, one) in enumerate(_flat(value)):
         if number == MAX_MEMBERS:
             raise ValueError(f"it holds more than {MAX_MEMBERS} values with a name; split it")
-        if _states_units(key) and isinstance(one, list):  # one for each element of a column
+        if key.rpartition(".")[0].rpartition(".")[2].lower() in UNITS and isinstance(
+            one, list
+        ):  # one for each element of a column
             one = ",".join(map(str, one))
         if one is not None and (array := _array(one)) is not None:
             yield key, array

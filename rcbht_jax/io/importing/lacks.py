@@ -18,6 +18,7 @@ class Lacks:
         tracks = {track.column: f"annotations {track.track}" for track in mapping.annotations if track.column}
         facts = {value.column: f"column {name}" for name, value in mapping.columns.items() if value.column}
         self._roles, self._held, self._folded = tracks | facts, set[str](), set(facts)
+        self._unread: dict[str, str] = {}  # column -> a table that has it and from which no recording was read
         self._folders = {name: value for name, value in mapping.columns.items() if value.folder}
         self._strange = {name: set(value.words) - set(OUTCOMES) for name, value in self._folders.items()}
         self._lacking: list[tuple[str, str, str, str]] = []  # table, what it lacks, sentence, warning
@@ -30,8 +31,10 @@ class Lacks:
         """Take a table, and whether recordings were read from it."""
         self._arms.pop(str(table.facts.get("arm", "")).lower(), None)
         for column, role in self._roles.items():
-            if column in table.columns or column in table.facts:
+            if (column in table.columns or column in table.facts) and read:
                 self._held.add(column)
+            elif column in table.columns:
+                self._unread.setdefault(column, table.name)
             elif read:
                 warning = f"has no column {column!r}, so no {role}."
                 self._lacking.append((table.name, column, no_column(table, column), warning))
@@ -56,9 +59,15 @@ class Lacks:
         Raises:
             InputError: no table has the column, or lies in such a folder.
         """
-        if wrong := next((sentence for _, what, sentence, _ in self._lacking if what not in self._held), ""):
+        alone = {column: name for column, name in self._unread.items() if column not in self._held}
+        if wrong := next((sentence for _, what, sentence, _ in self._lacking if what not in {*self._held, *alone}), ""):
             raise InputError(wrong)
-        return [(name, warning) for name, _, _, warning in self._lacking]
+        how = "if its rows describe the recordings, add a column 'file' with their names."
+        found = [
+            (name, f"alone has a column {column!r} and is no recording, so no {self._roles[column]}; {how}")
+            for column, name in alone.items()
+        ]
+        return found + [(name, warning) for name, what, _, warning in self._lacking if what not in alone]
 
     def remarks(self) -> list[str]:
         """Remarks on words and arms of the mapping that no table has."""

@@ -105,7 +105,9 @@ def with_table(
     for name, value in mapping.columns.items():
         if value.column in table.columns:
             columns[name] = replace(value, column="", table=value.column)
-    remarks.append(f"{file} lists the recordings, named in its column {key!r}; its other columns describe them.")
+    own = [title for title in table.columns if title != key and column_name(title.lower()) in ("trial", "note")]
+    but = f", but for {some(own)}: trials have the names of their files, notes are those of the import" if own else ""
+    remarks.append(f"{file} lists the recordings, named in its column {key!r}; its other columns describe them{but}.")
     return replace(mapping, table=file, key=key, columns=columns), table
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import SECONDS, base_and_unit
 from rcbht_jax._util.printable import plural, spelled
@@ -39,6 +40,9 @@ _ENDS = (
 )  # fmt: skip
 _OF_ELAN = {"ss.msec": " [s]", "hh:mm:ss.ms": " [s]", "msec": " [ms]"}  # units of times, as that program names them
 _ELAN = re.compile(rf"\s+-\s+({'|'.join(map(re.escape, _OF_ELAN))})$")
+SAMPLES = "samples"  # note of a table of annotations that counts them
+_COUNTS = "(?:samples?|frames?|index|idx|rows?)"
+_COUNTED = re.compile(rf"^(.+?)[ _]*[\[(]?{_COUNTS}[\])]?$|^{_COUNTS}[ _]+(.+)$")
 _DURATIONS = ("duration", "dur", "length")
 _FILES = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
 
@@ -115,6 +119,48 @@ def headed(table: Table) -> Table:
     if 2 * (columns[0] <= columns[1]).sum() < len(columns[0]) or len(np.unique(columns[2])) == 1 < len(columns[2]):
         return table
     return replace(table, columns=dict(zip(("start", "end", "label"), columns, strict=True)))
+
+
+def counted(table: Table) -> Table:
+    """The table with plain names for its starts and ends if these count samples, and the note "samples" then.
+
+    >>> columns = {name: np.array([0.0]) for name in ("label", "start_sample", "end [samples]")}
+    >>> found = counted(Table("run1_labels.csv", columns))
+    >>> list(found.columns), found.notes
+    (['label', 'start', 'end'], ('samples',))
+
+    Raises:
+        InputError: they count frames, which may be those of a video.
+    """
+    matches = {name: _COUNTED.match(name.lower()) for name in table.columns}
+    plain = {name: match[1] or match[2] for name, match in matches.items() if match}
+    plain = {name: word for name, word in plain.items() if word in (*_STARTS, *_ENDS, *_DURATIONS)}
+    numbers = all(table.columns[name].dtype.kind == "f" for name in plain)
+    columns = {plain.get(name, name): column for name, column in table.columns.items()}
+    if not plain or not numbers or wrenches(columns) or len(columns) < len(table.columns) or not is_intervals(columns):
+        return table
+    if frames := next((name for name in plain if "frame" in name.lower()), ""):
+        how = "write seconds, or name it start_sample if these are rows of the recording"
+        raise InputError(f"{table.name}: {frames} counts frames, perhaps of a video; {how}.")
+    return replace(table, columns=columns, notes=(*table.notes, SAMPLES))
+
+
+def at_samples(intervals: Iterable[Interval], time: NDArray[np.float64], period: float) -> list[Interval]:
+    """Intervals whose starts and ends count samples from 0, in s, by the times ``[sample]`` of a recording.
+
+    >>> at_samples([("phase", "push", 1.0, 3.0)], np.array([0.0, 0.5, 2.0]), 0.5)
+    [('phase', 'push', 0.5, 2.5)]
+    """
+
+    def seconds(count: float) -> float:
+        if np.isnan(count):
+            return count
+        inside = min(max(count, 0.0), float(len(time)))
+        return (
+            float(np.interp(inside, np.arange(len(time) + 1), [*time, time[-1] + period])) + (count - inside) * period
+        )
+
+    return [(track, label, seconds(start), seconds(end)) for track, label, start, end in intervals]
 
 
 def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:

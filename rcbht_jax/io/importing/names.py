@@ -48,6 +48,7 @@ _FRAMES = r"tcp|tool|flange|ee|eef|base|world|sensor|left|right|\{arm\}"  # betw
 _FIRST_ARM = re.compile(r"\{arm\}(?=[^\W_])")  # {arm}Fx
 _LAST_ARM = re.compile(r"(?:[\s\[(]+|(?<=[^\W_]))\{arm\}[\s\])]*$")  # Fx{arm}, Fx [{arm}]
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
+SIDES = (("left", "right"), ("l", "r"))  # of arms
 _QUOTES = re.compile(r"""["'`,]|^\(|\)$""")  # of parts of a path: /'FT'/'Fx', or of levels: ('FT', 'Fx')
 _SAID = re.compile(r"(?:force|torque|moment)s?(\d*)[._/ \-]*$")  # before an axis: Force Fx, cartTorque1_TauX
 _AXIS = re.compile(
@@ -188,6 +189,24 @@ def has_axes(name: str, count: int) -> bool:
     (True, False, False)
     """
     return count in (3, 6) and not set(WHOLE).isdisjoint(_words(name))
+
+
+def mark_of(arm: str) -> re.Pattern[str]:
+    """Finds an arm as a word of a name, also one that only a capital separates from others.
+
+    >>> [bool(mark_of("left").search(name)) for name in ("arm_left", "ftLeft", "leftover")]
+    [True, True, False]
+    """
+    return re.compile(rf"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))(?i:{re.escape(arm)})(?![a-z])(?!(?<=\d)\d)")
+
+
+def names_side(name: str) -> bool:
+    """Whether a name holds the word left or right, as that of an arm's group does.
+
+    >>> names_side("arm_left"), names_side("Right"), names_side("upright")
+    (True, True, False)
+    """
+    return any(mark_of(side).search(name) for side in SIDES[0])
 
 
 def axis_name(name: str) -> str:

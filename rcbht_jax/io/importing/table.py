@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import decoded, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.attributes import lists_units, units_in
 from rcbht_jax.io.importing.families import families, segments
 from rcbht_jax.io.importing.names import has_axes, has_forces, wrenches
+from rcbht_jax.io.importing.trees import of_groups
 from rcbht_jax.io.importing.words import rate_of
 
 LONGEST_TEXT = 100_000  # characters of a fact in which a rate is looked for
@@ -57,7 +59,8 @@ def tables_of(
     of a wrench if there is one, else the most frequent. An array ``[recording, row, element]`` makes a table of each
     recording, and arrays ``[recording]`` beside it are facts; one called lengths states where the padding begins.
     Beside a wrench or a time ``[row, element]`` of its length, it is a matrix for every row, and left out.
-    Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own.
+    Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own,
+    as does each group of a whole file with a wrench of its own (:func:`~rcbht_jax.io.importing.trees.of_groups`).
     Scalars called dt or rate state the sampling, other scalars are facts, but for those of numbered groups of
     annotations (:func:`~rcbht_jax.io.importing.families.segments`). Of windows of the last samples,
     ``[row, sample, element]``, each of which is the one before and a new sample, the newest sample is a row.
@@ -76,7 +79,7 @@ def tables_of(
     Raises:
         InputError: no array has at least two rows, or there are too many columns.
     """
-    if several := families(arrays, shared):
+    if several := families(arrays, shared) or ({} if part else of_groups(arrays)):
         for which, those in several.items():
             yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which, arrays.keys())
         return
@@ -84,6 +87,11 @@ def tables_of(
         known = {key: _seconds(array) if key in dated else array for key, array in arrays.items()}
         for table in tables_of(path, name, known, part, shared):
             yield replace(table, units={**table.units, **{key: "s" for key in dated if key in table.columns}})
+        return
+    if lists := {key: array for key, array in arrays.items() if lists_units(key, array, arrays)}:
+        joined = {key: np.array(",".join(map(str, plain(array.ravel()).tolist()))) for key, array in lists.items()}
+        for table in tables_of(path, name, {**arrays, **joined}, part, shared):
+            yield with_units(table)
         return
     arrays, titles = titled(arrays)
     if titles:
@@ -112,6 +120,12 @@ def tables_of(
         name, _columns(path, chosen), rate, facts=facts, intervals=tuple(intervals), notes=(*last, *_left_out(others)),
         others=others, part=part,
     )  # fmt: skip
+
+
+def with_units(table: Table) -> Table:
+    """The table with the units that its facts state (:func:`~rcbht_jax.io.importing.attributes.units_in`)."""
+    facts, units = units_in(table.facts, table.columns)
+    return replace(table, facts=facts, units={**units, **table.units})
 
 
 def _cubes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -23,7 +23,7 @@ from rcbht_jax.io.importing.preamble import END_OF_HEADER, stated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, with_one_time
 from rcbht_jax.io.importing.titles import Titles, read_titles
-from rcbht_jax.io.importing.unpacked import opened
+from rcbht_jax.io.importing.unpacked import line_of, opened
 from rcbht_jax.io.importing.words import text
 
 CHUNK = 20_000  # rows that are Python objects at a time
@@ -167,10 +167,8 @@ def _rows(
 
     def lines() -> Iterator[str]:
         nonlocal ended
-        while raw := file.readline(MAX_TABLE_LINE):
+        while raw := line_of(file, path):
             ended = raw.endswith(b"\n")
-            if len(raw) == MAX_TABLE_LINE and not raw.endswith(b"\n"):
-                raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; expected line feeds.")
             yield raw.decode(encoding, "strict" if ended else "ignore")  # half a sign may end a log that was cut off
 
     blanks = map(cells.between_blanks, lines())

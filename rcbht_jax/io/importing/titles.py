@@ -13,6 +13,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
 from rcbht_jax.io.importing.names import wrenches
 from rcbht_jax.io.importing.preamble import line_of_names, row_of_numbers
+from rcbht_jax.io.importing.unpacked import line_of
 
 PREAMBLE, PREAMBLE_LINE = 64, 2**14  # lines at most before the names of the columns, and bytes of one
 HEADINGS = 4  # lines of names at most below the first
@@ -91,9 +92,7 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool, list[bytes]]:
     """The first line with content, whether it is a comment (of several the last), and the first comments."""
     comment = b""
     comments: list[bytes] = []
-    while line := file.readline(MAX_TABLE_LINE):
-        if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
-            raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; expected line feeds.")
+    while line := line_of(file, path):
         if mark := cells.COMMENT.match(line):
             comment = line[mark.end() :]
             comments = [*comments, line][:PREAMBLE]

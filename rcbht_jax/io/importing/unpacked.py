@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, BinaryIO, cast
 
-from rcbht_jax._util.untrusted import MAX_RATIO, MAX_TEXT_BYTES, SMALL, check_file
+from rcbht_jax._util.untrusted import MAX_RATIO, MAX_TABLE_LINE, MAX_TEXT_BYTES, SMALL, check_file
 from rcbht_jax.errors import InputError
 
 PACKED: dict[str, Callable[[IO[bytes]], io.BufferedIOBase]] = {  # by the end of the name
@@ -66,6 +66,23 @@ def opened(path: Path, most: int = MAX_TEXT_BYTES) -> Iterator[BinaryIO]:
             yield cast("BinaryIO", file)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
+
+
+def line_of(file: BinaryIO, path: Path) -> bytes:
+    """The next line of a table, with its end; empty where the file ends.
+
+    >>> _ = Path("a.csv").write_text("t,Fz\\n0,1.5")
+    >>> with open("a.csv", "rb") as file:
+    ...     line_of(file, Path("a.csv")), line_of(file, Path("a.csv"))
+    (b't,Fz\\n', b'0,1.5')
+
+    Raises:
+        InputError: it is too long.
+    """
+    line = file.readline(MAX_TABLE_LINE)
+    if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
+        raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; expected line feeds.")
+    return line
 
 
 def _unpack(path: Path, packed: io.BufferedIOBase, copy: IO[bytes], most: int) -> None:

@@ -139,3 +139,26 @@ def test_a_duration_without_a_unit_has_that_of_its_start(title: str, scale: floa
     (tmp_path / "run1_labels.csv").write_text(f"label,{title},duration\n" + "".join(rows))
     marks = read_source(tmp_path).recordings.annotations
     np.testing.assert_allclose([marks.start, marks.end], np.transpose([row[1:] for row in LABELS]), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [("run2_labels.csv", "label,start_sample,end_sample"), ("a.csv", "file,label,start [samples],end [samples]"),
+     ("a.csv", "file,label,start_idx,end_idx")],
+)  # fmt: skip
+def test_annotations_may_count_samples(name: str, head: str, tmp_path: Path) -> None:
+    write(tmp_path)
+    file = "run2.csv," if head.startswith("file") else ""
+    rows = [f"{file}{label},{round(100 * start)},{round(100 * end)}" for label, start, end in LABELS]
+    (tmp_path / name).write_text("\n".join([head, *rows]))
+    imported = read_source(tmp_path)
+    assert imported.report.skipped == imported.report.warnings == []
+    assert found(imported, ["label"]) == LABELS
+
+
+def test_annotations_that_count_frames_say_so(tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "run2_labels.csv").write_text("label,start_frame,end_frame\npush,3,6\n")
+    [(name, reason)] = read_source(tmp_path).report.skipped
+    assert name == "run2_labels.csv"
+    assert "start_frame counts frames, perhaps of a video;" in reason

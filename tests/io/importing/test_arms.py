@@ -90,10 +90,10 @@ def test_arms_of_wrenches_that_differ_otherwise_are_left_alone() -> None:
 
 
 def test_columns_of_hundreds_of_arms_are_no_arms() -> None:
-    start = time.perf_counter()
+    start = time.process_time()
     assert arms_of([f"arm{k}_f{axis}" for k in range(3000) for axis in "xyz"]) == ()
     assert arms_of([f"{side}_{k}_f{axis}" for k in range(1500) for side in ("left", "right") for axis in "xyz"])
-    assert time.perf_counter() - start < 10
+    assert time.process_time() - start < 10
 
 
 @pytest.mark.parametrize("arms", [("left", "Left"), ("",)])

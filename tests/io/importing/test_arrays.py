@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 from typing import Any
@@ -302,3 +303,84 @@ def test_hdf5_groups_beside_a_wrench_are_no_recordings(groups: tuple[str, str], 
         for number, group in enumerate(groups):
             file[f"{group}/values"] = np.random.default_rng(number).normal(size=(len(TIME), 4))
     np.testing.assert_allclose(read_source(tmp_path / "run.h5").recordings.wrench[0], WRENCH, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["npz", "mat", "h5", "zarr"])
+def test_groups_with_a_wrench_and_times_of_their_own_are_recordings_in_every_format(kind: str, tmp_path: Path) -> None:
+    path, runs = tmp_path / f"a.{kind}", {"remove": WRENCH, "insert": WRENCH[:-5]}
+    arrays = {f"{name}/{key}": one for name, run in runs.items() for key, one in (("t", TIME[: len(run)]), ("ft", run))}
+    if kind == "npz":
+        np.savez(path, **arrays)
+    elif kind == "mat":
+        scipy.io.savemat(path, {name: {"t": TIME[: len(run)], "ft": run} for name, run in runs.items()})
+    elif kind == "h5":
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            for key, one in arrays.items():
+                file[key] = one
+    else:
+        group = pytest.importorskip("zarr").open_group(path, mode="w")
+        for key, one in arrays.items():
+            group.create_array(key, data=one)
+    imported = read_source(path)
+    assert imported.recordings.trial.tolist() == ["a-insert", "a-remove"]
+    assert imported.recordings.length.tolist() == [N - 5, N]
+    assert imported.report.warnings == []
+
+
+def test_groups_of_what_was_done_to_a_wrench_are_one_recording(tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        for name, force in {"raw": WRENCH - 9, "compensated": WRENCH}.items():
+            file[f"{name}/t"], file[f"{name}/ft"] = TIME, force
+    recordings = read_source(tmp_path / "a.h5").recordings
+    np.testing.assert_array_equal(recordings.wrench, WRENCH[None].astype(np.float32))
+
+
+def test_arms_of_other_lengths_are_both_imported(tmp_path: Path) -> None:
+    arrays = {"left/t": TIME, "left/ft": WRENCH, "right/t": TIME[:-5], "right/ft": WRENCH[:-5]}
+    np.savez(tmp_path / "a.npz", **arrays)
+    recordings = read_source(tmp_path / "a.npz").recordings
+    assert (recordings.arm.tolist(), recordings.length.tolist()) == (["left", "right"], [N, N - 5])
+
+
+def test_hdf5_with_dimensions_as_xarray_writes_them_is_read(tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        for name, values in {"time": TIME, "axis": np.array(AXES, "S"), "wrench": WRENCH}.items():
+            file[name] = values
+        for number, name in enumerate(("time", "axis")):
+            file[name].make_scale(name)
+            file["wrench"].dims[number].attach_scale(file[name])
+    same(read_source(tmp_path / "a.h5"))
+
+
+@pytest.mark.parametrize("other", ["torque", "position"])
+@pytest.mark.parametrize("kind", ["h5", "json"])
+def test_groups_of_quantities_are_no_recordings(kind: str, other: str, tmp_path: Path) -> None:
+    wrench = np.tile(WRENCH, (9, 1))  # a short list in JSON may be a vector
+    time = np.arange(len(wrench)) * DT
+    groups = {name: dict(zip("xyz", wrench.T[first:], strict=False)) for name, first in (("force", 0), (other, 3))}
+    if kind == "h5":
+        with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+            file["time"] = time
+            for name, axes in groups.items():
+                for axis, values in axes.items():
+                    file[f"{name}/{axis}"] = values
+    else:
+        lists = {name: {axis: values.tolist() for axis, values in axes.items()} for name, axes in groups.items()}
+        (tmp_path / "a.json").write_text(json.dumps({"time": time.tolist(), **lists}))
+    recordings = read_source(tmp_path / f"a.{kind}").recordings
+    assert recordings.axes == AXES[: 6 if other == "torque" else 3]
+    np.testing.assert_array_equal(recordings.wrench[0], wrench[:, : len(recordings.axes)].astype(np.float32))
+
+
+def test_a_list_of_units_among_the_attributes_of_a_group_is_understood(tmp_path: Path) -> None:
+    units = ["N", "N", "N", "Nmm", "Nmm", "Nmm"]
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        file["t"], file["wrench"], file.attrs["units"] = TIME, WRENCH, units
+    assert read_source(tmp_path / "a.h5").recordings.units == tuple(units)
+
+
+def test_groups_of_sensors_within_a_recording_stay_in_it(tmp_path: Path) -> None:
+    arrays = {f"trial_{k}/{name}/t": TIME for k in range(2) for name in ("wrist", "base")}
+    arrays |= {f"trial_{k}/{name}/ft": WRENCH + k for k in range(2) for name in ("wrist", "base")}
+    np.savez(tmp_path / "a.npz", **arrays)
+    assert len(read_source(tmp_path / "a.npz").recordings) == 2

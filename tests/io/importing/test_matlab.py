@@ -88,3 +88,20 @@ def test_short_lists_of_texts_do_not_turn_a_matrix_and_name_its_columns_if_calle
     recordings = read_source(tmp_path / "a.mat", "matlab").recordings
     assert recordings.axes == (("grip", "twist") if key == "names" else ("data_0", "data_1"))
     np.testing.assert_allclose(recordings.wrench[0], WRENCH[:, :2], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "given"), [("units", ["kN"] * 3 + ["Nmm"] * 3), ("wrench_units", ["kN", "Nmm"])])
+def test_a_cell_array_of_units_is_understood(name: str, given: list[str], tmp_path: Path) -> None:
+    values = {"t": np.arange(COUNT) / 100, "wrench": WRENCH, name: column(given)}
+    scipy.io.savemat(tmp_path / "a.mat", {"run": values})
+    imported = read_source(tmp_path / "a.mat")
+    assert imported.recordings.units == ("kN",) * 3 + ("Nmm",) * 3
+    assert not any("left out" in remark for remark in imported.report.remarks)
+
+
+def test_units_of_a_table_stand_beside_the_names_of_its_columns(tmp_path: Path) -> None:
+    names, units = ["Time", *(f"{kind}{axis}" for kind in "FM" for axis in "xyz")], ["ms", *["N"] * 3, *["Nmm"] * 3]
+    values = {"data": np.column_stack([10.0 * np.arange(COUNT), WRENCH])}
+    scipy.io.savemat(tmp_path / "a.mat", {**values, "VariableNames": column(names), "VariableUnits": column(units)})
+    recordings = read_source(tmp_path / "a.mat").recordings
+    assert (recordings.units, recordings.dt) == (tuple(units[1:]), 0.01)

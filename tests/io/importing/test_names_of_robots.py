@@ -97,3 +97,12 @@ def test_wrenches_in_two_frames_are_not_mixed(tmp_path: Path) -> None:
     recordings = read_source(tmp_path).recordings
     assert (recordings.axes, recordings.arm.tolist()) == (AXES, ["left", "right"])
     np.testing.assert_allclose(recordings.wrench, [WRENCH[:, :6], WRENCH[:, 6:]], rtol=1e-6)
+
+
+def test_a_position_between_forces_and_a_rotation_is_remarked(tmp_path: Path) -> None:
+    titles = ["t", *(f"{what}{axis}" for what in ("f", "t", "r") for axis in "xyz")]
+    rows = np.column_stack([np.arange(60) / 100, np.random.default_rng(0).normal(size=(60, 9))])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=",".join(titles), comments="")
+    imported = read_source(tmp_path / "a.csv")
+    assert imported.recordings.axes == ("Fx", "Fy", "Fz")
+    assert any(remark.startswith("tx ... tz are read as a position, since rx") for remark in imported.report.remarks)

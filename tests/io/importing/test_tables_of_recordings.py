@@ -46,6 +46,25 @@ def test_a_table_that_lists_recordings_is_found(tmp_path: Path) -> None:
     assert read_recordings(tmp_path / "x.zarr").outcome.tolist() == ["success", "failure", "unknown"]
 
 
+def test_a_table_that_names_no_recording_is_said_to_be_why_the_outcome_is_unknown(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write(tmp_path / f"{name}.csv", noise(ord(name)))
+    (tmp_path / "trials.csv").write_text("id,result\n8,ok\n9,nok\n")
+    imported = read_source(tmp_path, mapping=Mapping(columns={"outcome": Value("result")}))
+    [(table, warning)] = imported.report.warnings
+    assert table == "trials.csv"
+    assert warning.startswith("alone has a column 'result' and is no recording, so no column outcome;")
+
+
+def test_a_column_of_trials_in_a_found_table_is_remarked(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write(tmp_path / f"{name}.csv", noise(ord(name)))
+    (tmp_path / "trials.csv").write_text("file,trial\na,T1\nb,T2\n")
+    imported = read_source(tmp_path)
+    assert imported.recordings.trial.tolist() == ["a", "b"]
+    assert any("describe them, but for 'trial'" in remark for remark in imported.report.remarks)
+
+
 def test_the_outcome_may_be_named_beside_a_map_that_was_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
