@@ -83,7 +83,7 @@ class Draft:
         spec = self.job.spec
         whole = params if spec.longest is None else self._drawn(shard, replace(spec, longest=None))[0]
         outcome = tables.outcomes(self.scenario, rows, whole, spec.longest)
-        recordings = tables.recordings_of(self.job.preset, self.scenario, rows, rows["wrench"], index, faults, outcome)
+        recordings = tables.recordings_of(self.job.preset, self.scenario, rows, index, faults, outcome)
         recordings = replace(recordings, outcome=np.where(recordings.length == 0, "diverged", recordings.outcome))
         simulation = tables.simulation_of(self.scenario, rows, index, params, faults, outcome)
         tracks = None if labels is None else _labels(labels, arrays["diverged"])

@@ -31,7 +31,6 @@ def recordings_of(
     preset: str,
     scenario: Scenario,
     rows: Arrays,
-    wrench: NDArray[np.float32],
     index: NDArray[np.int64],
     faults: list[Fault],
     outcome: NDArray[np.str_],
@@ -40,9 +39,10 @@ def recordings_of(
 
     Args:
         preset: name of what was simulated. scenario: likewise.
-        rows: arrays of ``records.of_trials``, of the stored trials. wrench: theirs ``[trial, time, 6K]``.
+        rows: arrays of ``records.of_trials``, of the stored trials..
         index: of the trials. faults: of the trials. outcome: of the trials, of :func:`outcomes`.
     """
+    wrench = rows["wrench"]
     count, samples = wrench.shape[:2]
     arms, name = scenario.arms, preset if scenario.recorded else f"{scenario.assembly}-{scenario.robot}"
 
