@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.annotations import Annotations
-from rcbht_jax.robots.snap_assembly import DEVIATIONS, FRAMES, snap_recordings
+from rcbht_jax.robots.snap_assembly import DEVIATIONS, snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.randomization.trials import Fault
@@ -20,11 +20,6 @@ from sim_mjx.synthesis.records import Arrays
 
 PHASES = "phase"  # track of an assembly's phases
 WORLD = "Wrenches are in the world's axes, z up; moments are about the wrist's sensor."
-
-
-def frames_of(scenario: Scenario) -> str:
-    """The axes and reference points of the wrenches, in words."""
-    return FRAMES if scenario.recorded else WORLD
 
 
 def recordings_of(

@@ -176,7 +176,10 @@ def test_forward_derivatives_are_central_differences(path: np.ndarray) -> None:
     ):  # MJX is not strict
         tangents = [sensitivity.field_derivatives(scene, [one.parts], name, by) for name, by in NAMES.items()]
         value, forward = sensitivity.wrench_and_derivatives(scene, stack([one]), tangents, means)
-        ends = [sensitivity.with_parts(one, name, sign * by) for name, by in NAMES.items() for sign in (1, -1)]
+        ends = [
+            replace(one, parts=sensitivity.moved(one.parts, name, sign * by))
+            for name, by in NAMES.items() for sign in (1, -1)
+        ]  # fmt: skip
         found = sensitivity.values(scene, stack([one, *ends]), means)
     np.testing.assert_allclose(found[0], value[0], rtol=1e-9)
     central = (found[1::2] - found[2::2]) / (2 * np.array(list(NAMES.values())))[:, None]
