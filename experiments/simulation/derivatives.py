@@ -9,6 +9,7 @@ Run: python -m experiments.simulation.derivatives
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -54,7 +55,10 @@ def main(seconds: float = 12.0) -> None:
         tangents = [sensitivity.field_derivatives(scene, [one.parts], name, by) for name, by in STEPS.items()]
         value, forward = sensitivity.wrench_and_derivatives(scene, stack([one]), tangents, means)
         took = time.perf_counter() - start
-        ends = [sensitivity.with_parts(one, name, sign * by) for name, by in STEPS.items() for sign in (1, -1)]
+        ends = [
+            replace(one, parts=sensitivity.moved(one.parts, name, sign * by))
+            for name, by in STEPS.items() for sign in (1, -1)
+        ]  # fmt: skip
         found = sensitivity.values(scene, stack(ends), means).reshape(len(STEPS), 2, 6)
     central = (found[:, 0] - found[:, 1]) / (2 * np.array(list(STEPS.values())))[:, None]
     away = np.abs(forward[0].T - central) / np.maximum(np.abs(central), 1e-12)

@@ -20,15 +20,26 @@ import tyro
 
 from experiments._lib.benchmarks import recorded
 from experiments._lib.catalogue import DATA
+from experiments._lib.driven_objective import (
+    AFTER,
+    WINDOW,
+    DrivenObjective,
+    DrivenTrial,
+    Wrench,
+    block_means,
+    driven_trial,
+    explained,
+    rows_with_angles,
+    units,
+)
 from experiments._lib.results_io import write_result
 from experiments.simulation.joint_fit import AROUND, SEEN, SHARED, cells, of_sessions, present, within
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.scene import Scene, hooked
 from sim_mjx.presets import HOOKED
-from sim_mjx.validation import driven_fit, gauss_newton, sessions, system_id
+from sim_mjx.validation import gauss_newton, sessions, system_id
 from sim_mjx.validation.driven import driven
-from sim_mjx.validation.driven_fit import DrivenObjective, DrivenTrial, Wrench, block_means
 from sim_mjx.validation.gauss_newton import Iteration, LeastSquares
 from sim_mjx.validation.system_id import Bound, Fit, Generation, Losses, Search, Values
 
@@ -57,12 +68,12 @@ class Trials:
     held: dict[str, tuple[DrivenTrial, ...]]  # by what they are
 
 
-def trials(recordings: Recordings, folder: Path, of_a: int, after: float = driven_fit.AFTER) -> Trials:
+def trials(recordings: Recordings, folder: Path, of_a: int, after: float = AFTER) -> Trials:
     """The recorded trials with joint angles, up to ``after`` seconds of mating."""
     rows = {name: sessions.recorded_rows(recordings, name) for name in NAMES}
-    rows = {name: driven_fit.rows_with_angles(folder, recordings, those, HOOKED[name]) for name, those in rows.items()}
+    rows = {name: rows_with_angles(folder, recordings, those, HOOKED[name]) for name, those in rows.items()}
     made = {
-        name: [driven_fit.driven_trial(folder, recordings, row, name, HOOKED[name], after) for row in those]
+        name: [driven_trial(folder, recordings, row, name, HOOKED[name], after) for row in those]
         for name, those in rows.items()
     }
     placed = list(zip(made["hooked-B"], cells(recordings, np.array(rows["hooked-B"], int)), strict=True))
@@ -99,8 +110,8 @@ def scores(objective: DrivenObjective, values: Values) -> dict[str, Any]:
 
 def scores_of(objective: DrivenObjective, wrenches: list[Wrench]) -> dict[str, Any]:
     """Explained share of the variance by axis, mean over trials, and root mean square errors."""
-    each = [driven_fit.explained(t, w).tolist() for t, w in zip(objective.trials, wrenches, strict=True)]
-    unit = driven_fit.units(objective.trials)
+    each = [explained(t, w).tolist() for t, w in zip(objective.trials, wrenches, strict=True)]
+    unit = units(objective.trials)
     away = [
         np.sqrt((np.nan_to_num(w - t.wrench, nan=99.0)[t.begin :] ** 2).mean(0))
         for t, w in zip(objective.trials, wrenches, strict=True)
@@ -161,7 +172,7 @@ def by_gauss_newton(
     found: LeastSquares = gauss_newton.fit(
         objective, how, iterations=iterations, step=step, progress=partial(progress, begun)
     )
-    windows = sum((len(t.path) - t.begin) // driven_fit.WINDOW for t in data.seen)
+    windows = sum((len(t.path) - t.begin) // WINDOW for t in data.seen)
     identifiable = gauss_newton.identifiability(found.jacobian, list(how.bounds), found.loss, 6.0 * windows)
     return {
         "start": how.start,

@@ -24,6 +24,7 @@ import tyro
 
 from experiments._lib.benchmarks import recorded
 from experiments._lib.catalogue import DATA
+from experiments._lib.driven_objective import AFTER, EARLY, DrivenObjective, DrivenTrial, Wrench, block_means
 from experiments._lib.results_io import committed, machine, write_result
 from experiments.simulation import driven_fit as joint
 from experiments.simulation import fidelity_gate
@@ -37,7 +38,6 @@ from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.presets import HOOKED
 from sim_mjx.validation import gauss_newton, sessions, system_id
 from sim_mjx.validation.driven import driven
-from sim_mjx.validation.driven_fit import AFTER, EARLY, DrivenObjective, DrivenTrial, Wrench, block_means
 from sim_mjx.validation.fidelity import rerun
 from sim_mjx.validation.gauss_newton import Iteration
 from sim_mjx.validation.system_id import Bound, Search, Values

@@ -20,12 +20,12 @@ import tyro
 from jaxtyping import Int
 
 from experiments._lib.benchmarks import recorded
+from experiments._lib.joint_objective import JointObjective, Share
 from experiments._lib.results_io import defaults_of, given, write_result
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import HOOKED
 from sim_mjx.randomization import overrides
 from sim_mjx.validation import sessions, system_id
-from sim_mjx.validation.joint_fit import JointObjective, Share
 from sim_mjx.validation.system_id import Bound, Fit, Generation, Search, Values
 
 SHARED = {

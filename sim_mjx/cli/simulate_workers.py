@@ -45,7 +45,6 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
             or a package that is missing.
     """
     from sim_mjx.synthesis import launch
-    from sim_mjx.synthesis.plan import in_shards
 
     count, gpus, words = command.processes, command.engine != "native", words_of(command)
     if count is not None and not 1 <= count <= MOST:
@@ -71,7 +70,7 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
     if len(environments) < 2:
         return None
     if gpus and command.lanes is None:  # the first worker must not take all trials
-        words += ["--lanes", str(in_shards(-(-command.trials // len(environments)), command.shard))]
+        words += ["--lanes", str(-(-command.trials // len(environments) // command.shard) * command.shard)]
     return lambda look: launch.local(words, environments, look, notice)
 
 

@@ -151,9 +151,9 @@ def _joints(robot: Robot) -> tuple[str, ...]:
 def equipped(robot: Robot) -> mujoco.MjSpec:
     """The robot with servos, a body ``HAND`` at its wrist, and a force and torque sensor between the two.
 
-    The hand's frame is the wrist's. The weight of the arm is compensated in addition to the servos, as by the integral
-    part of a real controller; the weight of the hand and its load is not. The arm has no contacts except the pairs
-    that an assembly adds.
+    The hand's frame is the wrist's. The weight of the arm and springs in its joints are compensated in addition to the
+    servos, as by the integral part of a real controller; the weight of the hand and its load is not. The arm has no
+    contacts except the pairs that an assembly adds.
 
     Raises:
         InputError: the robot has no such site, or a joint that moves it is not a hinge.
@@ -168,6 +168,8 @@ def equipped(robot: Robot) -> mujoco.MjSpec:
         geom.contype = geom.conaffinity = 0
     for body in spec.bodies[1:]:
         body.gravcomp = 1.0
+    for joint in map(spec.joint, robot.joints):
+        joint.stiffness[:] = 0.0
     _add_servos(spec, robot)
     _add_hand(spec, robot)
     return spec

@@ -1,59 +1,32 @@
-"""Simulated trials as calibration data: rollouts, labels and scores stay on the device."""
+"""Simulated trials as calibration data, which stays on the device."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Int
 
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
-from rcbht_jax.calibration.search import score_candidates
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
 from sim_mjx.assembly import task
-from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import STATES
 from sim_mjx.engines import device
-
-MOST_WRENCH = 2000.0  # N or Nm; a larger wrench means that the physics diverged
-
-
-def simulated_scores(
-    scene: Scene,
-    params: Any,
-    impl: str,
-    config: EncoderConfig,
-    limits: Float[np.ndarray, "candidate 6 4"],
-) -> Float32[np.ndarray, "candidate score"]:
-    """Simulate trials and score thresholds by how well their labels separate the states.
-
-    Only parameters and candidates are copied to the device, and only scores and a few counts back.
-
-    Args:
-        scene: what is simulated; one arm.
-        params: batch of trials of the scene's program.
-        impl: "jax" or "warp".
-        config: of the encoder.
-        limits: candidates, N/s and Nm/s.
-
-    Returns:
-        scores in the order of :data:`rcbht_jax.calibration.objective.SCORES`.
-
-    Raises:
-        InputError: no trial was completed.
-    """
-    return score_candidates(states_corpus(device.run(scene, params, impl), config), config, limits)
+from sim_mjx.synthesis.records import MOST_WRENCH
 
 
 def states_corpus(out: device.Outcome, config: EncoderConfig) -> CalibrationData:
     """The completed trials with an interval for each of their four states, on the device.
 
     A completed trial went through all states, seated all its tabs and did not diverge.
+
+    Args:
+        out: of :func:`sim_mjx.engines.device.run`, of one arm.
+        config: of the encoder.
 
     Raises:
         InputError: there is none.

@@ -21,6 +21,7 @@ from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout, Part
 from rcbht_jax.io.store_schema import schema_of
 from rcbht_jax.labels import LAYERS
+from rcbht_jax.robots.snap_assembly import FRAMES
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 from sim_mjx.randomization.trials import Fault
 from sim_mjx.registry import Scenario
@@ -83,7 +84,7 @@ class Draft:
         spec = self.job.spec
         whole = params if spec.longest is None else self._drawn(shard, replace(spec, longest=None))[0]
         outcome = tables.outcomes(self.scenario, rows, whole, spec.longest)
-        recordings = tables.recordings_of(self.job.preset, self.scenario, rows, rows["wrench"], index, faults, outcome)
+        recordings = tables.recordings_of(self.job.preset, self.scenario, rows, index, faults, outcome)
         recordings = replace(recordings, outcome=np.where(recordings.length == 0, "diverged", recordings.outcome))
         simulation = tables.simulation_of(self.scenario, rows, index, params, faults, outcome)
         tracks = None if labels is None else _labels(labels, arrays["diverged"])
@@ -118,9 +119,9 @@ class Draft:
     def _create(self, recordings: Recordings, simulation: Arrays, tracks: LabelTracks | None) -> None:
         """Create the empty store, unless another process has."""
         empty, arms = draft_of(self.path), len(self.scenario.arms)
-        attrs: dict[str, Any] = {"frames": tables.frames_of(self.scenario), "simulated": provenance(self.manifest)}
-        if not self.scenario.recorded:
-            attrs["importer"] = "simulation"  # so that thresholds come from the recordings, not from HIRO's preset
+        attrs: dict[str, Any] = {"frames": FRAMES, "simulated": provenance(self.manifest)}
+        if not self.scenario.recorded:  # thresholds then come from the recordings, not from HIRO's preset
+            attrs |= {"frames": tables.WORLD, "importer": "simulation"}
         layout = Layout(self.job.trials * arms, min(self.job.shard, self.job.trials) * arms)
         try:
             schema = schema_of(recordings, simulation, layout.rows, layout.part)

@@ -117,15 +117,6 @@ def encoder_config(job: SynthesisConfig) -> EncoderConfig:
     return EncoderConfig(window=job.window or 0, dt=CONTROL_PERIOD)
 
 
-def in_shards(trials: int, shard: int) -> int:
-    """So many trials, rounded up to whole shards.
-
-    >>> in_shards(20_000, 256)
-    20224
-    """
-    return -(-trials // shard) * shard
-
-
 def indices(job: SynthesisConfig, shard: int) -> range:
     return range(shard * job.shard, min((shard + 1) * job.shard, job.trials))
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.annotations import Annotations
-from rcbht_jax.robots.snap_assembly import DEVIATIONS, FRAMES, snap_recordings
+from rcbht_jax.robots.snap_assembly import DEVIATIONS, snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.randomization.trials import Fault
@@ -22,16 +22,10 @@ PHASES = "phase"  # track of an assembly's phases
 WORLD = "Wrenches are in the world's axes, z up; moments are about the wrist's sensor."
 
 
-def frames_of(scenario: Scenario) -> str:
-    """The axes and reference points of the wrenches, in words."""
-    return FRAMES if scenario.recorded else WORLD
-
-
 def recordings_of(
     preset: str,
     scenario: Scenario,
     rows: Arrays,
-    wrench: NDArray[np.float32],
     index: NDArray[np.int64],
     faults: list[Fault],
     outcome: NDArray[np.str_],
@@ -40,9 +34,10 @@ def recordings_of(
 
     Args:
         preset: name of what was simulated. scenario: likewise.
-        rows: arrays of ``records.of_trials``, of the stored trials. wrench: theirs ``[trial, time, 6K]``.
+        rows: arrays of ``records.of_trials``, of the stored trials..
         index: of the trials. faults: of the trials. outcome: of the trials, of :func:`outcomes`.
     """
+    wrench = rows["wrench"]
     count, samples = wrench.shape[:2]
     arms, name = scenario.arms, preset if scenario.recorded else f"{scenario.assembly}-{scenario.robot}"
 

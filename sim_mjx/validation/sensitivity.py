@@ -30,7 +30,6 @@ from sim_mjx.engines.common import SETTLING
 from sim_mjx.engines.device import Fixed
 from sim_mjx.engines.quiet import mjx
 from sim_mjx.randomization import overrides
-from sim_mjx.validation.driven import DrivenParams
 
 SOFT = 1e-4  # impedance with which a contact begins; MuJoCo takes no less
 Wrenches = Float[Array, "trial time 6"]
@@ -98,18 +97,6 @@ def moved(parts: PartParams, name: str, by: float) -> PartParams:
     return replace(parts, **{attribute: before + by * mask})
 
 
-def with_parts(trial: DrivenParams, name: str, by: float) -> DrivenParams:
-    """One trial with the parts of :func:`moved`.
-
-    >>> from sim_mjx.presets import HOOKED
-    >>> preset = HOOKED["hooked-B"]
-    >>> trial = DrivenParams(preset.parts, preset.sensor, np.zeros((20, 6)), np.array(20, np.int32))
-    >>> round(float(with_parts(trial, "parts.friction", 0.1).parts.friction - preset.parts.friction), 3)
-    0.1
-    """
-    return replace(trial, parts=moved(trial.parts, name, by))
-
-
 def wrench_and_derivatives(
     scene: Scene, params: Any, tangents: Sequence[Fields], statistics: Statistics
 ) -> tuple[Float64[np.ndarray, "trial statistic"], Float64[np.ndarray, "trial statistic parameter"]]:
@@ -165,8 +152,6 @@ class _Job:
         settling = -(-SETTLING // self.layout.substeps)
         stretches = -(-(settling + self.periods) // device.STRETCH)
         start = device.start(self.layout, fixed)
-        _, log = jax.lax.scan(
-            lambda at, _: device.stretch(self.layout, fixed, at), start, length=stretches
-        )  # fmt: skip
+        _, log = jax.lax.scan(lambda at, _: device.stretch(self.layout, fixed, at), start, length=stretches)
         wrench = log.wrench.reshape(-1, *log.wrench.shape[2:])[settling : settling + self.periods]
         return self.statistics(jnp.swapaxes(wrench, 0, 1))

@@ -132,6 +132,18 @@ def test_anybodys_arm(tmp_path: Path) -> None:
         serial_chain(sliding, "wrist")
 
 
+def test_springs_of_an_arm_do_not_bend_its_servos(tmp_path: Path) -> None:
+    path = tmp_path / "mine.xml"
+    path.write_text(ARM.replace("<joint", '<joint stiffness="50"'))
+    robot = from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
+    model = equipped(robot).compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] += 1.0
+    mujoco.mj_forward(model, data)
+    bent = [model.joint(model.dof_jntid[dof]).name for dof in np.flatnonzero(data.qfrc_spring)]
+    assert bent == ["arm/finger"]  # which no servo moves
+
+
 def test_a_robot_may_be_built_once() -> None:
     spec = ROBOTS["panda"].build()
     once, panda = replace(ROBOTS["panda"], build=lambda: spec), ROBOTS["panda"]

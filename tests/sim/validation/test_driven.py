@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments._lib import driven_objective
+from experiments._lib.driven_objective import DrivenObjective, DrivenTrial
 from rcbht_jax.errors import InputError
 from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Recordings
@@ -19,9 +21,8 @@ from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.scene import Scene, hooked
 from sim_mjx.engines import native
 from sim_mjx.presets import HOOKED
-from sim_mjx.validation import driven_fit, gauss_newton, sensitivity, sessions
+from sim_mjx.validation import gauss_newton, sensitivity, sessions
 from sim_mjx.validation.driven import DrivenParams, driven, quicker_path
-from sim_mjx.validation.driven_fit import DrivenObjective, DrivenTrial
 from sim_mjx.validation.system_id import Bound, Search
 
 PRESET = HOOKED["hooked-B"]
@@ -86,7 +87,7 @@ def test_parts_are_found_again_from_the_wrench_that_they_gave(scene: Scene, path
     ((wrench,),) = DrivenObjective(scene, presets, (seen,)).simulate([true])
     objective = DrivenObjective(scene, presets, (replace(seen, wrench=wrench),))
     assert float((objective([true]) ** 2).sum()) < 1e-12
-    np.testing.assert_allclose(driven_fit.explained(objective.trials[0], wrench), 1.0)
+    np.testing.assert_allclose(driven_objective.explained(objective.trials[0], wrench), 1.0)
     bounds = {"parts.mount_stiffness[2]": Bound(3e3, 2e4, True), "hooked-B:parts.position[2]": Bound(0.0, 2.5e-3)}
     start = {"parts.mount_stiffness[2]": 5000.0, "hooked-B:parts.position[2]": 1.6e-3}
     found = gauss_newton.fit(objective, Search(bounds, start=start), iterations=12)
@@ -99,10 +100,10 @@ def test_a_trial_that_diverged_counts_as_lost(scene: Scene, path: np.ndarray, mo
     seen = DrivenTrial("made", "hooked-B", path, np.ones((len(path), 6)), 100)
     objective = DrivenObjective(scene, {"hooked-B": PRESET}, (seen,))
     run = native.simulate(scene, stack([pressed(path)]))
-    monkeypatch.setattr(driven_fit.engines, "simulate", lambda *_: replace(run, diverged=np.array([True])))
+    monkeypatch.setattr(driven_objective.engines, "simulate", lambda *_: replace(run, diverged=np.array([True])))
     (residual,) = objective([{}])
     assert np.isfinite(residual).all()
-    assert (residual**2).sum() == pytest.approx(driven_fit.LOST**2)
+    assert (residual**2).sum() == pytest.approx(driven_objective.LOST**2)
 
 
 def test_where_the_hand_is_loaded_is_found_and_counts(path: np.ndarray) -> None:
@@ -132,11 +133,11 @@ def test_where_the_hand_is_loaded_is_found_and_counts(path: np.ndarray) -> None:
 
 def test_recorded_trials_are_cut_around_contact(hiro_dir: Path, hiro_recordings: Recordings) -> None:
     rows = sessions.recorded_rows(hiro_recordings, "hooked-A")
-    with_angles = driven_fit.rows_with_angles(hiro_dir, hiro_recordings, rows, HOOKED["hooked-A"])
+    with_angles = driven_objective.rows_with_angles(hiro_dir, hiro_recordings, rows, HOOKED["hooked-A"])
     assert len(with_angles) == len(rows) - 1  # the angles of one are empty
-    trial = driven_fit.driven_trial(hiro_dir, hiro_recordings, with_angles[0], "hooked-A", HOOKED["hooked-A"])
+    trial = driven_objective.driven_trial(hiro_dir, hiro_recordings, with_angles[0], "hooked-A", HOOKED["hooked-A"])
     assert len(trial.path) == len(trial.wrench)
-    assert np.abs(trial.wrench[driven_fit.BASE].mean(0)).max() < 1e-9
+    assert np.abs(trial.wrench[driven_objective.BASE].mean(0)).max() < 1e-9
     assert np.abs(trial.wrench[: trial.begin, 2]).max() < 2.0 < trial.wrench[trial.begin :, 2].max()
 
 
@@ -175,7 +176,10 @@ def test_forward_derivatives_are_central_differences(path: np.ndarray) -> None:
     ):  # MJX is not strict
         tangents = [sensitivity.field_derivatives(scene, [one.parts], name, by) for name, by in NAMES.items()]
         value, forward = sensitivity.wrench_and_derivatives(scene, stack([one]), tangents, means)
-        ends = [sensitivity.with_parts(one, name, sign * by) for name, by in NAMES.items() for sign in (1, -1)]
+        ends = [
+            replace(one, parts=sensitivity.moved(one.parts, name, sign * by))
+            for name, by in NAMES.items() for sign in (1, -1)
+        ]  # fmt: skip
         found = sensitivity.values(scene, stack([one, *ends]), means)
     np.testing.assert_allclose(found[0], value[0], rtol=1e-9)
     central = (found[1::2] - found[2::2]) / (2 * np.array(list(NAMES.values())))[:, None]

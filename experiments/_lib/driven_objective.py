@@ -2,7 +2,7 @@
 
 Recorded joint angles give the path of the hand. Moved along the same path, parts of the right shape and stiffness give
 the recorded wrench, whatever the controller was: only the parts and their places are fitted. As in
-:mod:`sim_mjx.validation.joint_fit` a parameter is shared by all sessions, or belongs to one (``B:parts.roll``).
+:mod:`experiments._lib.joint_objective` a parameter is shared by all sessions, or belongs to one (``B:parts.roll``).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
+from experiments._lib.joint_objective import physical
 from rcbht_jax.errors import InputError
 from rcbht_jax.robots import kinematics
 from rcbht_jax.robots.snap_assembly import HARMONISED
@@ -29,7 +30,6 @@ from sim_mjx.presets.session import SessionPreset
 from sim_mjx.randomization import overrides
 from sim_mjx.validation.driven import DrivenParams
 from sim_mjx.validation.gauss_newton import Residuals
-from sim_mjx.validation.joint_fit import physical
 from sim_mjx.validation.replay import recorded_angles
 from sim_mjx.validation.system_id import Values
 

@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from experiments.simulation.hook_bench import press_and_pull
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly import hook as hooks
 from sim_mjx.assembly.hook import Hook, beam_stiffness, broken, lip_boxes, mating_force, separation_force, strain, worn
-from sim_mjx.validation.hook_bench import press_and_pull
 
 TAB = Hook(8540.0, 0.8e-3, np.radians(35), np.radians(55), friction=0.3)
 
@@ -112,9 +112,3 @@ def test_the_bench_notices_a_wrong_lip(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_impossible_hooks_are_refused(values: dict[str, float], said: str) -> None:
     with pytest.raises(InputError, match=said):
         replace(TAB, **values)
-
-
-def test_a_bench_needs_hooks() -> None:
-    for hooks_, lower in (([], None), ([TAB], [0.0, 1e-3])):
-        with pytest.raises(InputError, match="expected at least one, and in lower"):
-            press_and_pull(hooks_, lower)

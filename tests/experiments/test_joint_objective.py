@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments._lib import joint_objective as joint
+from experiments._lib.joint_objective import IMPOSSIBLE, JointObjective, Share, physical, quickest_fall
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import hooked
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.presets import HOOKED
-from sim_mjx.validation import joint_fit, sessions, snaps
-from sim_mjx.validation.joint_fit import IMPOSSIBLE, JointObjective, Share, physical, quickest_fall
+from sim_mjx.validation import sessions, snaps
 
 SESSION_B = HOOKED["hooked-B"]
 
@@ -49,9 +50,9 @@ def test_own_parameters_belong_to_their_session_only() -> None:
 def test_outcomes_are_those_of_the_placements() -> None:
     wrench = np.zeros((2, 10, 6), np.float32)
     right = np.array([[True] * 4, [True, False, True, True]])
-    assert joint_fit.outcome_loss(share(), rollouts(wrench, right)) == 0.0
-    assert joint_fit.outcome_loss(share(), rollouts(wrench, ~right)) == 0.5  # none of four; not all is as recorded
-    assert joint_fit.outcome_loss(share(), rollouts(wrench, np.ones((2, 4), np.bool_))) == 0.5
+    assert joint.outcome_loss(share(), rollouts(wrench, right)) == 0.0
+    assert joint.outcome_loss(share(), rollouts(wrench, ~right)) == 0.5  # none of four; not all is as recorded
+    assert joint.outcome_loss(share(), rollouts(wrench, np.ones((2, 4), np.bool_))) == 0.5
 
 
 def test_quickest_fall_is_the_largest_difference_within_a_snap() -> None:
@@ -81,7 +82,7 @@ def test_a_tab_that_gives_way_counts_and_ringing_does_not() -> None:
     for name, values in force.items():
         wrench = np.zeros((2, len(time), 6), np.float32)
         wrench[..., 2] = values
-        missing[name] = joint_fit._missing_snaps(share(), rollouts(wrench, seated))
+        missing[name] = joint._missing_snaps(share(), rollouts(wrench, seated))
     assert missing["level"] > 0.95
     assert missing["ringing"] > 0.9
     assert missing["snap"] < 0.1
@@ -91,13 +92,13 @@ def test_the_wait_for_the_last_tab_is_compared_with_the_recorded_one() -> None:
     samples, mating = 4000, 0.3
     run = rollouts(np.zeros((2, samples, 6), np.float32), np.ones((2, 4), np.bool_))
     wrong = {}
-    for wait in (-0.2, joint_fit.WAIT / 4, joint_fit.WAIT):
+    for wait in (-0.2, joint.WAIT / 4, joint.WAIT):
         run.past[...] = False
         run.past[:, round((mating + wait) / CONTROL_PERIOD) :] = True
-        wrong[wait] = joint_fit._wrong_wait(share(), run)
+        wrong[wait] = joint._wrong_wait(share(), run)
     run.past[...] = False  # none passes
-    assert wrong[joint_fit.WAIT] < 0.01 < wrong[joint_fit.WAIT / 4] < 0.5
-    assert wrong[-0.2] == joint_fit._wrong_wait(share(), run) == 1.0
+    assert wrong[joint.WAIT] < 0.01 < wrong[joint.WAIT / 4] < 0.5
+    assert wrong[-0.2] == joint._wrong_wait(share(), run) == 1.0
 
 
 def test_impossible_parts_are_the_worst_and_others_are_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,9 +108,9 @@ def test_impossible_parts_are_the_worst_and_others_are_simulated(monkeypatch: py
         seen.append(np.asarray(params.parts.stop_play))
         return rollouts(np.zeros((2, 20, 6), np.float32), np.ones((2, 4), np.bool_))
 
-    monkeypatch.setattr(joint_fit.engines, "simulate", simulate)
-    monkeypatch.setattr(joint_fit, "Parallel", lambda n_jobs: list)
-    monkeypatch.setattr(joint_fit, "delayed", lambda function: lambda *arguments: float(len(arguments[1].length)))
+    monkeypatch.setattr(joint.engines, "simulate", simulate)
+    monkeypatch.setattr(joint, "Parallel", lambda n_jobs: list)
+    monkeypatch.setattr(joint, "delayed", lambda function: lambda *arguments: float(len(arguments[1].length)))
     objective = JointObjective(hooked(), {"hooked-B": share()})
     losses = objective([{"parts.stop_play": 2e-4}, {"parts.stop_play": -1.0}])
     np.testing.assert_array_equal(losses, [2.0, IMPOSSIBLE])
