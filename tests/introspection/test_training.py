@@ -190,6 +190,14 @@ def test_repeated_snapshots_are_within_the_bound(monkeypatch):
     assert len(items.y) == 12  # six trials of two intervals
     items = training.training_items(data, HeadSpec(TaskSpec("phase"), phase=True), EncoderConfig())
     assert len(items.y) == 24  # none is repeated where a stream finds out when intervals begin
+    monkeypatch.setattr(training, "MOST", 30)  # five snapshots
+    few = data.take(np.arange(3))
+    long = replace(few, annotations=Annotations.from_rows(
+        (row, "phase", "ab"[k % 2], k * 0.02, k * 0.02 + 0.02) for row in range(3) for k in range(10)
+    ))  # fmt: skip
+    items = training.training_items(long, HeadSpec(TaskSpec("phase")), EncoderConfig())
+    assert np.unique(items.trial, return_counts=True)[1].tolist() == [2] * 3  # one of each class
+    assert items.dropped == {"intervals, beyond 30 snapshots to learn from": 24}
 
 
 def test_hyper_parameters_are_chosen_on_some_snapshots_and_all_of_them_train(monkeypatch):
