@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from rcbht_jax.calibration.rest import auto_thresholds
-from rcbht_jax.encoding.limit_files import has_tolerances, read_limits
+from rcbht_jax.encoding.limit_files import read_limits, taken_from_start
 from rcbht_jax.encoding.rules import AnyLimits, config_of, limits_for
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.events import AnomalyScore, Belief, Event, Word
@@ -118,12 +118,8 @@ class Bridge:
 
     def _seconds(self) -> float:
         """How long readings are collected, from which limits are taken."""
-        learns = self._parameters["robot"] == "auto" and not self._parameters["thresholds"]
-        measured = self._parameters["rule"] == "fit" and not self._parameters["tolerance"]
-        if measured and self._parameters["thresholds"]:
-            measured = not has_tolerances(self._parameters["thresholds"])
-        learns |= measured
-        return float(self._parameters["lead"]) if learns else 0.0
+        taken = taken_from_start(*(self._parameters[name] for name in ("rule", "robot", "thresholds", "tolerance")))
+        return float(self._parameters["lead"]) if taken else 0.0
 
     def _words(self, early: list[Message]) -> WordIntrospector:
         opening = read_opening(iter(early), self._lead)

@@ -246,7 +246,7 @@ class Source(RuleCommand):
             reads: what the model or monitor reads beside which the words are shown; without, from the stream.
         """
         from rcbht_jax.calibration.rest import auto_thresholds
-        from rcbht_jax.encoding.limit_files import has_tolerances
+        from rcbht_jax.encoding.limit_files import taken_from_start
         from rcbht_jax.introspection.opening import read_opening
         from rcbht_jax.introspection.resampling import resampled
         from rcbht_jax.introspection.words import WordIntrospector
@@ -264,19 +264,16 @@ class Source(RuleCommand):
                 recordings = replace(recordings, axes=axes, units=units)
         else:
             robot = self.robot or ("hiro" if path.is_dir() and not is_bag(path) else "auto")
-            learns = self.thresholds is None and robot == "auto"
-            measured = self.rule == "fit" and not self.tolerance
-            measured = measured and (self.thresholds is None or not has_tolerances(self.thresholds))
-            if learns or measured:
-                what = " and ".join(["thresholds"] * learns + ["tolerances"] * measured)
-                say(f"taking the {what} from the first {self.lead:g} s")
-            opening = read_opening(messages, self.lead if learns or measured else 0.0, known)
+            taken = taken_from_start(self.rule, robot, self.thresholds, self.tolerance)
+            if taken:
+                say(f"taking the {' and '.join(taken)} from the first {self.lead:g} s")
+            opening = read_opening(messages, self.lead if taken else 0.0, known)
             messages, rate = opening.messages, known or opening.rate()
             stated = ("",) * len(opening.axes) if self.source == "-" else UNITS
             recordings = opening.recordings(rate, *self._signal(opening.axes, stated, reads), self.max_gap)
         if _is_store(path):
             thresholds, _ = self.read_limits(recordings, path)
-        elif learns:
+        elif "thresholds" in taken:
             thresholds = auto_thresholds(recordings, self.window, self.rule)
         else:
             thresholds, _ = replace(self, robot=robot).read_limits(recordings, path)

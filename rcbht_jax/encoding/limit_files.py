@@ -103,3 +103,23 @@ def read_limits(
 def has_tolerances(path: Path | str) -> bool:
     """Whether a file of limits that the fit rule can use has tolerances; errors as of :func:`read_limits`."""
     return isinstance(read_limits(path, (), rule="fit")[0], FitLimits)
+
+
+def taken_from_start(rule: str, robot: str, thresholds: Path | str | None, tolerance: object = None) -> list[str]:
+    """Which limits of a stream come from its first readings: "thresholds", "tolerances", both or none.
+
+    Args:
+        rule: of the words.
+        robot: preset of the thresholds; auto = from readings at rest.
+        thresholds: file in place of the preset; None or "" = none.
+        tolerance: of the fit rule; None, zero or empty = from readings.
+
+    Raises:
+        InputError: as of :func:`read_limits`.
+
+    >>> taken_from_start("paper", "auto", None), taken_from_start("fit", "hiro", None)
+    (['thresholds'], ['tolerances'])
+    """
+    learned = not thresholds and robot == "auto"
+    measured = rule == "fit" and not tolerance and not (thresholds and has_tolerances(thresholds))
+    return ["thresholds"] * learned + ["tolerances"] * measured

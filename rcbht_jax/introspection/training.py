@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 
@@ -10,7 +11,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from rcbht_jax._util.arms import learned_arm
 from rcbht_jax._util.digest import data_hash, wrench_digests
-from rcbht_jax._util.printable import left_out
+from rcbht_jax._util.printable import INTERVALS, left_out
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.encoding.thresholds import limits_of, preset
@@ -28,6 +29,7 @@ from rcbht_jax.learning.class_groups import LARGEST, TooFewTrials, groups_of_cla
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.progress import ProgressCalibration
 from rcbht_jax.learning.svm import Grid, select
+from rcbht_jax.learning.task_items import leave_out
 from rcbht_jax.learning.tasks import FAILURE, LabelledIntervals, TaskSpec, labelled_intervals, track_of
 from rcbht_jax.types import Recordings
 
@@ -203,28 +205,24 @@ def train_head(
     thresholds: AnyLimits,
     seed: int = 0,
     progress: Callable[[int, int], object] | None = None,
+    items: LabelledIntervals | None = None,
 ) -> Head:
     """Train one classifier on the training snapshots of its task.
 
     Its probabilities for a whole trial are calibrated by progress (:mod:`rcbht_jax.learning.progress`), on beliefs
     about held-out trials. Trials with more than 24,000 snapshots in all are learnt in part (:func:`training_items`),
-    and hyper-parameters are chosen on at most 5,000 of the snapshots, or those of five trials of every class.
+    and hyper-parameters are chosen on about 5,000 of the snapshots.
 
-    ``progress`` is called with the number of snapshots since the last call and the total.
+    ``progress`` is called with the number of snapshots since the last call and the total. ``items`` are those of
+    :func:`training_items`, where they are known.
 
     Raises:
-        InputError: an encoder of another sampling period, fewer than two classes in two trials or more, intervals of a
-            track that overlap, too few nominal trials for ``false_alarms``, or no failure among the outcomes for it.
+        InputError: as from :func:`training_items`, an encoder of another sampling period, intervals of a track that
+            overlap, too few nominal trials for ``false_alarms``, or no failure among the outcomes for it.
     """
     if not np.isclose(config.dt, recordings.dt):
         raise InputError(f"The encoder has a sampling period of {config.dt} s, the recordings of {recordings.dt} s.")
-    items = training_items(recordings, spec, config, seed)
-    several = int((groups_of_classes(items.y, items.trial, range(len(items.classes))) > 1).sum())
-    if several < 2:
-        raise TooFewTrials(
-            f"The task {spec.task.task} needs two classes that have two trials or more each; {several or 'no'} class "
-            f"has as many.{left_out(items.dropped)}"
-        )
+    items = training_items(recordings, spec, config, seed) if items is None else items
     track = track_of(recordings, spec.task)
     _check_apart(items, recordings, track)
     alarm = FAILURE if spec.task.task == OUTCOME and FAILURE in items.classes else ""
@@ -252,23 +250,29 @@ def train_head(
 def training_items(recordings: Recordings, spec: HeadSpec, config: AnyConfig, seed: int = 0) -> LabelledIntervals:
     """The intervals that train a classifier, of classes with two trials or more.
 
-    Of trials with more than 24,000 snapshots, repeated ones included, it takes some in a seeded order
-    (:func:`rcbht_jax.learning.class_groups.some_items`), and counts the others as left out.
+    Of more than 24,000 snapshots, repeated ones included, it takes some trials in a seeded order, or some intervals of
+    few trials (:func:`rcbht_jax.learning.class_groups.some_items`), and counts the others as left out.
 
     Raises:
-        InputError: as from :func:`rcbht_jax.learning.tasks.labelled_intervals`.
+        InputError: as from :func:`rcbht_jax.learning.tasks.labelled_intervals`, or fewer than two classes are in two
+            trials or more.
     """
     items, _ = learnable(labelled_intervals(recordings, spec.task))
+    several = int((groups_of_classes(items.y, items.trial, range(len(items.classes))) > 1).sum())
+    if several < 2:
+        raise TooFewTrials(
+            f"The task {spec.task.task} needs two classes that have two trials or more each; {several or 'no'} class "
+            f"has as many.{left_out(items.dropped)}"
+        )
     spec = replace(spec, subtask=bool(track_of(recordings, spec.task)))
     snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
-    interval = np.repeat(snapshots.interval, np.where(snapshots.complete, spec.learning[1], 1))
-    trial = items.trial[interval]
-    rows = some_items(items.y[interval], trial, trial, seed, MOST)
-    if len(rows) == len(interval):
-        return items
-    kept = items.take(np.unique(interval[rows]))
-    left = len(np.unique(items.trial)) - len(np.unique(kept.trial))
-    return replace(kept, dropped=kept.dropped | {f"beyond {MOST:,} snapshots to learn from": left})
+    size = np.bincount(snapshots.interval, np.where(snapshots.complete, spec.learning[1], 1)).astype(np.int64)
+    rows = some_items(items.y, items.trial, items.trial, seed, MOST, size)
+    kept, gone, dropped = items.take(rows), ~np.isin(items.trial, items.trial[rows]), Counter(items.dropped)
+    reason = f"beyond {MOST:,} snapshots to learn from"
+    leave_out(dropped, reason, len(np.unique(items.trial[gone])))
+    leave_out(dropped, INTERVALS + reason, len(items.y) - len(rows) - int(gone.sum()))
+    return replace(kept, dropped=dict(dropped))
 
 
 def _check_apart(items: LabelledIntervals, recordings: Recordings, track: str) -> None:
@@ -368,23 +372,18 @@ def train_model(
     limits = preset(axes=recordings.axes, units=recordings.units) if thresholds is None else thresholds
     names = _names(specs)
     _check_same_beginnings(recordings, specs)
-    trained = (train_head(recordings, spec, config, limits, seed, progress) for spec in specs)
-    heads = tuple(replace(head, name=name) for head, name in zip(trained, names, strict=True))
+    tasks = [training_items(recordings, spec, config, seed) for spec in specs]
+    heads = tuple(
+        replace(train_head(recordings, spec, config, limits, seed, progress, items), name=name)
+        for spec, items, name in zip(specs, tasks, names, strict=True)
+    )
     extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
     extra |= {"axes": list(recordings.axes), "units": list(recordings.units)}
     kept = limits if isinstance(limits, FitLimits) else np.asarray(limits_of(limits), np.float64)
-    rows = _trained_on(recordings, specs, config, seed)
+    rows = np.unique(np.concatenate([items.intervals[0].recording for items in tasks]))
     extra["arm"] = learned_arm(str(recordings.arm[rows[0]]), recordings.arm)
     seen = wrench_digests(recordings.wrench, recordings.length)[rows]
     return IntrospectionModel(config, kept, heads, data_hash(recordings), extra=extra, digests=seen)
-
-
-def _trained_on(
-    recordings: Recordings, specs: tuple[HeadSpec, ...], config: AnyConfig, seed: int
-) -> Int[np.ndarray, " row"]:
-    """The recordings that any classifier has learnt from."""
-    tasks = (training_items(recordings, spec, config, seed) for spec in specs)
-    return np.unique(np.concatenate([items.intervals[0].recording for items in tasks]))
 
 
 def _names(specs: tuple[HeadSpec, ...]) -> list[str]:

@@ -75,11 +75,17 @@ def fewest_groups(y: NDArray[Any], groups: NDArray[Any]) -> int:
 
 
 def some_items(
-    y: NDArray[Any], groups: NDArray[Any], trials: NDArray[Any], seed: int, most: int = LARGEST
+    y: NDArray[Any],
+    groups: NDArray[Any],
+    trials: NDArray[Any],
+    seed: int,
+    most: int = LARGEST,
+    size: NDArray[np.int64] | None = None,
 ) -> NDArray[np.int64]:
     """Rows of whole trials in a seeded order, as many as come to at most so many items; all rows if these are no more.
 
-    The first five groups of every class are among them, with one trial each, even where these are more.
+    The first five groups of every class are among them, with one trial each. Where these have more items, an equal
+    share of every class in every trial is taken, evenly spaced and one item at least.
 
     Args:
         y: class ``[item]``.
@@ -87,6 +93,7 @@ def some_items(
         trials: of each ``[item]``.
         seed: of the order.
         most: number of items.
+        size: for how many items each counts ``[item]``; None = one.
 
     Example:
         >>> y, trials = np.tile([0, 1], 500), np.repeat(np.arange(500), 2)
@@ -94,7 +101,8 @@ def some_items(
         >>> len(rows), np.bincount(y[rows]).tolist(), len(np.unique(trials[rows]))
         (100, [50, 50], 50)
     """
-    if len(y) <= most:
+    size = np.ones(len(y), np.int64) if size is None else size
+    if size.sum() <= most:
         return np.arange(len(y))
     number, rng = group_numbers(trials), np.random.default_rng(seed)
     place = rng.permutation(number.max() + 1)[number]  # of the item's trial in the order
@@ -102,8 +110,15 @@ def some_items(
         rows = np.flatnonzero(y == one)[np.argsort(place[y == one], kind="stable")]
         _, first = np.unique(group_numbers(groups[rows]), return_index=True)
         place[np.isin(number, number[rows[np.sort(first)[:_FOLDED]]])] = -1
-    size = np.bincount(place + 1)  # those of place -1, then each trial's
-    return np.flatnonzero((np.cumsum(size) <= most)[place + 1] | (place < 0))
+    total = np.bincount(place + 1, size)  # those of place -1, then each trial's
+    rows = np.flatnonzero((np.cumsum(total) <= most)[place + 1] | (place < 0))
+    share = min(1.0, most / size[rows].sum())
+    cell = group_numbers(np.unique(y[rows], return_inverse=True)[1] * len(y) + number[rows])
+    order, count = np.argsort(cell, kind="stable"), np.bincount(cell)
+    kept, before = np.ceil(share * count).astype(np.int64), np.cumsum(count) - count  # of each cell
+    step = np.arange(len(rows)) - before[cell[order]]  # from 0 within its cell
+    kept, count = kept[cell[order]], count[cell[order]]
+    return np.sort(rows[order[(step + 1) * kept // count > step * kept // count]])
 
 
 def training_all(splits: list[Split], y: NDArray[Any], groups: NDArray[Any], seed: int) -> list[Split]:

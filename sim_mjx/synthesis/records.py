@@ -41,7 +41,7 @@ def of_trials(out: Rollouts, recorded: bool = True) -> Arrays:
     """
     diverged = _diverged(out)
     if recorded:
-        better, notes = harmonised(out.onset, out.length, diverged, partial(_tilts, out.joints))
+        better, notes = harmonised(out.onset, out.length, diverged, partial(tilts, out.joints))
     else:
         better, notes = out.onset, np.full(len(out.onset), "")
     wrench = out.wrench
@@ -108,7 +108,7 @@ def harmonised(
     return better, np.array(notes, np.str_)
 
 
-def _tilts(joints: Float32[np.ndarray, "trial time joint"], spans: list[Span]) -> list[Degrees]:
+def tilts(joints: Float32[np.ndarray, "trial time joint"], spans: list[Span]) -> list[Degrees]:
     """Angles between hand and vertical in each span."""
     if not spans:
         return []

@@ -7,6 +7,7 @@ simulation only a mild variation between trials is known.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -15,8 +16,6 @@ from jaxtyping import Bool, Float64, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.hiro import onsets
-from rcbht_jax.robots import kinematics
 from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED, snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
@@ -28,6 +27,7 @@ from sim_mjx.presets.session_a import SESSION_A
 from sim_mjx.randomization import trials
 from sim_mjx.randomization.overrides import Physical
 from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.synthesis import records
 from sim_mjx.validation import signature, snaps
 from sim_mjx.validation.dynamics import Dynamics, dynamics
 from sim_mjx.validation.replay import Recorder, seated_snaps
@@ -82,14 +82,8 @@ def trials_of(
 
 def harmonised(run: Rollouts) -> Float64[np.ndarray, "trial 4"]:
     """State onsets, s, with the harmonised end of a rotation that lasts one period."""
-    out = run.onset.copy()
-    for row, samples in enumerate(run.length):
-        if onsets.needs_harmonising(run.onset[row], CONTROL_PERIOD):
-            joints = run.joints[row, :samples].astype(np.float64)
-            tilt = np.degrees(kinematics.tilt(kinematics.fk(joints)[1]))
-            time = np.arange(samples) * CONTROL_PERIOD
-            out[row] = onsets.harmonised(run.onset[row], time, tilt)[0]
-    return out
+    tilts = partial(records.tilts, run.joints)
+    return records.harmonised(run.onset, run.length, np.zeros_like(run.diverged), tilts)[0]
 
 
 def profiles(run: Rollouts, rows: Rows = None) -> Profiles:

@@ -12,7 +12,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmentation import UNKNOWN, Protocol, segment
-from rcbht_jax.introspection.segmenter import WrenchSegmenter
+from rcbht_jax.introspection.segmenter import WrenchSegmenter, _completed
 from rcbht_jax.learning.segment_metrics import score_and_interval
 from rcbht_jax.types import Recordings
 from tests.support.snaps import with_columns
@@ -114,6 +114,22 @@ def test_the_tolerance_of_the_fit_rule_comes_from_the_training_recordings():
         WrenchSegmenter(tolerance=1.0).fit(train, y[:5])
 
 
+def test_few_recordings_are_completed_by_copies_that_no_fold_parts_from_them():
+    data = made(2)
+    y = [data.annotations.of_samples(i, "phase", n, data.dt) for i, n in enumerate(data.length.tolist())]
+    completed, labels, group = _completed(data, y, np.random.default_rng(0))
+    assert np.bincount(group).tolist() == [4, 4]
+    assert group[:2].tolist() == [0, 1]
+    for row in range(2, 8):
+        force = completed.wrench[row, : completed.length[row], 0]
+        assert abs(force[labels[row] == 2].mean() / 10 - 1) < np.exp(0.3) - 1  # labels are as fast as the copy
+        assert force[labels[row] == 0].max() < 0.3
+    peaks, lengths = completed.wrench[2:, :, 0].max(1), completed.length[2:]
+    assert min(np.ptp(peaks) / 10, np.ptp(lengths) / lengths.min()) > 0.1
+    single = _completed(data.take(np.array([0])), y[:1], np.random.default_rng(0))
+    assert single[2].tolist() == list(range(8))  # of which some have to be held out
+
+
 def test_nonsense_is_not_learnt():
     result = segment(made(shuffled=True), WrenchSegmenter(**TREES), Protocol(folds=0))
     assert result.score.f1[1] < 0.7
@@ -200,6 +216,8 @@ def test_recordings_without_annotation_are_labelled():
     assert result.annotated.tolist() == [False, *[True] * 5]
     truth = marks.of_samples(0, "phase", int(data.length[0]), data.dt)
     assert (result.predicted[0] == truth).mean() > 0.9
+    annotated = np.concatenate(result.truth[1:])
+    assert result.to_json()["majority"] == pytest.approx(np.bincount(annotated).max() / len(annotated))
 
 
 @pytest.mark.parametrize("count", [2, 4])

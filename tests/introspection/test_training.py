@@ -113,8 +113,8 @@ def test_tracks_of_one_model_begin_together(monkeypatch, onset, refused):
     data = Recordings.from_arrays(np.zeros((2, 200, 6)), 200, annotations=marks)
     monkeypatch.setattr(training, "train_head", lambda *args: pytest.fail("work was begun"))
     specs = (HeadSpec(TaskSpec("tool")), HeadSpec(TaskSpec("outcome")), HeadSpec(TaskSpec("phase")))
-    text = "tool and phase begin at different times" if refused else "work was begun"
-    with pytest.raises(InputError if refused else pytest.fail.Exception, match=text):
+    text = "tool and phase begin at different times" if refused else "the task outcome needs two classes"
+    with pytest.raises(InputError, match=text):  # every task is checked before the first is learned
         training.train_model(data, specs)
 
 
@@ -190,6 +190,14 @@ def test_repeated_snapshots_are_within_the_bound(monkeypatch):
     assert len(items.y) == 12  # six trials of two intervals
     items = training.training_items(data, HeadSpec(TaskSpec("phase"), phase=True), EncoderConfig())
     assert len(items.y) == 24  # none is repeated where a stream finds out when intervals begin
+    monkeypatch.setattr(training, "MOST", 30)  # five snapshots
+    few = data.take(np.arange(3))
+    long = replace(few, annotations=Annotations.from_rows(
+        (row, "phase", "ab"[k % 2], k * 0.02, k * 0.02 + 0.02) for row in range(3) for k in range(10)
+    ))  # fmt: skip
+    items = training.training_items(long, HeadSpec(TaskSpec("phase")), EncoderConfig())
+    assert np.unique(items.trial, return_counts=True)[1].tolist() == [2] * 3  # one of each class
+    assert items.dropped == {"intervals, beyond 30 snapshots to learn from": 24}
 
 
 def test_hyper_parameters_are_chosen_on_some_snapshots_and_all_of_them_train(monkeypatch):

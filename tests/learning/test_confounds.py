@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -61,6 +62,33 @@ def test_the_median_of_the_others_is_what_numpy_says(values):
 )
 def test_each_confound_has_its_sentence(items, sentence):
     assert sentence in " ".join(confounds(items))
+
+
+def test_a_confound_has_to_predict_more_than_half_of_what_chance_does_not():
+    """Three quarters by duration are half of what chance leaves; four fifths are more."""
+    few = confounds(labelled("A" * 8, [20, 20, 20, 30, 30, 30, 30, 20], [0] * 4 + [1] * 4))
+    more = confounds(labelled("A" * 10, [20, 20, 20, 20, 30, 30, 30, 30, 30, 20], [0] * 5 + [1] * 5))
+    assert few == ()
+    assert "balanced accuracy of 80%" in " ".join(more)
+
+
+def test_either_arm_may_differ_in_length():
+    one, other = (labelled("AAAA", length, [0, 0, 1, 1]) for length in ([20, 30, 30, 20], [20, 21, 40, 41]))
+    assert "differ in length" in " ".join(confounds(replace(one, intervals=(*one.intervals, *other.intervals))))
+
+
+def test_only_what_is_classified_can_confound():
+    """Copies among other recordings, and the beginnings of recordings that intervals do not begin with."""
+    y = np.repeat([0, 1], 2)
+    recordings = Recordings.from_arrays(
+        np.random.default_rng(0).normal(size=(6, 40, 3)) + 50.0 * np.array([0, 0, 1, 1, 1, 1])[:, None, None], rate=10
+    )
+    recordings.wrench[5] = recordings.wrench[4]
+    items, facts = labelled("AAAA", [30, 40, 40, 30], y.tolist()), WrenchFacts.of(recordings)
+    (spans,) = items.intervals
+    inside = replace(items, intervals=(replace(spans, start=np.array([0, 1, 1, 0])),))
+    assert ["first second" in " ".join(confounds(one, facts)) for one in (items, inside)] == [True, False]
+    assert "copies" not in " ".join(confounds(items, facts))
 
 
 def test_one_session_is_no_confound_and_copies_are_counted():

@@ -86,6 +86,8 @@ def test_parts_without_beliefs_stay_and_classes_without_mistakes_are_not_certain
     made = ProgressCalibration.fit(p, y, np.full(20, 9.0), np.arange(20), 10.0)
     assert made.temperature[:3] == (1.0, 1.0, 1.0)
     assert 0.95 < made(p, np.full(20, 9.0)).max() < 0.99
+    near = ProgressCalibration.fit(0.5 + 0.02 * (p - 0.5), y, np.full(20, 9.0), np.arange(20), 10.0)
+    assert near.temperature[3] == pytest.approx(0.25)  # however much a colder one would gain
     with pytest.raises(InputError, match="expected at least one, and more than 0 s"):
         ProgressCalibration.fit(p, y, np.full(20, 9.0), np.arange(20), 0.0)
 

@@ -143,6 +143,9 @@ def test_intervals_of_few_groups_are_wider_and_never_without_width():
     # rows that share a model are not independent either
     assert width(np.stack([runs // 6, runs], 1)) > 1.2 * width(runs)
     assert width(runs // 2) > 1.5 * width(runs)  # six pairs
+    for count in (7, 8):  # groups of which Wilson's interval is taken, and of which groups are drawn
+        score, interval = score_and_interval(truth[:count], guess[:count], 0.1, runs[:count])
+        assert (interval["accuracy"] == wilson(score.accuracy * count, count)) == (count == 7)
     perfect = score_and_interval(truth, truth, 0.1, runs)[1]
     assert perfect["accuracy"] == wilson(12, 12)
     assert np.isnan(perfect["delay"]).all()  # the same in all draws
