@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.intervals import of_folds, with_width
+from experiments._lib.kernels import alignment_weights
 from experiments._lib.results_io import defaults_of, given
 from experiments._lib.tasks import states
 from experiments.calibration.near_preset import Near, between
@@ -33,7 +34,6 @@ from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.features.recipes import ALL, PLAIN, RICHER
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import metrics, validation
-from rcbht_jax.learning.kernels import alignment_weights
 from rcbht_jax.learning.tasks import LabelledIntervals, extract_features, labelled_intervals
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import LabelTracks, Recordings
