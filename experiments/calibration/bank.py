@@ -4,8 +4,7 @@ Each member of the bank is an encoder: the preset's limits times 1/256 ... 2, fo
 windows of 5, 10 and 20 samples. Features are plain words, richer words (both without duration and absolute offset) or
 all families, scaled by ranks, with a linear kernel per member. One member is selected on the training side, or kernels
 are averaged: all, those of one window, the best eight, or weighted by their alignment with the classes of the training
-side. "gain" is the difference, fold by fold, from the preset alone on the same features. "wrong" counts the repeats in
-which a sentence was misclassified.
+side. "gain" is the difference, fold by fold, from the preset alone on the same features.
 
 Run: python -m experiments.calibration.bank STORE.zarr
 """
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.intervals import of_folds, with_width
+from experiments._lib.kernels import alignment_weights
 from experiments._lib.results_io import defaults_of, given
 from experiments._lib.tasks import states
 from experiments.calibration.near_preset import Near, between
@@ -33,7 +33,6 @@ from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.features.recipes import ALL, PLAIN, RICHER
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import metrics, validation
-from rcbht_jax.learning.kernels import alignment_weights
 from rcbht_jax.learning.tasks import LabelledIntervals, extract_features, labelled_intervals
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import LabelTracks, Recordings
@@ -123,34 +122,22 @@ class Experiment:
         return bank(*self.of(source), SPECS[spec])
 
     @cache  # noqa: B019
-    def folds(self, spec: str, method: str) -> tuple[validation.CrossValidation, Counter[int]]:
-        """Scores on SIM1, and how often each sentence was wrong."""
-        items, members, wrong = self.of(SIM1)[1], self.learners(SIM1, spec), Counter[int]()
+    def folds(self, spec: str, method: str) -> validation.CrossValidation:
+        """Scores on SIM1."""
+        items = self.of(SIM1)[1]
         splits = validation.repeated_folds(items.y, items.trial, 5, self._repeats, SEED)
-
-        def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Prediction:
-            predicted, chosen = members.learner(method)(train, test, seed)
-            wrong.update(test[predicted != items.y[test]].tolist())
-            return predicted, chosen
-
-        return validation.cross_validate(learn, items.y, splits, SEED), wrong
+        return validation.cross_validate(self.learners(SIM1, spec).learner(method), items.y, splits, SEED)
 
     def sim1(self, spec: str, method: str) -> dict[str, Any]:
-        recordings, items, _ = self.of(SIM1)
-        scores, wrong = self.folds(spec, method)
-        halved = (1 + scores.accuracy - self.folds(spec, "preset")[0].accuracy) / 2  # a difference may be negative
+        items, scores = self.of(SIM1)[1], self.folds(spec, method)
+        halved = (1 + scores.accuracy - self.folds(spec, "preset").accuracy) / 2  # a difference may be negative
         gain = (2 * limit - 1 for limit in metrics.corrected_interval(halved, 1 / 4))
-        filled = filled_in(recordings, items)
         chosen = Counter(choice["candidates"][0] for repeat in scores.chosen for choice in repeat)
         return {
             "accuracy": rounded(of_folds(scores, len(np.unique(items.trial)))["accuracy"]),
             "gain": rounded(with_width(dict(zip(("mean", "low", "high"), gain, strict=True)), 0)),
             "chosen": {self.about["bank"][member]: times for member, times in chosen.most_common()},
             "confusion": scores.confusion.tolist(),
-            "wrong": {
-                f"{items.trial[i]} {items.classes[items.y[i]]}{', S3 filled in' if filled[i] else ''}": times
-                for i, times in sorted(wrong.items())
-            },
         }
 
     def transfer(self, one: str, other: str, spec: str, method: str) -> dict[str, Any]:

@@ -28,13 +28,13 @@ from scipy.stats import qmc
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.intervals import of_folds
+from experiments._lib.kernels import cost_scores, predict_kernel, rank_kernel
 from experiments._lib.tasks import states
 from experiments.calibration.methods import WORDS
 from experiments.classification.sim_to_real_sets import make
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
-from rcbht_jax.learning.kernels import cost_scores, predict_kernel, rank_kernel
 from rcbht_jax.learning.tasks import LabelledIntervals, extract_features, labelled_intervals
 from rcbht_jax.types import Recordings
 

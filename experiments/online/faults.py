@@ -7,7 +7,7 @@ that never ends counts until the planned end of mating. Every record goes on for
 in a nominal trial is a false one whenever it comes, there as well. A trial with a fault that seats nevertheless is a
 success: alarms about those are counted apart. So are faults without contact.
 
-Run: python -m experiments.online.faults --folder faults --repeats 5 --seed 2 [--jobs 5]
+Run: python -m experiments.online.faults --folder faults --repeats 5 --seed 2
 Simulated trials and their features are kept in the folder; run it again to go on where it was interrupted.
 """
 
@@ -16,9 +16,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -196,11 +194,9 @@ def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
     }
 
 
-def measure(w: Watched, repeats: int, seed: int, jobs: int = 1) -> dict[str, Any]:
+def measure(w: Watched, repeats: int, seed: int) -> dict[str, Any]:
     """All numbers of a preset."""
-    with ThreadPoolExecutor(jobs) as pool:  # training releases Python's lock
-        coming = pool.map(partial(run, w), range(seed, seed + repeats))
-        runs = list(tqdm(coming, total=repeats, file=sys.stderr, disable=None))
+    runs = [run(w, one) for one in tqdm(range(seed, seed + repeats), file=sys.stderr, disable=None)]
     return {
         "nominal trials": int((w.trials.kind == NOMINAL).sum()),
         "of them seated": int(w.trials.nominal.sum()),
@@ -226,7 +222,6 @@ def arguments(about: str | None) -> argparse.ArgumentParser:
     parser.add_argument("--per-kind", type=int, default=40)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--seed", type=int, default=2)
-    parser.add_argument("--jobs", type=int, default=1, help="repeats at a time")
     return parser
 
 
@@ -235,7 +230,7 @@ def main() -> None:
     done: dict[str, Any] = {}
     for preset in args.preset:
         w = watched(args.folder, preset, tuple(args.nominal), args.per_kind, args.seed)
-        done[preset] = measure(w, args.repeats, args.seed, args.jobs)
+        done[preset] = measure(w, args.repeats, args.seed)
         keep(done, args, preset == args.preset[-1])
 
 

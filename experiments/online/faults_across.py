@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -129,13 +128,9 @@ def main() -> None:
         return found
 
     done: dict[str, Any] = {}
-    with (
-        tqdm(total=len(sets) * len(WAYS) * len(seeds), desc="learn", file=sys.stderr, disable=None) as bar,
-        ThreadPoolExecutor(args.jobs) as pool,  # training releases Python's lock
-    ):
+    with tqdm(total=len(sets) * len(WAYS) * len(seeds), desc="learn", file=sys.stderr, disable=None) as bar:
         for preset, w in sets.items():
-            todo = {way: [pool.submit(one, preset, way, seed) for seed in seeds] for way in WAYS}
-            done[preset] = measure(w.trials, {way: [job.result() for job in jobs] for way, jobs in todo.items()})
+            done[preset] = measure(w.trials, {way: [one(preset, way, seed) for seed in seeds] for way in WAYS})
             complete = len(done) == len(sets)
             keep_faults("faults_across", "faults_across", {"what": WHAT, "complete": complete, "presets": done}, args)
 

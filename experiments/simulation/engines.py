@@ -1,6 +1,6 @@
 """Physics engines compared on one machine: parity, convergence of the solver, and speed.
 
-Run: python -m experiments.simulation.engines [--engines mjx] [--parity 64] [--speed 256] [--longest 15]
+Run: python -m experiments.simulation.engines [--parity 64] [--speed 256] [--longest 15]
 Measure speeds on an idle machine. Writes experiments/results/engines.json.
 """
 
@@ -48,7 +48,6 @@ def speed(engine: str, params: TrialParams, scene: Scene) -> tuple[dict[str, flo
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--engines", nargs="*", default=["mjx"], choices=["mjx", "warp"])
     parser.add_argument("--parity", type=int, default=64, help="trials")
     parser.add_argument("--speed", type=int, default=256, help="trials")
     parser.add_argument("--longest", type=float, default=15.0, help="s, cuts every trial")
@@ -63,13 +62,12 @@ def main() -> None:
         "native": speed("native", many, scene)[0],
     }
     expected, contact = reference(scene, few)
-    for engine in options.engines:
-        measured, found = speed(engine, few, scene)
-        ratio = result["native"]["steps_per_s"] / measured["steps_per_s"]
-        result[engine] = measured | {
-            "native_is_faster_by": round(ratio, 2),
-            "parity": asdict(parity(expected, contact, found)),
-        }
+    measured, found = speed("mjx", few, scene)
+    ratio = result["native"]["steps_per_s"] / measured["steps_per_s"]
+    result["mjx"] = measured | {
+        "native_is_faster_by": round(ratio, 2),
+        "parity": asdict(parity(expected, contact, found)),
+    }
     command = "python -m experiments.simulation.engines" + given(vars(options), vars(parser.parse_args([])))
     write_result("engines", command, result, seed=SEED)
 

@@ -46,10 +46,9 @@ class GradientOptions:
     rate: float = 0.05  # learning rate of Adam, for the logarithms of the thresholds
     rate_weights: float = 0.05  # learning rate of Adam, for the classifier
     temperature: tuple[float, float] = (1.0, 0.1)  # first and last, geometric in between
-    loss: Literal["logistic", "hinge", "fit"] = "logistic"  # fit: score of the search, without a classifier
+    loss: Literal["logistic", "fit"] = "logistic"  # fit: score of the search, without a classifier
     decay: float = 1e-3  # penalty on the squared weights of the classifier
     batch: int = 0  # trials per step, in a shuffled order; 0 = all
-    straight_through: bool = False  # hard labels in the forward pass, gradients of the soft ones
     seed: int = 0  # of the initial weights and of the order of the trials
 
     def __post_init__(self) -> None:
@@ -58,8 +57,8 @@ class GradientOptions:
                 f"Training has steps {self.steps}, batch {self.batch}, temperature {self.temperature}, rate "
                 f"{self.rate} and rate_weights {self.rate_weights}; expected positive numbers, of batch also 0."
             )
-        if self.loss not in ("logistic", "hinge", "fit"):
-            raise InputError(f"The loss {self.loss!r} is not known; expected logistic, hinge or fit.")
+        if self.loss not in ("logistic", "fit"):
+            raise InputError(f"The loss {self.loss!r} is not known; expected logistic or fit.")
 
 
 class Parameters(NamedTuple):
@@ -118,9 +117,7 @@ def loss(
     (:func:`rcbht_jax.calibration.objective.ridge_leave_one_out`).
     """
     limits = limits_from(parameters.free)
-    labels = soft_encode(
-        config, limits, batch.wrench, batch.length, temperature, straight_through=options.straight_through
-    )
+    labels = soft_encode(config, limits, batch.wrench, batch.length, temperature)
     x = soft_shares(labels, batch.weights)
     if options.loss == "fit":
         flat = x.reshape(-1, x.shape[-1])
@@ -129,12 +126,7 @@ def loss(
             return 1 - ridge_leave_one_out(jnp.sqrt(flat + _FLOOR), target, batch.y.shape[1])[1]
     with full_precision():
         logits = _GAIN * x @ parameters.weights + parameters.bias[None, None]
-    if options.loss == "logistic":
-        return optax.softmax_cross_entropy_with_integer_labels(logits, batch.y).mean()
-    # Crammer and Singer (2001): the margin over the best wrong class.
-    target = jax.nn.one_hot(batch.y, logits.shape[-1], dtype=logits.dtype)
-    margin = jnp.sum(logits * target, -1) - jnp.max(logits - 1e9 * target, -1)
-    return jnp.maximum(1 - margin, 0).mean()
+    return optax.softmax_cross_entropy_with_integer_labels(logits, batch.y).mean()
 
 
 def calibrate(

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _READ_BY = {  # options by the methods that read them; the others refuse them
     ("context",): ("own_axes",),
     ("search",): ("groups", "candidates", "generations", "rungs", "checkpoint"),
-    ("gradient",): ("steps", "loss", "straight_through"),
+    ("gradient",): ("steps", "loss"),
     ("search", "gradient"): ("devices", "seed"),
     ("context", "search", "gradient"): (
         "thresholds", "robot", "task", "boundaries", "arm", "objective", "rest_weight", "plot",
@@ -111,10 +111,8 @@ class Calibrate(RuleCommand):
     """File that stores the scores, from which an interrupted search resumes (search)."""
     steps: int = 150
     """Training steps (gradient)."""
-    loss: Literal["logistic", "hinge", "fit"] = "logistic"
+    loss: Literal["logistic", "fit"] = "logistic"
     """Loss of the classifier (gradient)."""
-    straight_through: Flag = False
-    """Use hard labels in the forward pass: the straight-through estimator (gradient)."""
     devices: Annotated[str | None, option("GPUs of this machine that share the work (search, gradient).", "1")] = None
     rest_weight: Annotated[
         float,
@@ -365,7 +363,6 @@ class Calibrate(RuleCommand):
         options = GradientOptions(
             steps=self.steps,
             loss=self.loss,
-            straight_through=self.straight_through,
             seed=self.seed,
             temperature=FIT_TEMPERATURE if self.rule == "fit" else GradientOptions.temperature,
         )

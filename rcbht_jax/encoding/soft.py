@@ -67,7 +67,6 @@ def soft_encode(
     wrench: Float[Array, "trial time axis"],
     length: Int[Array, " trial"],
     temperature: Array | float,
-    straight_through: bool = False,
 ) -> SoftLabels:
     """Soft labels of whole recordings.
 
@@ -78,7 +77,6 @@ def soft_encode(
         length: samples that count.
         temperature: positive; see :func:`rcbht_jax.encoding.segments.soft_windows` and
             :mod:`rcbht_jax.encoding.soft_runs`.
-        straight_through: give the hard labels, with the gradients of the soft ones.
     """
     trials, samples, axes = wrench.shape
     wrench, limits = segments.as_floating(wrench), limit_values(thresholds)
@@ -100,8 +98,6 @@ def soft_encode(
     with full_precision():
         m = _vote(_composition(parts, pairs, primitive), pairs.label, mc)
         l = _vote(_behaviour(m, joints, mc), joints.label, llb)
-    if straight_through:
-        p, m, l = (_straight(x, hard.label) for x, hard in ((p, primitive), (m, mc), (l, llb)))
     return SoftLabels(*(x.reshape(trials, axes, *x.shape[1:]) for x in (p, m, l)))
 
 
@@ -250,8 +246,3 @@ def _behaviour(m: Array, joints: _Spans, parts: _Spans) -> Array:
     noise = jax.nn.one_hot(LLB.N - 1, LAYER_SIZES[2], dtype=m.dtype)
     quiet = (joints.label == LLB.N)[..., None]
     return jnp.where(alone, jnp.where(quiet, noise[None, None], plain(*alike(first))), pair)
-
-
-def _straight(soft: Array, label: Array) -> Array:
-    hard = jax.nn.one_hot(label - 1, soft.shape[-1], dtype=soft.dtype)
-    return soft + jax.lax.stop_gradient(hard - soft)

@@ -38,29 +38,21 @@ def corpus() -> CalibrationData:
 
 
 @pytest.fixture
-def given_shares(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
-    """Shares of each trial without an encoder, and whether each call asked for hard labels."""
-    asked: list[bool] = []
-
-    def encoded(_: Any, limits: Any, wrench: Any, *_args: Any, straight_through: bool) -> jax.Array:
-        asked.append(straight_through)
-        return wrench[:, 0, 0].astype(jnp.int32)
-
-    monkeypatch.setattr(gradient, "soft_encode", encoded)
+def _given_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shares of each trial without an encoder."""
+    monkeypatch.setattr(gradient, "soft_encode", lambda _, limits, wrench, *_args: wrench[:, 0, 0].astype(jnp.int32))
     monkeypatch.setattr(gradient, "soft_shares", lambda trial, _: jnp.asarray(SHARES)[trial])
-    return asked
 
 
-def test_a_logistic_loss_counts_the_bias_and_hard_labels_are_asked_for(given_shares: list[bool]) -> None:
+@pytest.mark.usefixtures("_given_shares")
+def test_a_logistic_loss_counts_the_bias() -> None:
     weights, bias = RNG.normal(size=(150, 2)).astype(np.float32), np.array([0.5, -1.5], np.float32)
     parameters = Parameters(gradient._free(preset()), jnp.asarray(weights), jnp.asarray(bias))
     batch = gradient.batch_of(corpus(), CONFIG)
     logits = 4 * SHARES.astype(np.float64) @ weights + bias
     right, wrong = (np.take_along_axis(logits, y[..., None], -1) for y in (Y, 1 - Y))
-    for straight in (False, True):
-        found = gradient.loss(CONFIG, GradientOptions(straight_through=straight), parameters, batch, 1.0)
-        assert float(found) == pytest.approx(np.log1p(np.exp(wrong - right)).mean(), rel=1e-5)
-    assert given_shares == [False, True]
+    found = gradient.loss(CONFIG, GradientOptions(), parameters, batch, 1.0)
+    assert float(found) == pytest.approx(np.log1p(np.exp(wrong - right)).mean(), rel=1e-5)
 
 
 def test_no_sample_of_a_sentence_is_left_out_at_the_end() -> None:
@@ -68,7 +60,8 @@ def test_no_sample_of_a_sentence_is_left_out_at_the_end() -> None:
     np.testing.assert_array_equal(weights.sum(-1), [[10, 10, 13]] * TRIALS)
 
 
-def test_the_fit_loss_is_what_trials_left_out_leave_unexplained(given_shares: list[bool]) -> None:
+@pytest.mark.usefixtures("_given_shares")
+def test_the_fit_loss_is_what_trials_left_out_leave_unexplained() -> None:
     """Ridge regression on the roots of the shares, fitted again for every trial."""
     batch = gradient.batch_of(corpus(), CONFIG)
     parameters = Parameters(gradient._free(preset()), jnp.zeros((150, 2)), jnp.zeros(2))
@@ -93,7 +86,8 @@ def test_the_root_of_a_share_has_a_slope_where_the_share_is_0(monkeypatch: pytes
     assert np.isfinite(slope(parameters).free).all()
 
 
-def test_a_step_sees_the_trials_of_its_batch_alone(given_shares: list[bool]) -> None:
+@pytest.mark.usefixtures("_given_shares")
+def test_a_step_sees_the_trials_of_its_batch_alone() -> None:
     """With vanishing rates the classifier stays as it began, so that the losses of a pass are those of the trials."""
     options = GradientOptions(steps=TRIALS, rate=1e-12, rate_weights=1e-12, batch=1, decay=0.0, seed=7)
     trained = calibrate(corpus(), CONFIG, preset(), options)
@@ -172,9 +166,8 @@ def test_options_out_of_range_are_refused(wrong: dict[str, Any]) -> None:
         GradientOptions(**wrong)
 
 
-def test_steps_go_against_the_penalties_at_rates_of_their_own_and_tell_the_loss_without_them(
-    given_shares: list[bool],
-) -> None:
+@pytest.mark.usefixtures("_given_shares")
+def test_steps_go_against_the_penalties_at_rates_of_their_own_and_tell_the_loss_without_them() -> None:
     """Adam's first step has the size of its rate in every coordinate, against the sign of the derivative."""
     options = GradientOptions(steps=1, rate=0.01, rate_weights=0.3, decay=1e6)
     start = gradient._first(np.asarray(gradient._free(preset()), np.float32), 2, options)
@@ -186,13 +179,3 @@ def test_steps_go_against_the_penalties_at_rates_of_their_own_and_tell_the_loss_
     np.testing.assert_allclose(moved[moved > 0], 0.01, rtol=1e-3)
     alone = gradient.loss(CONFIG, options, start, gradient.batch_of(corpus(), CONFIG), 1.0)
     assert trained.history[0][1] == pytest.approx(float(alone), rel=1e-5)
-
-
-def test_the_hinge_is_the_margin_over_the_best_wrong_class(given_shares: list[bool]) -> None:
-    weights, bias = RNG.normal(size=(150, 3)).astype(np.float32), np.array([0.5, -1.5, 0.2], np.float32)
-    parameters = Parameters(gradient._free(preset()), jnp.asarray(weights), jnp.asarray(bias))
-    logits = 4 * SHARES.astype(np.float64) @ weights + bias
-    wrong = np.where(np.eye(3, dtype=bool)[Y], -np.inf, logits).max(-1)
-    margin = np.take_along_axis(logits, Y[..., None], -1)[..., 0] - wrong
-    found = gradient.loss(CONFIG, GradientOptions(loss="hinge"), parameters, gradient.batch_of(corpus(), CONFIG), 1.0)
-    assert float(found) == pytest.approx(np.maximum(1 - margin, 0).mean(), rel=1e-5)
