@@ -44,6 +44,9 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 collect_rarely()
 
+# No test cuts the power, and to wait for the disk is most of the time of writing a small store.
+os.fsync = lambda handle: None
+
 hypothesis.settings.register_profile("dev", deadline=None, max_examples=60)
 hypothesis.settings.register_profile("ci", deadline=None, max_examples=30, derandomize=True)
 hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "dev")

@@ -29,31 +29,21 @@ def test_help_is_status_zero(words: list[str], capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize("name", list(main.all_commands()))
-def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main([*name.split(), "--help"]) == 0
-    out = capsys.readouterr().out
-    assert f"Example: rcbht {name}" in out
-    assert "--json" in out
-
-
-@pytest.mark.parametrize("name", list(main.all_commands()))
-def test_help_names_only_options_that_are_there(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main([*name.split(), "--help"]) == 0
-    text = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
-    assert not re.search(r"\(default: (None|''|)\)|STORE.zarr store \(", text), "a default or a help text is missing"
-    own = {*options_of(main.command_class(name)), *COMMON, "--out"}
-    of_others = re.sub(r'"rcbht [^"]*"|\(train-online --detect\)|Example: rcbht [^-]*', " ", text)
-    assert set(re.findall(r"--[a-z][a-z-]*", of_others)) <= own
-
-
-@pytest.mark.parametrize("name", list(main.all_commands()))
-def test_help_of_an_option_flows(
+def test_help_has_an_example_flows_and_names_only_options_that_are_there(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """tyro keeps line breaks of docstrings: a text of several lines belongs into ``option``."""
     monkeypatch.setenv("COLUMNS", "1000")  # nothing else breaks a line
     assert main.main([*name.split(), "--help"]) == 0
-    lines = [line.strip("│").rstrip() for line in capsys.readouterr().out.splitlines()]
+    out = capsys.readouterr().out
+    assert f"Example: rcbht {name}" in out
+    assert "--json" in out
+    text = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
+    assert not re.search(r"\(default: (None|''|)\)|STORE.zarr store \(", text), "a default or a help text is missing"
+    own = {*options_of(main.command_class(name)), *COMMON, "--out"}
+    of_others = re.sub(r'"rcbht [^"]*"|\(train-online --detect\)|Example: rcbht [^-]*', " ", text)
+    assert set(re.findall(r"--[a-z][a-z-]*", of_others)) <= own
+    lines = [line.strip("│").rstrip() for line in out.splitlines()]
     for before, line in pairwise(lines):
         if line.startswith(" " * 12):  # help below a long name of an option, whose own line holds no help
             assert re.match("-|[A-Z]", before.strip())

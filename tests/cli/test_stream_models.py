@@ -308,10 +308,10 @@ def test_beliefs_of_the_report_are_about_the_sub_tasks_of_the_model():
 def test_the_arm_that_is_played_is_named(tmp_path, capsys, command, words, named):
     """Trials of another arm were skipped without a remark."""
     store = tmp_path / "s.zarr"
-    wrench = [trial(1, seed) for seed in range(4)]
+    wrench = [trial(1, seed, 40) for seed in range(4)]
     two = rj.Recordings.from_arrays(wrench, rate=200, arm=["R", "L\x1b"] * 2, trial=["a", "a", "b", "c"])
     rj.write_recordings(store, two, {})
-    port = ["--port", "0", "--no-stay", "--speed", "0"] if command == "serve" else []
+    port = ["--port", "0", "--no-stay", "--speed", "0", "--rule", "paper"] if command == "serve" else []
     assert main([command, str(store), "--robot", "hiro", *words, *port]) == 0
     remarks = [line for line in capsys.readouterr().err.splitlines() if line.startswith("Only the")]
     assert remarks == [f"Only the {named} is used."] * bool(named)

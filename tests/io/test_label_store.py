@@ -52,7 +52,7 @@ def same_tracks(one: LabelTracks, two: LabelTracks) -> None:
             np.testing.assert_array_equal(left, right, strict=True)
 
 
-@settings(max_examples=6)
+@settings(max_examples=3)
 @given(seed=st.integers(0, 99), slots=st.integers(1, 9))
 def test_tracks_round_trip(seed: int, slots: int) -> None:
     with tempfile.TemporaryDirectory() as folder:

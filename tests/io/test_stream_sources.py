@@ -295,10 +295,10 @@ def test_a_trial_without_the_arm_is_refused():
             next(play(both, chosen))
 
 
-def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
+def test_store_and_folder_say_the_same(hiro_dir, hiro_recordings):
     name = "20121127-HIROSA-S-13"
     row = int(np.flatnonzero(hiro_recordings.trial == name)[0])
-    from_store = list(play(read_recordings(hiro_store), (name,)))
+    from_store = list(play(hiro_recordings, (name,)))
     from_folder = list(read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name))
     assert from_store.pop(0) == Reset(name)
     assert [type(m) for m in from_store] == [type(m) for m in from_folder]
@@ -311,7 +311,7 @@ def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     assert Begin not in {type(m) for m in read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="none")}
     for starts, learnt in (("harmonised", "states-merged"), ("states-merged", ""), ("recorded", ""), ("states", "")):
         folder = read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts=starts, learnt=learnt)
-        store = list(play(read_recordings(hiro_store), (name,), starts=starts, learnt=learnt))[1:]
+        store = list(play(hiro_recordings, (name,), starts=starts, learnt=learnt))[1:]
         assert [type(m) for m in folder] == [type(m) for m in store]
     with pytest.raises(InputError, match="no track 'phase'; there are states, states-harmonised, states-merged"):
         list(read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="phase"))

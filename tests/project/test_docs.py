@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from markdown.extensions.toc import slugify
 
 import rcbht_jax as rj
 from rcbht_jax.cli.main import command_name, main, parse
@@ -141,7 +142,13 @@ def test_roles_of_docstrings_are_links_or_code(site: Path) -> None:
     assert links > 10
 
 
-def test_images_of_the_pages_are_there() -> None:
-    for page in PAGES:
-        for target in re.findall(r"!\[[^\]]*\]\(([^)]*)\)", page.read_text()):
-            assert (page.parent / target).is_file(), f"{page.name}: {target}"
+def test_links_of_the_pages_lead_to_files_and_headings() -> None:
+    """And images are there. What is in the reference, only the site knows."""
+    texts = {page: re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M) for page in PAGES}
+    headings = {page: [slugify(one, "-") for one in re.findall(r"^#+ (.*)", texts[page], re.M)] for page in PAGES}
+    for page, text in texts.items():
+        for link in re.findall(r"\]\((?!https?:)([^)\s]*)\)", text):
+            name, _, heading = link.partition("#")
+            target = (page.parent / name).resolve() if name else page
+            assert target.exists(), f"{page.name}: {link}"
+            assert not heading or "." in heading or heading in headings[target], f"{page.name}: {link}"

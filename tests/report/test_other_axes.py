@@ -49,7 +49,8 @@ def test_report_of_any_number_of_axes(units: tuple[str, ...], tmp_path: Path) ->
 def test_arms_are_called_as_elsewhere_and_lines_are_not_called_samples(tmp_path: Path) -> None:
     """An arm without a name left empty brackets, "left" was no arm; extremes of lines looked like those of samples."""
     rng, store, page = np.random.default_rng(0), tmp_path / "s.zarr", tmp_path / "s.html"
-    force = rng.normal(size=(3, 401, 1))
+    force = list(rng.normal(size=(3, 401, 1)))
+    force[0] = np.tile(force[0], (4, 1))  # so that they are encoded one at a time, as above
     write_recordings(store, Recordings.from_arrays(force, 200.0, axes=["Fz"], arm=["left", "ur5", ""]), {})
     assert main(["report", str(store), "-o", str(page)]) == 0
     with browser(1280, 900) as driver:
@@ -60,7 +61,7 @@ def test_arms_are_called_as_elsewhere_and_lines_are_not_called_samples(tmp_path:
         assert names == ["trial-0 (left)", "trial-1 (ur5)", "trial-2"]
         about = "const done = arguments[1]; show(arguments[0]).then(() => done(byId('about').textContent.split(', ')))"
         facts = [driver.execute_async_script(about, number)[2:] for number in range(3)]
-        assert facts == [["unknown", "left arm", "2.00 s"], ["unknown", "arm ur5", "2.00 s"], ["unknown", "2.00 s"]]
+        assert facts == [["unknown", "left arm", "8.02 s"], ["unknown", "arm ur5", "2.00 s"], ["unknown", "2.00 s"]]
         driver.execute_script("byId('list').closest('details').open = true; say(2, 0, 0); draw()")
         assert driver.find_element("id", "caption").text.endswith("; smallest and largest of the fitted lines")
         smallest, largest = driver.execute_script("const w = view.trial.words[2][0][0]; return [w.vmin, w.vmax]")

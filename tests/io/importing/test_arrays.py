@@ -241,7 +241,7 @@ def test_hdf5_units_of_an_attribute(units: str | list[str], tmp_path: Path) -> N
 def test_hdf5_groups_of_many_recordings_are_read_in_linear_time(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     spent = []
-    for count in (50, 400):
+    for count in (25, 200):
         with h5py.File(tmp_path / "demos.hdf5", "w") as file:
             for number in range(count):
                 for key in ("force", "obs/joints", "obs/pose", "obs/gripper", "obs/image", "actions"):

@@ -109,9 +109,9 @@ def test_own_columns_are_not_described_as_the_computed_ones(exported: Path) -> N
 @pytest.mark.parametrize("kind", ["csv", "mcap"])
 def test_a_long_recording_is_written_in_slices(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The texts of all samples were in memory at the same time."""
-    made = Recordings.from_arrays([np.random.default_rng(0).normal(size=(8000, 6))], 200.0)
+    made = Recordings.from_arrays([np.random.default_rng(0).normal(size=(2000, 6))], 200.0)
     peaks = []
-    for rows in (8000, 500):
+    for rows in (2000, 125):
         monkeypatch.setattr(write, "ROWS", rows)
         tracemalloc.start()
         export(DataSet.of(made), tmp_path / str(rows), kind)
