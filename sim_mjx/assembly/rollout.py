@@ -123,7 +123,7 @@ def as_float32(params: Any) -> Any:
     """All real leaves of a program's parameters in single precision, for the controllers."""
 
     def cast(leaf: Array) -> Array:
-        leaf = jnp.asarray(leaf)
+        leaf = jax.device_put(leaf)  # jnp.asarray would compile a program for each shape
         return leaf.astype(jnp.float32) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
     return jax.tree.map(cast, params)

@@ -111,7 +111,8 @@ class _Job:
         progress: Callable[[int], None] | None,
     ) -> None:
         self.scene, self.watch, self.progress = scene, watch, progress
-        self.params, self.home = as_float32(params), np.asarray(scene.program.home(params), np.float64)
+        self.params = jax.tree.map(np.asarray, as_float32(params))  # to take rows of these compiles nothing
+        self.home = np.asarray(scene.program.home(params), np.float64)
         self.parts = single_trials(params.parts)
         self.waiting = waiting  # longest first, so that no thread ends up alone with one
         self.stopped = threading.Event()

@@ -32,14 +32,12 @@ TOLERANCE = np.array([0.137, 0.41, 0.0523])
 LIMITS = FitLimits(preset("hiro", AXES).limits, TOLERANCE)
 CONFIGS = {
     "default": (FitConfig(), {}),
-    "window 2": (FitConfig(window=2), {"window": 2, "kept": 8}),
+    "window 2, short leads": (FitConfig(window=2, lead_below=0.02), {"window": 2, "kept": 8, "lead": 4}),
     "window 20, 1 kHz": (
         FitConfig(window=20, dt=0.001),
         {"window": 20, "dt": 0.001, "cap": 200, "lead": 200, "impulse": 200, "needed": 25, "kept": 40},
     ),
-    "never late": (FitConfig(latency_cap=None), {"cap": None}),
-    "long leads": (FitConfig(lead_below=None), {"lead": None}),
-    "short leads": (FitConfig(lead_below=0.02), {"lead": 4}),
+    "never late, long leads": (FitConfig(latency_cap=None, lead_below=None), {"cap": None, "lead": None}),
     "other pairs": (
         FitConfig(gate=False, adj_exempt=False, contact_first=True, impulse_below=0.05, lookback=0.1, evidence=0.05),
         {"needed": 10, "kept": 15, "gate": False, "adj_exempt": False, "contact_first": True, "impulse": 10},
@@ -112,8 +110,7 @@ def test_labels_equal_the_oracle(name: str, signal: tuple[int, str, int]) -> Non
             np.testing.assert_allclose([row[4:] for row in got], values, rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("window", [5, 20, 50])
-@pytest.mark.parametrize("cap", [0.2, 0.02])
+@pytest.mark.parametrize(("window", "cap"), [(5, 0.2), (5, 0.02), (50, 0.2)])
 def test_no_word_is_published_later_than_the_page_says(window: int, cap: float) -> None:
     config = FitConfig(window, latency_cap=cap)
     lookback = config.kept + window

@@ -196,7 +196,7 @@ def test_false_alarms_of_new_recordings_are_as_promised(calibration: str) -> Non
 
 def test_few_groups_keep_the_promise() -> None:
     """Of three groups, a fifth of these new recordings exceeded the threshold for a tenth."""
-    alpha, fits, tests, count, alarms = 0.1, 60, 10, 30, []
+    alpha, fits, tests, count, alarms = 0.1, 30, 10, 30, []
     for seed in range(fits):
         series = np.cumsum(np.random.default_rng(seed).normal(size=(count + tests, 12, 2)), 1)
         monitor = NominalMonitor(rate=10, score_rate=10, memory=0.5, levels=())

@@ -87,9 +87,9 @@ def test_no_group_is_on_both_sides(monkeypatch: pytest.MonkeyPatch):
 
     monkeypatch.setattr(WrenchSegmenter, "fit", noting)
     monkeypatch.setattr(WrenchSegmenter, "predict", checking)
-    segment(data, WrenchSegmenter(trees=2), Protocol(group="operator", folds=2))
+    segment(data, WrenchSegmenter(trees=2, words=False), Protocol(group="operator", folds=2))
     for group in ("operator", "badge"):
-        segment(data, WrenchSegmenter(trees=2), Protocol(group=group, one_shot=True))
+        segment(data, WrenchSegmenter(trees=2, words=False), Protocol(group=group, one_shot=True))
     assert len(taught) == 2 + 6 + 6
 
 

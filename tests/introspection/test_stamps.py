@@ -77,7 +77,7 @@ def test_events_are_the_same_however_the_samples_are_cut(cuts, start):
     assert not any(repr(value) == "-0.0" for event in events for value in event.values())
 
 
-@pytest.mark.parametrize("pieces", [7, 50, 350])
+@pytest.mark.parametrize("pieces", [7, 50])
 def test_stamps_without_those_of_a_source_are_the_same_however_the_samples_are_cut(pieces: int) -> None:
     """At 240 Hz, where a sample does not last a whole number of nanoseconds."""
     events = said([*range(350 // pieces, 350, 350 // pieces)], None, 240.0)
@@ -86,11 +86,9 @@ def test_stamps_without_those_of_a_source_are_the_same_however_the_samples_are_c
     assert all(event["time"] == round(event["sample"] / 240, 9) for event in events)
 
 
-@pytest.mark.parametrize("pieces", [7, 50, 350])
-def test_stamps_of_a_source_at_240_hz_are_the_same_however_the_samples_are_cut(pieces: int) -> None:
+def test_stamps_of_a_source_at_240_hz_are_the_same_sample_by_sample() -> None:
     """Where a stamp was that of the sample itself, it was not rounded, and differed from others in the last digits."""
-    cuts = [*range(350 // pieces, 350, 350 // pieces)]
-    assert said(cuts, 12.3, 240.0, 15) == said([], 12.3, 240.0, 15)
+    assert said([*range(1, 350)], 12.3, 240.0, 15) == said([], 12.3, 240.0, 15)
 
 
 def test_events_say_which_trial_they_are_of():

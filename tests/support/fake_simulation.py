@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis.pipeline import work_on
+from sim_mjx.synthesis import shards
+from sim_mjx.synthesis.pipeline import synthesise, work_on
 from sim_mjx.synthesis.plan import SynthesisConfig
+from sim_mjx.synthesis.workers import SynthesisProgress
 
 JOB = SynthesisConfig("B", 60, seed=5, shard=5)
 SMALL = replace(JOB, trials=12, shard=5)
@@ -54,6 +60,29 @@ def logging_engine(log: Path, seconds: float = 0.0) -> Callable[[TrialParams], R
 def tree(path: Path) -> dict[str, bytes]:
     """Content of all files below a folder."""
     return {str(file.relative_to(path)): file.read_bytes() for file in sorted(path.rglob("*")) if file.is_file()}
+
+
+def interrupted(target: Path, job: SynthesisConfig, after: int = 1) -> None:
+    """Leave a work folder with so many shards."""
+    shutil.copytree(_begun(job, after), shards.folder_of(target))
+
+
+@cache
+def _begun(job: SynthesisConfig, after: int) -> Path:
+    """A work folder with so many shards, kept until this process ends."""
+    folder, seen = Path(tempfile.mkdtemp()), [0]
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+
+    def stop(_: SynthesisProgress) -> None:
+        seen[0] += 1
+        if seen[0] == after + 1:
+            raise KeyboardInterrupt
+
+    try:
+        synthesise(folder / "t.zarr", job, simulate=fake_engine, progress=stop)
+    except KeyboardInterrupt:
+        return shards.folder_of(folder / "t.zarr")
+    raise AssertionError(f"fewer than {after} shards")
 
 
 def short(**changes: object) -> DomainRandomization:

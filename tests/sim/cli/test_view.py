@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 
 from rcbht_jax.cli import main
+from rcbht_jax.io.store import write_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.synthesis.pipeline import synthesise
 from tests.support.fake_simulation import SMALL, fake_engine
+from tests.support.store_cases import simple
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -32,12 +34,11 @@ def test_tracks_that_are_not_there_are_refused_before_the_simulation(
     assert "needs its joint angles" in refused(capsys, *words)  # before anything is read
 
 
-def test_a_joined_store_says_what_it_does_not_keep(
-    hiro_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    simulated, joined = tmp_path / "simulated.zarr", tmp_path / "joined.zarr"
+def test_a_joined_store_says_what_it_does_not_keep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    simulated, recorded, joined = (tmp_path / f"{name}.zarr" for name in ("simulated", "recorded", "joined"))
     synthesise(simulated, SMALL, simulate=fake_engine)
-    assert main.main(["join", str(hiro_store), str(simulated), "-o", str(joined)]) == 0
+    write_recordings(recorded, simple(), {})
+    assert main.main(["join", str(recorded), str(simulated), "-o", str(joined)]) == 0
     capsys.readouterr()
     said = refused(capsys, str(joined), "sim-B-000000", "-o", str(tmp_path / "t.png"))
     assert "view a simulated trial in the store that simulated it" in said

@@ -122,6 +122,15 @@ def test_lanes_are_refilled_without_a_trace() -> None:
         np.testing.assert_array_equal(alone.joints[0], out.joints[row, : out.length[row]])
 
 
+def test_another_number_of_trials_compiles_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    """It compiled two programs for each shape of a parameter, which only copied rows."""
+    engines.simulate(SCENE, short_trials(1, longest=0.05), "native")
+    params = short_trials(5, longest=0.05)
+    with jax.log_compiles():
+        engines.simulate(SCENE, params, "native")
+    assert "Compiling" not in caplog.text
+
+
 def test_an_error_in_a_thread_ends_the_simulation() -> None:
     def watch(*_: np.ndarray) -> None:
         raise RuntimeError("seen")

@@ -17,7 +17,7 @@ import pytest
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from sim_mjx.assembly.rollout import Rollouts
-from sim_mjx.engines import device
+from sim_mjx.engines import device, native
 from sim_mjx.engines import lanes as lanes_module
 from sim_mjx.engines.lanes import Lanes
 from sim_mjx.synthesis import records
@@ -85,6 +85,16 @@ def test_logs_hold_the_whole_trial_and_the_scene_does_something() -> None:
     assert len({wrench.tobytes() for wrench, *_ in found}) == len(found)
     assert max(np.abs(wrench[:, 2]).max() for wrench, *_ in found) > 5  # some press the floor
     assert {bool(seated.all()) for *_, seated, _ in found} == {True, False}
+
+
+def test_they_are_those_of_c_mujoco() -> None:
+    """HIRO's scene, which takes long to compile, is compared in test_engines.py."""
+    params = plunger_trials(TIMEOUT[:8])
+    found, expected = device.simulate(SCENE, params, "jax"), native.simulate(SCENE, params)
+    np.testing.assert_array_equal(found.length, expected.length)
+    np.testing.assert_array_equal(found.past, expected.past)
+    np.testing.assert_allclose(found.joints, expected.joints, rtol=0, atol=1e-4)  # of a tenth of a metre
+    np.testing.assert_allclose(found.wrench, expected.wrench, rtol=0, atol=0.3)  # of 100 N
 
 
 def test_a_program_in_double_precision_gets_the_same_trials() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,19 @@ from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig, manifest_of
 from sim_mjx.synthesis.regroup import Shard
 from sim_mjx.synthesis.workers import Tally
-from tests.support.fake_simulation import JOB, SMALL, fake_engine, tree
+from tests.support import fake_simulation
+from tests.support.fake_simulation import SMALL, fake_engine, tree
 
+JOB = replace(fake_simulation.JOB, trials=25)
 MADE = list[int]
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The bytes of JOB, one shard after the other."""
+    target = tmp_path_factory.mktemp("plain") / "plain.zarr"
+    synthesise(target, JOB, simulate=fake_engine)
+    return tree(target)
 
 
 def fake_rows(params: Any) -> records.Arrays:
@@ -47,14 +58,13 @@ def backwards(batches: Iterator[tuple[int, Any]], *_: Callable[[], bool]) -> Ite
     yield from taken
 
 
-def test_the_store_is_that_of_one_shard_after_the_other(tmp_path: Path) -> None:
+def test_the_store_is_that_of_one_shard_after_the_other(tmp_path: Path, plain: dict[str, bytes]) -> None:
     target = run(tmp_path, backwards)
     folder = shards.folder_of(target)
-    assert shards.finished(folder) == set(range(12))
+    assert shards.finished(folder) == set(range(5))
     assert not [one for tries in claims.board(folder).values() for one in tries]
     synthesise(target, JOB, simulate=lambda _: pytest.fail("simulated again"))
-    synthesise(tmp_path / "plain.zarr", JOB, simulate=fake_engine)
-    assert tree(target) == tree(tmp_path / "plain.zarr")
+    assert tree(target) == plain
 
 
 @pytest.mark.parametrize(("share", "most"), [(None, 3), (2, 2), (1, 1)])
@@ -71,7 +81,7 @@ def test_beyond_its_share_a_worker_claims_when_lanes_wait(tmp_path: Path, share:
 
     target = run(tmp_path, looks, share=share)
     assert held == [most]
-    assert shards.finished(shards.folder_of(target)) == set(range(12))
+    assert shards.finished(shards.folder_of(target)) == set(range(5))
 
 
 def test_what_others_hold_is_left_to_them(tmp_path: Path) -> None:
@@ -87,14 +97,14 @@ def test_what_others_hold_is_left_to_them(tmp_path: Path) -> None:
     claim = claims.take(folder, shards.task(4))
     assert claim is not None
     run(tmp_path, stream)
-    assert seen == [shard for shard in range(12) if shard != 4]
+    assert seen == [shard for shard in range(5) if shard != 4]
     claim.release()
 
 
 @pytest.mark.parametrize(
     ("error", "state"), [(RuntimeError("lost device"), "failed"), (InputError("No disk."), "released")]
 )
-def test_an_error_frees_what_was_held(tmp_path: Path, error: Exception, state: str) -> None:
+def test_an_error_frees_what_was_held(tmp_path: Path, error: Exception, state: str, plain: dict[str, bytes]) -> None:
     def stream(batches: Iterator[tuple[int, Any]], *_: Callable[[], bool]) -> Iterator[Shard]:
         first, second, third = (next(batches) for _ in range(3))
         yield Shard(second[0], fake_rows(second[1]), None)
@@ -111,8 +121,7 @@ def test_an_error_frees_what_was_held(tmp_path: Path, error: Exception, state: s
     board = claims.board(folder)
     assert {one.state for task in (0, 2) for one in board[shards.task(task)]} == {state}
     synthesise(tmp_path / "lanes.zarr", JOB, simulate=fake_engine)  # the others are made by the batch
-    synthesise(tmp_path / "plain.zarr", JOB, simulate=fake_engine)
-    assert tree(tmp_path / "lanes.zarr") == tree(tmp_path / "plain.zarr")
+    assert tree(tmp_path / "lanes.zarr") == plain
 
 
 @pytest.mark.parametrize(

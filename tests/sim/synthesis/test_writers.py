@@ -66,6 +66,7 @@ def test_processes_write_the_same_bytes_and_say_what_is_wrong(tmp_path: Path) ->
 
 
 def test_a_shard_is_not_kept_beside_its_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writers, "MOST", 1)
     draft, alive = draft_in(tmp_path / "work"), []
     rows, labels = made(draft, 0)
     watched = weakref.ref(rows["wrench"])

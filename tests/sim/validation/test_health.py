@@ -19,9 +19,9 @@ from sim_mjx.cli import doctor as doctor_command
 from sim_mjx.synthesis import plan, shards
 from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
-from sim_mjx.synthesis.workers import SynthesisProgress
 from sim_mjx.validation import health
-from tests.support.fake_simulation import SMALL, fake_engine, short, tree
+from tests.support import fake_simulation
+from tests.support.fake_simulation import SMALL, short, tree
 from tests.support.store_cases import simple
 
 JOB = SynthesisConfig("C", 4, seed=3, shard=3, spec=short(), window=5)
@@ -164,7 +164,7 @@ def test_damage_of_what_others_read_is_found(
 
 
 def test_a_track_that_was_deleted_is_no_damage(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["encode", str(copy), "--window", "10", "--robot", "hiro", "--name", "mine"]) == 0
+    assert main(["encode", str(copy), "--robot", "auto", "--name", "mine"]) == 0
     shutil.rmtree(copy / "labels" / "mine")
     assert doctor(capsys, 0, str(copy))["damage"] == []
 
@@ -219,13 +219,7 @@ def test_a_store_that_was_not_simulated_has_no_seed(tmp_path: Path, capsys: pyte
 @pytest.fixture
 def interrupted(tmp_path: Path) -> Path:
     """The place of a store whose job has ended after the first of three shards."""
-
-    def progress(now: SynthesisProgress) -> None:
-        if now.done:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine, progress=progress)
+    fake_simulation.interrupted(tmp_path / "t.zarr", SMALL)
     return tmp_path / "t.zarr"
 
 
