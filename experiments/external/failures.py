@@ -91,6 +91,17 @@ class Experiment:
         x = self.described(name)
         return method.summed([(MEMBERS[member], x[member]) for member in members], self.data(name)[1].y)
 
+    def of_training(self, members: Iterable[str], name: str) -> validation.Estimator:
+        """Members whose words have thresholds from the training rows alone."""
+        recordings, items = self.data(name)
+
+        def predict(train: Any, test: Any, seed: int) -> Any:
+            rest = recordings.take(items.intervals[0].recording[train])
+            x = dict(zip(MEMBERS, method.describe(recordings, items, rest=rest), strict=True))
+            return method.summed([(MEMBERS[member], x[member]) for member in members], items.y)(train, test, seed)
+
+        return predict
+
     def tuned(self, name: str) -> validation.Estimator:
         """The vote or one of its members, by three folds of the training rows."""
         y = self.data(name)[1].y
@@ -114,6 +125,8 @@ class Experiment:
             "words + wrench": partial(self.summed, MEMBERS),
             "words: SVM": partial(self.summed, ["words"]),
             "wrench: trees": partial(self.summed, ["wrench"]),
+            "words + wrench, thresholds of the training rows": partial(self.of_training, MEMBERS),
+            "words: SVM, thresholds of the training rows": partial(self.of_training, ["words"]),
             "richer words: SVM + wrench: SVM and trees": self.three,
             "tuned in the folds": self.tuned,
             "naive Bayes on the values": self.naive_bayes,

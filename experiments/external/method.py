@@ -54,12 +54,15 @@ Member = Callable[[Matrix, Rows, Rows, Rows, int], Matrix]  # svm or trees
 
 
 def describe(
-    recordings: Recordings, items: LabelledIntervals, families: tuple[str, ...] = FAMILIES
+    recordings: Recordings,
+    items: LabelledIntervals,
+    families: tuple[str, ...] = FAMILIES,
+    rest: Recordings | None = None,
 ) -> tuple[Matrix, Matrix]:
-    """Features of the words, and of the wrench itself."""
+    """Features of the words, and of the wrench itself; thresholds come from ``rest``, or from all recordings."""
     short = np.median(recordings.length) < FEW * WINDOW
     window = SHORT if short else WINDOW
-    limits = auto_thresholds(recordings, window)
+    limits = auto_thresholds(recordings if rest is None else rest, window)
     tracks = encode_batch(EncoderConfig(dt=recordings.dt, window=window), limits, recordings.wrench, recordings.length)
     words = extract_features(tracks, items, FeatureSpec(families=families)).values
     return words.astype(np.float64), describe_wrench(segments(recordings, items))

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from rcbht_jax._util.printable import room
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Event, SubtaskStarted
-from rcbht_jax.plots.canvas import cut, new_figure, plain, stacked
+from rcbht_jax.plots.canvas import cut, lay_out, new_figure, plain, stacked
 
 LETTER = 0.062  # inches of one letter of a name of a sub-task, at most
 MOST_ROWS = 3  # of names
@@ -60,7 +60,7 @@ def belief_map(events: Sequence[Event], title: str = "") -> Figure:
     panels[-1].set_xlabel("time, s", fontsize=9)
     figure.suptitle(plain(cut(title, WIDE)), fontsize=10)
     figure.set_layout_engine("tight")
-    figure.draw_without_rendering()  # names of classes decide how wide the panels are
+    lay_out(figure)  # names of classes decide how wide the panels are
     _mark_starts(figure, len(heads), events)
     return figure
 

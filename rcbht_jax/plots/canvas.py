@@ -193,6 +193,13 @@ def _letters_in_one_warning() -> Iterator[None]:
         warnings.warn(f"No installed font has the letters {letters}; install one, such as Noto Sans CJK.", stacklevel=4)
 
 
+def lay_out(figure: Figure) -> None:
+    """Compute where everything will be, without drawing it."""
+    _supply_scripts(figure)
+    with _letters_in_one_warning():
+        figure.draw_without_rendering()
+
+
 def save(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG, SVG or PDF, by the suffix of ``path``; an existing file is replaced.
 
