@@ -112,10 +112,10 @@ def some_items(
         place[np.isin(number, number[rows[np.sort(first)[:_FOLDED]]])] = -1
     total = np.bincount(place + 1, size)  # those of place -1, then each trial's
     rows = np.flatnonzero((np.cumsum(total) <= most)[place + 1] | (place < 0))
-    share = min(1.0, most / size[rows].sum())
+    whole = int(size[rows].sum())
     cell = group_numbers(np.unique(y[rows], return_inverse=True)[1] * len(y) + number[rows])
     order, count = np.argsort(cell, kind="stable"), np.bincount(cell)
-    kept, before = np.ceil(share * count).astype(np.int64), np.cumsum(count) - count  # of each cell
+    kept, before = -(-count * min(most, whole) // whole), np.cumsum(count) - count  # of each cell
     step = np.arange(len(rows)) - before[cell[order]]  # from 0 within its cell
     kept, count = kept[cell[order]], count[cell[order]]
     return np.sort(rows[order[(step + 1) * kept // count > step * kept // count]])

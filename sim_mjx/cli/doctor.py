@@ -175,8 +175,9 @@ def _store_text(result: dict[str, Any]) -> str:
     if result["uncollected"]:
         offers.append(f"collects the metadata of {', '.join(result['uncollected'])}")
     lines = [f"{result['store']}: {plural(result['recordings'], 'recording')}"]
+    mended = not result["unknown"] and (result["intact"] or result["repairable"])
     for sentence in result["damage"]:
-        lines.append(f"damaged: {_OTHER_ADVICE.sub('.', sentence) if offers else sentence}")
+        lines.append(f"damaged: {_OTHER_ADVICE.sub('.', sentence) if mended else sentence}")
     if not result["damage"]:
         lines.append("every checksum is right, nothing is missing")
     if result["simulated_again"]:

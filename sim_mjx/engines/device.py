@@ -195,9 +195,6 @@ def _from_home(scene: Scene, home: NDArray[np.floating]) -> dict[str, NDArray[np
     zero[:, scene.joints] -= home
     limits[:, scene.hinges] -= home[..., None]
     fields = {"qpos0": zero, "jnt_range": limits}
-    if model.jnt_stiffness[scene.hinges].any():
-        fields["qpos_spring"] = np.repeat(model.qpos_spring[None], len(home), axis=0)
-        fields["qpos_spring"][:, scene.joints] -= home
     if (lengths := home @ _pulled(scene).T).any():
         for name in ("tendon_lengthspring", "tendon_range"):
             fields[name] = getattr(model, name)[None] - lengths[..., None]

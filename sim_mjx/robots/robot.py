@@ -169,7 +169,7 @@ def equipped(robot: Robot) -> mujoco.MjSpec:
     for body in spec.bodies[1:]:
         body.gravcomp = 1.0
     for joint in map(spec.joint, robot.joints):
-        joint.stiffness[:] = 0.0
+        joint.stiffness[:] = joint.springdamper[:] = 0.0
     _add_servos(spec, robot)
     _add_hand(spec, robot)
     return spec

@@ -34,7 +34,7 @@ def recordings_of(
 
     Args:
         preset: name of what was simulated. scenario: likewise.
-        rows: arrays of ``records.of_trials``, of the stored trials..
+        rows: arrays of ``records.of_trials``, of the stored trials.
         index: of the trials. faults: of the trials. outcome: of the trials, of :func:`outcomes`.
     """
     wrench = rows["wrench"]

@@ -43,15 +43,18 @@ CONFIGS = {
         {"needed": 10, "kept": 15, "gate": False, "adj_exempt": False, "contact_first": True, "impulse": 10},
     ),
 }
-signals = st.tuples(st.integers(0, 2**32 - 1), st.sampled_from(["noise", "steps", "ramps"]), st.integers(0, SAMPLES))
+STYLES = ["noise", "steps", "ramps", "triangles"]
+signals = st.tuples(st.integers(0, 2**32 - 1), st.sampled_from(STYLES), st.integers(0, SAMPLES))
 
 
 def wrench_of(seed: int, style: str) -> np.ndarray:
-    """Random walks, or steps and ramps with a little noise, which keeps comparisons from being ties."""
+    """Random walks, or steps, ramps and triangles with a little noise, which keeps comparisons from being ties."""
     rng = np.random.default_rng(seed)
     if style == "noise":
         return np.cumsum(rng.normal(size=(SAMPLES, 3)) * [0.02, 0.3, 0.05], 0)
     knots = rng.integers(-4, 5, (SAMPLES // 10 + 2, 3)) * rng.choice([0.0, 0.1, 1.0], (SAMPLES // 10 + 2, 1))
+    if style == "triangles":  # adjustments, one after another
+        knots = rng.uniform(0.5, 2.0, 3) * (-1) ** np.arange(SAMPLES // 10 + 2)[:, None]
     times = np.arange(SAMPLES) / 10
     where = np.floor(times) if style == "steps" else times
     clean = np.stack([np.interp(where, np.arange(len(knots)), knot) for knot in knots.cumsum(0).T], 1)

@@ -7,6 +7,8 @@ import shutil
 import signal
 import sys
 import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -232,6 +234,20 @@ def fill_the_disk(path: Path) -> None:
     with atomic_write(path) as draft:
         draft.write_text("ne")
         raise OSError("disk full")
+
+
+@pytest.mark.parametrize("writer", [atomic_write, atomic_new, atomic_folder])
+def test_outputs_are_on_the_disk_before_they_are_in_their_place(
+    writer: Callable[[Path], AbstractContextManager[Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, flushed = tmp_path / "a", []
+    monkeypatch.setattr(os, "fsync", lambda handle: flushed.append((os.fstat(handle).st_ino, path.exists())))
+    with writer(path) as draft:
+        if writer is atomic_folder:
+            draft.mkdir()
+        (draft / "inside" if draft.is_dir() else draft).write_text("new")
+    made = [(entry.stat().st_ino, False) for entry in (path, *path.rglob("*"))]
+    assert sorted(flushed) == sorted([*made, (tmp_path.stat().st_ino, True)])  # the move itself comes last
 
 
 def test_a_new_file_is_made_by_one_and_never_replaced(tmp_path: Path) -> None:

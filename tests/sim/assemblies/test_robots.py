@@ -132,9 +132,10 @@ def test_anybodys_arm(tmp_path: Path) -> None:
         serial_chain(sliding, "wrist")
 
 
-def test_springs_of_an_arm_do_not_bend_its_servos(tmp_path: Path) -> None:
+@pytest.mark.parametrize("spring", ['stiffness="50"', 'springdamper="0.1 1"'])
+def test_springs_of_an_arm_do_not_bend_its_servos(spring: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.xml"
-    path.write_text(ARM.replace("<joint", '<joint stiffness="50"'))
+    path.write_text(ARM.replace("<joint", f"<joint {spring}"))
     robot = from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
     model = equipped(robot).compile()
     data = mujoco.MjData(model)
