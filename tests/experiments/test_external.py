@@ -99,7 +99,7 @@ def test_every_set_of_robot_failures_in_the_folder_is_scored(tmp_path: Path, mon
     assert len(folds) == 5
     assert np.sort(np.concatenate([test for _, test in folds])).tolist() == list(range(24))
     assert min(np.bincount(y[train], minlength=3).min() for train, _ in folds) == 1  # the SVM needs two of a class
-    for title in ("words + wrench", "words: SVM", "tuned in the folds"):
+    for title in ("words + wrench", "words: SVM, thresholds of the training rows", "tuned in the folds"):
         assert experiment.row("lp3", title)["accuracy"]["mean"] > 0.85
     (folder / "lp3.csv").unlink()
     with pytest.raises(InputError, match="holds no set such as lp1"):
