@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import decoded, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.attributes import lists_units, units_in
+from rcbht_jax.io.importing.attributes import lists_of_units, units_in
 from rcbht_jax.io.importing.families import families, segments
 from rcbht_jax.io.importing.names import has_axes, has_forces, wrenches
 from rcbht_jax.io.importing.trees import of_groups
@@ -88,7 +88,7 @@ def tables_of(
         for table in tables_of(path, name, known, part, shared):
             yield replace(table, units={**table.units, **{key: "s" for key in dated if key in table.columns}})
         return
-    if lists := {key: array for key, array in arrays.items() if lists_units(key, array, arrays)}:
+    if lists := lists_of_units(arrays):
         joined = {key: np.array(",".join(map(str, plain(array.ravel()).tolist()))) for key, array in lists.items()}
         for table in tables_of(path, name, {**arrays, **joined}, part, shared):
             yield with_units(table)
