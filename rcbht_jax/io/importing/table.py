@@ -79,9 +79,14 @@ def tables_of(
     Raises:
         InputError: no array has at least two rows, or there are too many columns.
     """
-    if several := families(arrays, shared) or ({} if part else of_groups(arrays)):
+    numbers = families(arrays, shared)
+    if several := numbers or ({} if part else of_groups(arrays)):
+        used = {id(one) for those in several.values() for one in those.values()}
+        lost = [] if numbers else [key for key, one in arrays.items() if id(one) not in used and one.size]
         for which, those in several.items():
-            yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which, arrays.keys())
+            place = f"{part}#{which}" if part else which
+            for table in tables_of(path, f"{name}#{which}", those, place, arrays.keys()):
+                yield replace(table, others=(*table.others, *lost))
         return
     if dated := [key for key, array in arrays.items() if array.dtype.kind in "mM"]:
         known = {key: _seconds(array) if key in dated else array for key, array in arrays.items()}

@@ -53,3 +53,9 @@ def test_many_lists_of_units_are_found_in_linear_time() -> None:
         assert len(lists_of_units({f"{k}_units": np.array(["N", "Nm"]) for k in range(count)} | {"t": TIME})) == count
         spent.append(time.process_time() - start)
     assert spent[1] < 40 * spent[0]
+
+
+def test_arrays_beside_groups_that_are_left_out_are_remarked(tmp_path: Path) -> None:
+    groups = {f"{name}/{key}": one for name in ("one", "two") for key, one in (("t", TIME), ("ft", WRENCH + len(name)))}
+    np.savez(tmp_path / "a.npz", **groups, other=np.arange(N + 3.0))
+    assert "Arrays of another shape or kind were left out: 'other'." in read_source(tmp_path / "a.npz").report.remarks
