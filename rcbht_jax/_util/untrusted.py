@@ -228,7 +228,7 @@ def read_arrays(path: Path, objects: list[str] | None = None) -> dict[str, NDArr
         members = archive.infolist()
         if len(members) > MAX_MEMBERS:
             raise InputError(f"{path} holds {len(members)} arrays; expected at most {MAX_MEMBERS}.")
-        declared = 0
+        declared, unpacked = 0, sum(entry.file_size for entry in members)
         for member in members:
             with archive.open(member) as file:
                 try:
@@ -238,7 +238,7 @@ def read_arrays(path: Path, objects: list[str] | None = None) -> dict[str, NDArr
                         raise
                     objects.append(member.filename.removesuffix(".npy"))
             # What is unpacked is the member's size; an array is read up to the size of its header.
-            check_declared(path, max(declared, sum(entry.file_size for entry in members)), size)
+            check_declared(path, max(declared, unpacked), size)
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
         return {key: arrays[key] for key in arrays.files if key not in (objects or ())}
 

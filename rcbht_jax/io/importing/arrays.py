@@ -123,7 +123,10 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
                 datasets.append(item)
                 if len(datasets) > MAX_MEMBERS:
                     raise InputError(f"{path} holds more than {MAX_MEMBERS} arrays; split it.")
-            put(tree, name.split("/"), item if isinstance(item, h5py.Dataset) else None)
+                if item.shape is not None:  # it holds something
+                    put(tree, name.split("/"), item)
+            elif isinstance(item, h5py.Group):
+                put(tree, name.split("/"), None)
 
         file.visititems(visit)  # follows neither soft nor external links
         if any(item.external or item.is_virtual for item in datasets):
@@ -157,15 +160,15 @@ def _titles(item: Any) -> dict[str, NDArray[Any]]:
     if len(item.shape or ()) not in (2, 3) or item.dtype.kind not in "fiu":
         return {}
     lists = {key: _attribute(value) for key, value in getattr(item, "attrs", {}).items()}
-    lists = {key: one.astype(np.str_) for key, one in lists.items() if one.ndim == 1 and one.dtype.kind in "SU"}
+    lists = {key: one for key, one in lists.items() if one.ndim == 1 and one.dtype.kind == "U"}
     return {key: one for key, one in lists.items() if len(one) in item.shape and wrenches(one.tolist())}
 
 
 def _attribute(value: Any) -> NDArray[Any]:
     """An attribute as an array, of text where it is a list of texts, and not of references such as to dimensions."""
     array = np.asarray(value)
-    texts = array.dtype.kind == "O" and array.size > 0 and all(isinstance(one, str | bytes) for one in array.flat)
-    return np.array([str(decoded(one)) for one in array.flat]) if texts else array
+    texts = array.dtype.kind in "OS" and array.size > 0 and all(isinstance(one, str | bytes) for one in array.flat)
+    return np.array([str(decoded(one)) for one in array.flat]).reshape(array.shape) if texts else array
 
 
 def _pandas(found: dict[str, Any]) -> dict[str, Any]:

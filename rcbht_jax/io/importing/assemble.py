@@ -152,10 +152,11 @@ def _annotations(records: list[Record]) -> Annotations:
 
 def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[str, Any]:
     """Every column of the data set, names and sessions included."""
-    names = dict.fromkeys(column_name(name) for record in records for name in record.columns)
+    owns = [{column_name(key): value for key, value in record.columns.items()} for record in records]
+    names = dict.fromkeys(name for own in owns for name in own)
     columns: dict[str, Any] = {}
     for name in names:
-        values = [{column_name(key): value for key, value in record.columns.items()}.get(name) for record in records]
+        values = [own.get(name) for own in owns]
         target = f"c_{name}" if name in _TAKEN and name not in (*STANDARD_COLUMNS, "trial") else name
         if name in STANDARD_COLUMNS or name == "trial" or any(isinstance(value, str) for value in values):
             columns[target] = np.array(["" if value is None else as_text(value) for value in values], np.str_)

@@ -14,7 +14,7 @@ from rcbht_jax._util.columns import snake, split_unit, unit_of_time
 from rcbht_jax.labels import AXES
 
 UNITS = ("unit", "units")
-_OF_UNITS = re.compile(r"(?:^|[./]|([^./]+)_)units?$")
+_OF_UNITS = re.compile(r"(?:^|[./]|(?<![^./])([^./]+)_)units?$")
 FILL = ("_FillValue", "missing_value")
 
 
@@ -87,16 +87,19 @@ def units_of(columns: Iterable[str], stated: Mapping[str, list[str]]) -> dict[st
     return units
 
 
-def lists_units(key: str, array: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
-    """Whether a list of texts has a name such as units or wrench_units, and is not one for each row or recording.
+def lists_of_units(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The lists of texts with a name such as units or wrench_units that are not one for each row or recording.
 
-    >>> lists_units("wrench_units", np.array(["N", "Nm"]), {"t": np.zeros(9)})
-    True
+    >>> list(lists_of_units({"wrench_units": np.array(["N", "Nm"]), "t": np.zeros(9), "unit": np.array(["N"] * 9)}))
+    ['wrench_units']
     """
-    if array.dtype.kind not in "US" or not 1 < array.size == max(array.shape) or not _OF_UNITS.search(snake(key)):
-        return False
-    others = (one for name, one in arrays.items() if one.ndim == 3 or (one.ndim and unit_of_time(name.split(".")[-1])))
-    return all(len(one) != array.size for one in others)
+    lists = {key: one for key, one in arrays.items() if one.dtype.kind in "US" and 1 < one.size == max(one.shape)}
+    lists = {key: one for key, one in lists.items() if _OF_UNITS.search(snake(key))}
+    if not lists:
+        return {}
+    timed = (one.ndim == 3 or (one.ndim and unit_of_time(re.split("[./]", key)[-1])) for key, one in arrays.items())
+    counts = {len(one) for one, of_rows in zip(arrays.values(), timed, strict=True) if of_rows}
+    return {key: one for key, one in lists.items() if one.size not in counts}
 
 
 def units_in(facts: Mapping[str, str | float], columns: Iterable[str]) -> tuple[dict[str, str | float], dict[str, str]]:
@@ -109,7 +112,11 @@ def units_in(facts: Mapping[str, str | float], columns: Iterable[str]) -> tuple[
     ({'part': 'A'}, {'run.F_0': 'kN', 'run.F_1': 'kN', 'run.F_2': 'N'})
     """
     short = {column: re.split("[./]", column)[-1] for column in columns}
-    heads = Counter(name.rpartition("_")[0] for name in short.values())
+    names, parts = set(short.values()), (name.rpartition("_") for name in short.values())
+    heads = Counter(head for head, _, number in parts if head and number.isdecimal())
+    wide: dict[int, list[str]] = {}
+    for head, count in heads.items():
+        wide.setdefault(count, []).append(head)
     stated: dict[str, list[str]] = {}
     taken = dict[str, str]()  # fact -> name of its columns; "" = none
     for key, fact in facts.items():
@@ -117,11 +124,11 @@ def units_in(facts: Mapping[str, str | float], columns: Iterable[str]) -> tuple[
         if len(words) > 1 and words[-2].lower() in UNITS:
             taken[key] = words[-1]
         elif texts and (found := _OF_UNITS.search(snake(key))):
-            wide = [head for head, count in heads.items() if head and count == len(texts) > 1]
-            if found[1] in heads or found[1] in short.values():
+            as_long = wide.get(len(texts), []) if len(texts) > 1 else []
+            if found[1] in heads or found[1] in names:
                 taken[key] = found[1]
-            elif len(wide) == 1:
-                taken[key] = wide[0]
+            elif len(as_long) == 1:
+                taken[key] = as_long[0]
             elif len(texts) == len(short):  # beside as many names
                 taken[key] = ""
                 stated |= {column: [unit] for column, unit in zip(short.values(), texts, strict=True)}

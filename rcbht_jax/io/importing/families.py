@@ -64,7 +64,8 @@ def families(arrays: Arrays, shared: Container[str] = ()) -> dict[str, dict[str,
 def _recordings(head: str, parts: Mapping[str, Arrays]) -> bool:
     """Whether numbers after a head separate recordings: by its name, or because each has its own time or length."""
     names = {name for own in parts.values() for name in own}
-    lengths = [{len(own[name]) for own in parts.values() if name in own and own[name].size > 1} for name in names]
+    arrays = [{name: one for name, one in own.items() if one.dtype.kind not in "US"} for own in parts.values()]
+    lengths = [{len(own[name]) for own in arrays if name in own and own[name].size > 1} for name in names]
     signals = any(length and max(length) > 1 for length in lengths)
     timed = any(base_and_unit(name)[0] in TIMES for name in names)
     return signals and (numbered(head) in GROUPS or timed or any(len(length) > 1 for length in lengths))

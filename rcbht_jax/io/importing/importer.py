@@ -236,7 +236,7 @@ def _read(
                 check_inside(item.path, source)
             wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
-                named = marks.counted(marks.headed(table))
+                named = marks.counted(marks.headed(table)) if item.kind == "csv" else table
                 if item.kind == "csv" and marks.is_intervals(named.columns):
                     marked.append(marks.with_words(named, item.path))
                     report.remarks += marks.unused(named)

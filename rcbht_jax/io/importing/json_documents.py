@@ -247,9 +247,8 @@ def _named(value: Object) -> Iterator[tuple[str, NDArray[Any]]]:
     for number, (key, one) in enumerate(_flat(value)):
         if number == MAX_MEMBERS:
             raise ValueError(f"it holds more than {MAX_MEMBERS} values with a name; split it")
-        if key.rpartition(".")[0].rpartition(".")[2].lower() in UNITS and isinstance(
-            one, list
-        ):  # one for each element of a column
+        within = key.rpartition(".")[0].rpartition(".")[2].lower()
+        if within in UNITS and isinstance(one, list):  # one for each element of a column
             one = ",".join(map(str, one))
         if one is not None and (array := _array(one)) is not None:
             yield key, array

@@ -42,7 +42,7 @@ _OF_ELAN = {"ss.msec": " [s]", "hh:mm:ss.ms": " [s]", "msec": " [ms]"}  # units 
 _ELAN = re.compile(rf"\s+-\s+({'|'.join(map(re.escape, _OF_ELAN))})$")
 SAMPLES = "samples"  # note of a table of annotations that counts them
 _COUNTS = "(?:samples?|frames?|index|idx|rows?)"
-_COUNTED = re.compile(rf"^(.+?)[ _]*[\[(]?{_COUNTS}[\])]?$|^{_COUNTS}[ _]+(.+)$")
+_COUNTED = re.compile(rf"(?<![ _])[ _]*[\[(]?{_COUNTS}[\])]?$|^{_COUNTS}[ _]+")
 _DURATIONS = ("duration", "dur", "length")
 _FILES = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
 
@@ -122,7 +122,7 @@ def headed(table: Table) -> Table:
 
 
 def counted(table: Table) -> Table:
-    """The table with plain names for its starts and ends if these count samples, and the note "samples" then.
+    """The table with plain names for its starts and ends if all count samples, and the note "samples" then.
 
     >>> columns = {name: np.array([0.0]) for name in ("label", "start_sample", "end [samples]")}
     >>> found = counted(Table("run1_labels.csv", columns))
@@ -132,12 +132,16 @@ def counted(table: Table) -> Table:
     Raises:
         InputError: they count frames, which may be those of a video.
     """
-    matches = {name: _COUNTED.match(name.lower()) for name in table.columns}
-    plain = {name: match[1] or match[2] for name, match in matches.items() if match}
-    plain = {name: word for name, word in plain.items() if word in (*_STARTS, *_ENDS, *_DURATIONS)}
-    numbers = all(table.columns[name].dtype.kind == "f" for name in plain)
+    words = {name: _COUNTED.sub("", name.lower()) for name in table.columns}
+    times = (*_STARTS, *_ENDS, *_DURATIONS)
+    plain = {name: word for name, word in words.items() if word != name.lower() and word in times}
     columns = {plain.get(name, name): column for name, column in table.columns.items()}
-    if not plain or not numbers or wrenches(columns) or len(columns) < len(table.columns) or not is_intervals(columns):
+    if not plain or wrenches(columns) or len(columns) < len(table.columns) or not is_intervals(columns):
+        return table
+    fields = _fields(columns)
+    used = {fields[kind][0] for kind in ("start", "end" if "end" in fields else "duration") if kind in fields}
+    numbers = all(columns[name].dtype.kind == "f" for name in used)
+    if is_intervals(table.columns) or not numbers or not used <= set(plain.values()):  # some are in seconds
         return table
     if frames := next((name for name in plain if "frame" in name.lower()), ""):
         how = "write seconds, or name it start_sample if these are rows of the recording"
@@ -145,22 +149,16 @@ def counted(table: Table) -> Table:
     return replace(table, columns=columns, notes=(*table.notes, SAMPLES))
 
 
-def at_samples(intervals: Iterable[Interval], time: NDArray[np.float64], period: float) -> list[Interval]:
+def at_samples(intervals: Sequence[Interval], time: NDArray[np.float64], period: float) -> list[Interval]:
     """Intervals whose starts and ends count samples from 0, in s, by the times ``[sample]`` of a recording.
 
     >>> at_samples([("phase", "push", 1.0, 3.0)], np.array([0.0, 0.5, 2.0]), 0.5)
     [('phase', 'push', 0.5, 2.5)]
     """
-
-    def seconds(count: float) -> float:
-        if np.isnan(count):
-            return count
-        inside = min(max(count, 0.0), float(len(time)))
-        return (
-            float(np.interp(inside, np.arange(len(time) + 1), [*time, time[-1] + period])) + (count - inside) * period
-        )
-
-    return [(track, label, seconds(start), seconds(end)) for track, label, start, end in intervals]
+    counts = np.array([one[2:] for one in intervals], np.float64)
+    inside, known = np.clip(counts, 0, len(time)), np.append(time, time[-1] + period)
+    seconds = np.interp(inside, np.arange(len(known)), known) + (counts - inside) * period
+    return [(track, label, *both) for (track, label, *_), both in zip(intervals, seconds.tolist(), strict=True)]
 
 
 def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.columns import decoded, unit_of_time
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.attributes import lists_units, units_in
+from rcbht_jax.io.importing.attributes import lists_of_units, units_in
 from rcbht_jax.io.importing.families import families, segments
 from rcbht_jax.io.importing.names import has_axes, has_forces, wrenches
 from rcbht_jax.io.importing.trees import of_groups
@@ -79,16 +79,21 @@ def tables_of(
     Raises:
         InputError: no array has at least two rows, or there are too many columns.
     """
-    if several := families(arrays, shared) or ({} if part else of_groups(arrays)):
+    numbers = families(arrays, shared)
+    if several := numbers or ({} if part else of_groups(arrays)):
+        used = {id(one) for those in several.values() for one in those.values()}
+        lost = [] if numbers else [key for key, one in arrays.items() if id(one) not in used and one.size]
         for which, those in several.items():
-            yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which, arrays.keys())
+            place = f"{part}#{which}" if part else which
+            for table in tables_of(path, f"{name}#{which}", those, place, arrays.keys()):
+                yield replace(table, others=(*table.others, *lost))
         return
     if dated := [key for key, array in arrays.items() if array.dtype.kind in "mM"]:
         known = {key: _seconds(array) if key in dated else array for key, array in arrays.items()}
         for table in tables_of(path, name, known, part, shared):
             yield replace(table, units={**table.units, **{key: "s" for key in dated if key in table.columns}})
         return
-    if lists := {key: array for key, array in arrays.items() if lists_units(key, array, arrays)}:
+    if lists := lists_of_units(arrays):
         joined = {key: np.array(",".join(map(str, plain(array.ravel()).tolist()))) for key, array in lists.items()}
         for table in tables_of(path, name, {**arrays, **joined}, part, shared):
             yield with_units(table)

@@ -16,7 +16,6 @@ from rcbht_jax.io.importing.words import in_order
 
 Tree = dict[str, Any]  # groups, "NAME/", and what has a shape, by its name
 DEPTH = 16  # of groups in names
-USUAL = 2  # preference of a name that says nothing
 
 
 def put(tree: Tree, path: Sequence[str], array: Any) -> None:
@@ -113,11 +112,11 @@ def _path(tree: Tree, wrench: bool) -> list[str] | None:
     ...; None = there is no such group.
 
     Groups of single values alone describe segments, and those beside a wrench, without one of their own, hold more
-    signals of its recording. Where names state what was done to a wrench, such as "raw", it is that of one recording.
+    signals of its recording, as do those of what was done to one wrench.
     """
     groups = _groups(tree)
     children = list(groups.values())
-    if len(children) > 1 and all(preference(name) == USUAL for name in groups) and _are_recordings(tree, wrench):
+    if len(children) > 1 and not _are_of_one_wrench(groups) and _are_recordings(tree, wrench):
         return []
     if len(children) == 1:
         key, below = f"{next(iter(groups))}/", _path(children[0], wrench)
@@ -128,6 +127,13 @@ def _path(tree: Tree, wrench: bool) -> list[str] | None:
         if below is not None and _are_numbered(_groups(_at(child, below))):
             return [f"{name}/", *below]
     return None
+
+
+def _are_of_one_wrench(groups: Mapping[str, Tree]) -> bool:
+    """Whether groups, equally long, have names that say what was done to a wrench, each another: raw and tared."""
+    if len(set(map(preference, groups))) < len(groups):
+        return False
+    return len({max((max(one.shape or (0,)) for _, one in leaves(group)), default=0) for group in groups.values()}) == 1
 
 
 def _are_recordings(tree: Tree, wrench: bool) -> bool:

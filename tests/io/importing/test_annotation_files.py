@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rcbht_jax.io.importing.importer import Imported, read_source
+from rcbht_jax.io.importing.marks import at_samples
 from rcbht_jax.io.importing.sidecars import regions_in
 
 N = 40
@@ -162,3 +164,27 @@ def test_annotations_that_count_frames_say_so(tmp_path: Path) -> None:
     [(name, reason)] = read_source(tmp_path).report.skipped
     assert name == "run2_labels.csv"
     assert "start_frame counts frames, perhaps of a video;" in reason
+
+
+def test_times_stay_beside_frames(tmp_path: Path) -> None:
+    write(tmp_path)
+    rows = [f"{label},{start},{end},3,6" for label, start, end in LABELS]
+    (tmp_path / "run2_labels.csv").write_text("\n".join(["label,start_time,end_time,start_frame,end_frame", *rows]))
+    assert found(read_source(tmp_path), ["label"]) == LABELS
+
+
+def test_a_start_in_samples_and_an_end_in_seconds_are_not_mixed(tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "run2_labels.csv").write_text("label,start_sample,end [s]\npush,3,0.2\npull,6,0.3\n")
+    imported = read_source(tmp_path)
+    assert len(imported.recordings.annotations.start) == 0
+    assert [name for name, _ in imported.report.skipped] == ["run2_labels.csv"]
+
+
+def test_annotations_that_count_samples_are_placed_in_linear_time() -> None:
+    time, spent = np.arange(100_000) / 1000, []
+    for count in (2, 200):
+        start = process_time()
+        at_samples([("label", "push", 1.0, 2.0)] * count, time, 0.001)
+        spent.append(process_time() - start)
+    assert spent[1] < 20 * spent[0]

@@ -1,0 +1,61 @@
+"""Groups, types, attributes and lists of units beside arrays."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.io.importing.attributes import lists_of_units, units_in
+from rcbht_jax.io.importing.importer import read_source
+from tests.io.importing.test_readers import TIME, WRENCH, N, same
+
+
+def test_groups_called_after_errors_are_recordings(tmp_path: Path) -> None:
+    groups = {"baseline": WRENCH, "error": WRENCH[:-5], "error_2": WRENCH + 1}
+    for names in (("baseline", "error"), ("baseline", "error", "error_2")):
+        with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+            for name in names:
+                file[f"{name}/t"], file[f"{name}/ft"] = TIME[: len(groups[name])], groups[name]
+        assert len(read_source(tmp_path / "a.h5").recordings) == len(names)
+
+
+def test_hdf5_types_and_null_arrays_beside_recordings_change_nothing(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name in ("one", "two"):
+            file[f"{name}/t"], file[f"{name}/grip"] = TIME, WRENCH[:, :2] + len(file)
+        file["type"], file["nothing"] = np.dtype("f8"), h5py.Empty("f8")
+    assert len(read_source(tmp_path / "a.h5").recordings) == 2
+
+
+def test_hdf5_lists_of_texts_among_attributes_change_nothing(tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        file["t"], file["wrench"] = TIME, WRENCH
+        file.attrs["tags_1"], file.attrs["tags_2"] = ["a", "b"], ["a", "b", "c"]
+        file["wrench"].attrs["axes"] = np.array(["Größe".encode()] * 6)
+    same(read_source(tmp_path / "a.h5"))
+
+
+def test_what_is_no_list_of_units_stays(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", **{"run/t": TIME, "run/wrench": WRENCH, "run/unit": np.array(["N"] * N)})
+    assert read_source(tmp_path / "a.npz").recordings.columns["run_unit"].tolist() == ["N"]
+    facts: dict[str, str | float] = {"force_units": "N"}
+    assert units_in(facts, [f"force_{axis}" for axis in "xyz"]) == (facts, {})
+
+
+def test_many_lists_of_units_are_found_in_linear_time() -> None:
+    spent = []
+    for count in (100, 1000):
+        start = time.process_time()
+        assert len(lists_of_units({f"{k}_units": np.array(["N", "Nm"]) for k in range(count)} | {"t": TIME})) == count
+        spent.append(time.process_time() - start)
+    assert spent[1] < 40 * spent[0]
+
+
+def test_arrays_beside_groups_that_are_left_out_are_remarked(tmp_path: Path) -> None:
+    groups = {f"{name}/{key}": one for name in ("one", "two") for key, one in (("t", TIME), ("ft", WRENCH + len(name)))}
+    np.savez(tmp_path / "a.npz", **groups, other=np.arange(N + 3.0))
+    assert "Arrays of another shape or kind were left out: 'other'." in read_source(tmp_path / "a.npz").report.remarks
