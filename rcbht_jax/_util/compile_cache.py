@@ -14,7 +14,7 @@ import jax
 
 from rcbht_jax.errors import InputError
 
-SLOW = 2.0  # s; programs that compile faster are not stored
+SLOW = 0.5  # s; programs that compile faster are not stored: the chain of a stream takes from one to three
 _FAILED = re.compile(r"Error (?:reading|writing) persistent compilation cache entry for '([^']+)'")
 
 
