@@ -97,7 +97,7 @@ class Experiment:
 
         def predict(train: Any, test: Any, seed: int) -> Any:
             rest = recordings.take(items.intervals[0].recording[train])
-            x = dict(zip(MEMBERS, method.describe(recordings, items, rest=rest), strict=True))
+            x = self.described(name) | {"words": method.describe_words(recordings, items, rest)}
             return method.summed([(MEMBERS[member], x[member]) for member in members], items.y)(train, test, seed)
 
         return predict

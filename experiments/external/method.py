@@ -54,18 +54,21 @@ Member = Callable[[Matrix, Rows, Rows, Rows, int], Matrix]  # svm or trees
 
 
 def describe(
-    recordings: Recordings,
-    items: LabelledIntervals,
-    families: tuple[str, ...] = FAMILIES,
-    rest: Recordings | None = None,
+    recordings: Recordings, items: LabelledIntervals, families: tuple[str, ...] = FAMILIES
 ) -> tuple[Matrix, Matrix]:
-    """Features of the words, and of the wrench itself; thresholds come from ``rest``, or from all recordings."""
+    """Features of the words, and of the wrench itself."""
+    return describe_words(recordings, items, recordings, families), describe_wrench(segments(recordings, items))
+
+
+def describe_words(
+    recordings: Recordings, items: LabelledIntervals, rest: Recordings, families: tuple[str, ...] = FAMILIES
+) -> Matrix:
+    """Features of the words, whose thresholds come from what rests in ``rest``."""
     short = np.median(recordings.length) < FEW * WINDOW
     window = SHORT if short else WINDOW
-    limits = auto_thresholds(recordings if rest is None else rest, window)
+    limits = auto_thresholds(rest, window)
     tracks = encode_batch(EncoderConfig(dt=recordings.dt, window=window), limits, recordings.wrench, recordings.length)
-    words = extract_features(tracks, items, FeatureSpec(families=families)).values
-    return words.astype(np.float64), describe_wrench(segments(recordings, items))
+    return extract_features(tracks, items, FeatureSpec(families=families)).values.astype(np.float64)
 
 
 def describe_wrench(parts: raw.Segments) -> Matrix:
