@@ -16,6 +16,7 @@ from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import Recordings
 
 _PAIRS = 5  # of classes that a sentence names
+_RARE = 0.05  # probability of what chance does not explain
 
 
 def examined(
@@ -85,8 +86,8 @@ def _sessions(items: LabelledIntervals) -> list[str]:
         sentences.append(
             f"Sessions that hold a single class have {share:.0%} of the intervals: {listed}; hold sessions out."
         )
-    scores = session_scores(items)
-    if len(apart := np.argwhere(np.triu(scores, 1) > 0.75)):
+    scores, count = session_scores(items)
+    if len(apart := np.argwhere(np.triu(scores, 1) > 0.75)) and _by_chance(count) < _RARE:
         pairs = [f"{items.classes[a]} from {items.classes[b]} {scores[a, b]:.0%}" for a, b in apart[:_PAIRS].tolist()]
         more = f" and {plural(len(apart) - _PAIRS, 'other pair')}" if len(apart) > _PAIRS else ""
         sentences.append(
@@ -96,10 +97,12 @@ def _sessions(items: LabelledIntervals) -> list[str]:
     return sentences
 
 
-def session_scores(items: LabelledIntervals) -> Float[np.ndarray, "class class"]:
+def session_scores(
+    items: LabelledIntervals,
+) -> tuple[Float[np.ndarray, "class class"], Float[np.ndarray, "session class"]]:
     """Balanced accuracy for every two classes of predicting the one with the larger share of its trials in the session.
 
-    Each trial is left out in turn, and equal shares are half right.
+    Each trial is left out in turn, and equal shares are half right. The second array counts the trials.
     """
     session, trial = group_numbers(items.session), group_numbers(items.trial)
     member = np.zeros((trial.max() + 1, len(items.classes)), bool)  # [trial, class]
@@ -113,7 +116,16 @@ def session_scores(items: LabelledIntervals) -> Float[np.ndarray, "class class"]
         rows = member[:, own]
         share = (count[place[rows]] - member[rows]) / np.maximum(count.sum(0) - member[rows], 1)
         won[own] = ((np.sign(share[:, [own]] - share) + 1) / 2).mean(0)
-    return (won + won.T) / 2
+    return (won + won.T) / 2, count
+
+
+def _by_chance(count: Float[np.ndarray, "session class"]) -> float:
+    """Probability of sessions that differ at least as much, if classes did not depend on them (Pearson)."""
+    from scipy.special import chdtrc  # slow to import, as in metrics
+
+    expected = count.sum(1, keepdims=True) * count.sum(0) / count.sum()
+    freedom = (count.shape[0] - 1) * (count.shape[1] - 1)
+    return float(chdtrc(freedom, ((count - expected) ** 2 / expected).sum()))
 
 
 def _durations(items: LabelledIntervals) -> str:
