@@ -273,7 +273,7 @@ class _Run:
             part = self.data if trials == 1 else self.data.take(rows)
             candidates = self.options.space.thresholds(points[done:])
             new = score_candidates(part, self.config, candidates, chunk=self.chunk, devices=self.devices, progress=keep)
-            known = np.concatenate([known.reshape(-1, new.shape[1]), new])
+            known = np.concatenate([known, new])
         self.number += len(points)
         return known
 
@@ -378,8 +378,12 @@ class ScoreCheckpoint:
 
     def __init__(self, path: Path | None, made_by: Any = None) -> None:
         self._path, self._made_by = path, made_by
-        stored = None if path is None else files.load(path, made_by)
-        self._scores = np.zeros((0, 0), np.float32) if stored is None else np.array(stored, np.float32)
+        self._scores = np.zeros((0, len(SCORES)), np.float32)
+        if stored := None if path is None else files.load(path, made_by):
+            try:
+                self._scores = np.concatenate([self._scores, np.array(stored, np.float32)])
+            except (TypeError, ValueError):
+                raise InputError(f"{path} has no scores of a search; delete it to start again.") from None
 
     def read(self, first: int, count: int) -> Scores:
         """Known scores of evaluations ``first`` and following, at most ``count``."""
@@ -387,6 +391,6 @@ class ScoreCheckpoint:
 
     def write(self, scores: Scores) -> None:
         """Append scores of evaluations."""
-        self._scores = np.concatenate([self._scores.reshape(-1, scores.shape[1]), scores])
+        self._scores = np.concatenate([self._scores, scores])
         if self._path is not None:
             files.save(self._path, self._made_by, self._scores.tolist())

@@ -136,6 +136,8 @@ class Evaluate(_Learning):
     repeats: Annotated[int | None, option("Repetitions of the cross-validation, each with other folds.", "10")] = None
     group: Annotated[str, option("Column whose groups no fold splits, for example operator or session.")] = "trial"
 
+    LARGEST_SEED: ClassVar[int] = 2**31 - 1  # that a protocol takes
+
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
         from rcbht_jax.io.store import unchanged

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from rcbht_jax.introspection.training import HeadSpec
     from rcbht_jax.io.messages import Message
     from rcbht_jax.io.rosbags import McapWriter
+    from rcbht_jax.learning.tasks import LabelledIntervals
     from rcbht_jax.types import Recordings
 
 
@@ -94,7 +95,7 @@ class TrainOnline(RuleCommand):
     def run(self) -> dict[str, Any]:
         from rcbht_jax.encoding.rules import made_by
         from rcbht_jax.introspection.model import save
-        from rcbht_jax.introspection.training import train_model
+        from rcbht_jax.introspection.training import train_model, training_items
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.learning.tasks import chosen_recordings
 
@@ -112,9 +113,10 @@ class TrainOnline(RuleCommand):
                 bar.total = total
                 bar.update(done)
 
-            model = train_model(recordings, specs, config, limits, self.seed, progress)
+            items = [training_items(recordings, spec, config, self.seed) for spec in specs]
+            model = train_model(recordings, specs, config, limits, self.seed, progress, items)
         save(self.out, model)
-        encoder, heads = made_by(config, limits)["config"], _summaries(recordings, specs, model)
+        encoder, heads = made_by(config, limits)["config"], _summaries(recordings, items, model)
         how = {"encoder": encoder, "data_hash": model.data_hash, "remarks": remarks}
         return {"model": str(self.out), "heads": heads, **how}
 
@@ -327,14 +329,12 @@ class ExportModel(Command):
         return f"{result['chain']}: {heads} for {platforms}, {result['bytes'] / 1e6:.1f} MB"
 
 
-def _summaries(recordings: Recordings, specs: tuple[HeadSpec, ...], model: IntrospectionModel) -> dict[str, Any]:
+def _summaries(recordings: Recordings, items: list[LabelledIntervals], model: IntrospectionModel) -> dict[str, Any]:
     """What was learned, by classifier: classes, machine, classes left out, and what else predicts the class."""
-    from rcbht_jax.introspection.training import training_items
     from rcbht_jax.learning.confounds import confounds
     from rcbht_jax.learning.wrench_facts import WrenchFacts
 
     facts = WrenchFacts.of(recordings)
-    items = [training_items(recordings, spec, model.encoder, model.extra["seed"]) for spec in specs]
     return {
         head.name: {
             "classes": list(head.classes),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
@@ -355,8 +355,9 @@ def train_model(
     thresholds: AnyLimits | None = None,
     seed: int = 0,
     progress: Callable[[int, int], object] | None = None,
+    items: Sequence[LabelledIntervals] = (),
 ) -> IntrospectionModel:
-    """Train a model with one classifier per specification; see :func:`train_head`.
+    """Train a model with one classifier per specification; see :func:`train_head`, whose ``items`` are those of each.
 
     ``config`` and ``thresholds`` default to those of the encoder; the sampling period is that of the recordings. The
     fit rule takes FitConfig with FitLimits, whose tolerance should come from the training recordings
@@ -372,15 +373,15 @@ def train_model(
     limits = preset(axes=recordings.axes, units=recordings.units) if thresholds is None else thresholds
     names = _names(specs)
     _check_same_beginnings(recordings, specs)
-    tasks = [training_items(recordings, spec, config, seed) for spec in specs]
+    items = items or [training_items(recordings, spec, config, seed) for spec in specs]
     heads = tuple(
-        replace(train_head(recordings, spec, config, limits, seed, progress, items), name=name)
-        for spec, items, name in zip(specs, tasks, names, strict=True)
+        replace(train_head(recordings, spec, config, limits, seed, progress, one), name=name)
+        for spec, one, name in zip(specs, items, names, strict=True)
     )
     extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
     extra |= {"axes": list(recordings.axes), "units": list(recordings.units)}
     kept = limits if isinstance(limits, FitLimits) else np.asarray(limits_of(limits), np.float64)
-    rows = np.unique(np.concatenate([items.intervals[0].recording for items in tasks]))
+    rows = np.unique(np.concatenate([one.intervals[0].recording for one in items]))
     extra["arm"] = learned_arm(str(recordings.arm[rows[0]]), recordings.arm)
     seen = wrench_digests(recordings.wrench, recordings.length)[rows]
     return IntrospectionModel(config, kept, heads, data_hash(recordings), extra=extra, digests=seen)

@@ -7,12 +7,16 @@ from jaxtyping import Float, Int, UInt8
 
 from rcbht_jax._util.arms import BOTH, rows_of_arm
 from rcbht_jax._util.printable import plural, reasons_of
+from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.class_groups import groups_of_classes, learnable
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import Recordings
+
+_PAIRS = 5  # of classes that a sentence names
+_RARE = 0.05  # probability of what chance does not explain
 
 
 def examined(
@@ -53,14 +57,15 @@ def examined(
 def confounds(items: LabelledIntervals, facts: WrenchFacts | None = None) -> tuple[str, ...]:
     """Sentences about confounds that this data has; none if no check finds one.
 
-    Checked are sessions that hold a single class, classes that duration alone or, of whole recordings, the first second
-    alone predicts, intervals of one sample, and copies of recordings. An empty result does not exclude others.
+    Checked are sessions that hold a single class, classes that the session alone distinguishes, classes that duration
+    alone or, of whole recordings, the first second alone predicts, intervals of one sample, and copies of recordings.
+    An empty result does not exclude others.
 
     Args:
         items: intervals with their classes, durations and sessions.
         facts: of the wrenches of the data set; copies are counted, and first seconds compared, where they are given.
     """
-    sentences = [_sessions(items), _durations(items), *_single_samples(items)]
+    sentences = [*_sessions(items), _durations(items), *_single_samples(items)]
     if facts is not None:
         sentences.append(_first_second(items, facts))
         rows = np.unique(np.concatenate([i.recording for i in items.intervals]))
@@ -68,17 +73,59 @@ def confounds(items: LabelledIntervals, facts: WrenchFacts | None = None) -> tup
     return tuple(filter(None, sentences))
 
 
-def _sessions(items: LabelledIntervals) -> str:
+def _sessions(items: LabelledIntervals) -> list[str]:
     sessions = np.unique(items.session)
     held = {str(s): np.unique(items.y[items.session == s]) for s in sessions}
     single = {session: items.classes[classes[0]] for session, classes in held.items() if len(classes) == 1}
-    if len(held) < 2 or not single:
-        return ""
     listed = ", ".join(f"{session} ({name})" for session, name in single.items())
-    if len(single) == len(held):
-        return f"No session holds more than one class: {listed}; what separates sessions also separates classes."
-    share = np.isin(items.session, list(single)).mean()
-    return f"Sessions that hold a single class have {share:.0%} of the intervals: {listed}; hold sessions out."
+    if len(single) == len(held) > 1:
+        return [f"No session holds more than one class: {listed}; what separates sessions also separates classes."]
+    sentences = []
+    if single and len(held) > 1:
+        share = np.isin(items.session, list(single)).mean()
+        sentences.append(
+            f"Sessions that hold a single class have {share:.0%} of the intervals: {listed}; hold sessions out."
+        )
+    scores, count = session_scores(items)
+    if len(apart := np.argwhere(np.triu(scores, 1) > 0.75)) and _by_chance(count) < _RARE:
+        pairs = [f"{items.classes[a]} from {items.classes[b]} {scores[a, b]:.0%}" for a, b in apart[:_PAIRS].tolist()]
+        more = f" and {plural(len(apart) - _PAIRS, 'other pair')}" if len(apart) > _PAIRS else ""
+        sentences.append(
+            f"The session alone distinguishes classes (balanced accuracy, chance 50%): {', '.join(pairs)}{more}; what "
+            "separates sessions also separates these."
+        )
+    return sentences
+
+
+def session_scores(
+    items: LabelledIntervals,
+) -> tuple[Float[np.ndarray, "class class"], Float[np.ndarray, "session class"]]:
+    """Balanced accuracy for every two classes of predicting the one with the larger share of its trials in the session.
+
+    Each trial is left out in turn, and equal shares are half right. The second array counts the trials.
+    """
+    session, trial = group_numbers(items.session), group_numbers(items.trial)
+    member = np.zeros((trial.max() + 1, len(items.classes)), bool)  # [trial, class]
+    member[trial, items.y] = True
+    place = np.zeros(len(member), np.int64)
+    place[trial] = session
+    count = np.zeros((session.max() + 1, len(items.classes)))
+    np.add.at(count, place, member)
+    won = np.zeros((len(items.classes),) * 2)
+    for own in range(len(items.classes)):
+        rows = member[:, own]
+        share = (count[place[rows]] - member[rows]) / np.maximum(count.sum(0) - member[rows], 1)
+        won[own] = ((np.sign(share[:, [own]] - share) + 1) / 2).mean(0)
+    return (won + won.T) / 2, count
+
+
+def _by_chance(count: Float[np.ndarray, "session class"]) -> float:
+    """Probability of sessions that differ at least as much, if classes did not depend on them (Pearson)."""
+    from scipy.special import chdtrc  # slow to import, as in metrics
+
+    expected = count.sum(1, keepdims=True) * count.sum(0) / count.sum()
+    freedom = (count.shape[0] - 1) * (count.shape[1] - 1)
+    return float(chdtrc(freedom, ((count - expected) ** 2 / expected).sum()))
 
 
 def _durations(items: LabelledIntervals) -> str:

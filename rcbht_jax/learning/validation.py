@@ -33,6 +33,7 @@ Estimator = Callable[[NDArray[np.int64], NDArray[np.int64], int], Prediction]
 
 _TREES = 50
 _SEEDS_APART = 1000
+_SEEDS = 2**32  # that scikit-learn takes
 
 
 def nested_svm(
@@ -166,7 +167,7 @@ def repeated_folds(
 
 
 def repeat_seeds(seed: int, repeats: int) -> range:
-    """Seeds of repetitions, of which two different seeds share none.
+    """Seeds of repetitions, of which two different seeds below four million share none.
 
     Raises:
         InputError: more than 1000 repetitions.
@@ -177,7 +178,8 @@ def repeat_seeds(seed: int, repeats: int) -> range:
     """
     if repeats > _SEEDS_APART:
         raise InputError(f"There are {repeats} repeats; expected at most {_SEEDS_APART}.")
-    return range(_SEEDS_APART * seed, _SEEDS_APART * seed + repeats)
+    first = _SEEDS_APART * seed % (_SEEDS - _SEEDS_APART)
+    return range(first, first + repeats)
 
 
 def cross_validate(estimator: Estimator, y: Ints, splits: Sequence[Sequence[Split]], seed: int = 0) -> CrossValidation:
@@ -187,7 +189,7 @@ def cross_validate(estimator: Estimator, y: Ints, splits: Sequence[Sequence[Spli
         estimator: see the module.
         y: class index ``[item]``.
         splits: training and test rows.
-        seed: the estimator gets ``1000 * (seed + repeat) + fold``.
+        seed: the estimator gets ``1000 * (seed + repeat) + fold``, modulo 2^32.
 
     Example:
         >>> y = np.array([0, 0, 0, 1])
@@ -201,7 +203,7 @@ def cross_validate(estimator: Estimator, y: Ints, splits: Sequence[Sequence[Spli
     table = np.zeros((classes, classes), np.int64)
     for repeat, folds in enumerate(splits):
         for number, (train, test) in enumerate(folds):
-            predicted, choice = estimator(train, test, 1000 * (seed + repeat) + number)
+            predicted, choice = estimator(train, test, (1000 * (seed + repeat) + number) % _SEEDS)
             plain[repeat, number] = metrics.accuracy(y[test], predicted)
             balanced[repeat, number] = metrics.balanced_accuracy(y[test], predicted)
             table += metrics.confusion(y[test], predicted, classes)
@@ -245,7 +247,7 @@ def holdout_score(estimator: Estimator, y: Ints, groups: NDArray[Any], split: Sp
         seed: of the estimator.
     """
     train, test = split
-    predicted, choice = estimator(train, test, 1000 * seed)
+    predicted, choice = estimator(train, test, 1000 * seed % _SEEDS)
     y_true, classes = y[test], int(y.max()) + 1
     score, trials = metrics.accuracy(y_true, predicted), len(np.unique(groups[test]))
     low, high = metrics.wilson(score * trials, trials)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import jax
@@ -184,6 +185,12 @@ def test_interrupted_search_resumes_to_the_same_result(made, tmp_path):
     resumed = search(made, CONFIG, SMALL, chunk=4, checkpoint=checkpoint)
     np.testing.assert_array_equal(whole.thresholds.limits, resumed.thresholds.limits)
     assert whole.scores == resumed.scores
+    kept = json.loads(checkpoint.read_text())
+    for wrong in ("abc", 3, [["x"]], [[1, 2], [3]], [[1.0] * 3] * 5, {"a": 1}):
+        damaged = tmp_path / "damaged.json"
+        damaged.write_text(json.dumps({**kept, "content": wrong}))
+        with pytest.raises(InputError, match="no scores of a search"):
+            search(made, CONFIG, SMALL, checkpoint=damaged)
     with pytest.raises(InputError, match="other data or options"):
         search(made.take(np.array([0, 1, 2])), CONFIG, SMALL, checkpoint=checkpoint)
     checkpoint.write_bytes(checkpoint.read_bytes()[:100])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import chi2_contingency
 
 from rcbht_jax.features import Intervals
 from rcbht_jax.learning import confounds as module
@@ -56,12 +57,29 @@ def test_the_median_of_the_others_is_what_numpy_says(values):
     [
         (labelled("CCAB", [20, 30, 30, 20], [0, 0, 1, 1]), "No session holds more than one class: A (success), B (suc"),
         (labelled("CAAA", [20, 30, 30, 20], [0, 0, 1, 1]), "a single class have 25% of the intervals: C (failure);"),
+        (
+            labelled("AAAAABBBBB" * 2, [20, 30] * 10, [0, 0, 0, 0, 1, 0, 1, 1, 1, 1] * 2),
+            "chance 50%): failure from success 80%;",
+        ),
         (labelled("AAAA", [20, 21, 40, 41], [0, 0, 1, 1]), "balanced accuracy of 100% (chance 50%)"),
         (labelled("AAAA", [1, 30, 30, 1], [0, 0, 1, 1]), "1 of 2 intervals of failure is one sample long."),
     ],
 )
 def test_each_confound_has_its_sentence(items, sentence):
     assert sentence in " ".join(confounds(items))
+
+
+def test_sessions_that_share_few_classes_are_named():
+    """Two sessions with two classes each: no session has a single class, but four pairs of classes share none."""
+    items = replace(labelled("AAAABBBB", [20] * 8, [0, 1, 0, 1, 2, 3, 2, 3]), classes=("a", "b", "c", "d"))
+    scores, count = module.session_scores(items)
+    assert scores[0].tolist() == [0.5, 0.5, 1.0, 1.0]
+    assert module._by_chance(count) == pytest.approx(chi2_contingency([[2, 2, 0, 0], [0, 0, 2, 2]]).pvalue)
+    (found,) = confounds(items)
+    assert "a from c 100%, a from d 100%, b from c 100%, b from d 100%;" in found
+    assert confounds(items.take(np.array([0, 1, 2, 3, 4, 5]))) == ()  # six trials may be divided so by chance
+    shared = replace(items, trial=np.array(list("abcdabcd")), session=np.array(list("AABBAABB")))
+    assert confounds(shared) == ()  # every trial has two of the classes, as the phases of a task
 
 
 def test_a_confound_has_to_predict_more_than_half_of_what_chance_does_not():

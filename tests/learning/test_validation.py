@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sklearn.metrics import confusion_matrix
 from sklearn.model_selection import ShuffleSplit
 
-from rcbht_jax.learning.validation import cross_validate, holdout_score, majority
+from rcbht_jax.learning.validation import cross_validate, forest, holdout_score, majority, repeated_folds
 
 Rows = NDArray[np.int64]
 
@@ -36,3 +36,13 @@ def test_mistakes_of_a_transfer_are_in_the_row_of_the_true_class() -> None:
     np.testing.assert_array_equal(made.confusion, confusion_matrix(y[3:], guess[3:]))
     assert made.chosen == {"seed": 4000, "trained": 3}
     assert made.balanced_accuracy == pytest.approx((0 + 0 + 1 / 2) / 3)
+
+
+def test_every_seed_of_the_command_line_is_one_of_scikit_learn() -> None:
+    """A date such as 20261130, times 1000, is none."""
+    y = np.arange(8) % 2
+    for seed in (20261130, 2**32 - 1):
+        folds = repeated_folds(y, np.arange(8), folds=2, repeats=2, seed=seed)
+        learn = forest(y[:, None].astype(float), y)
+        assert cross_validate(learn, y, folds, seed).accuracy.tolist() == [[1.0, 1.0]] * 2
+        assert holdout_score(learn, y, np.arange(8), folds[0][0], seed).accuracy == 1.0
