@@ -23,6 +23,7 @@ from sim_mjx.robots.robot import FORCE, HAND, Robot, equipped
 MALE, MOUNT, TIP = "MALE", "MOUNT", "TIP"  # bodies of the parts, site at the male part's tip
 MOUNT_MASS, MOUNT_DAMPING = 0.3, 0.7  # kg; share of critical damping
 SEARCH_STEPS, STEP, CLOSE = 500, 0.2, 1e-6  # of the search for home; most rad per step; m and rad
+HOLD, HELD = 200, 1e-3  # physics steps in which the tip must stay at home; m
 
 
 def scene(
@@ -142,7 +143,7 @@ def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
     """Joint angles at time zero, rad: the tip upright above the mouth, by a search from the robot's home.
 
     Raises:
-        InputError: the arm does not get there within its limits.
+        InputError: the arm does not get there within its limits, or does not stay there.
     """
     _, model = _compiled(assembly, robot)
     data, site = mujoco.MjData(model), model.site(TIP).id
@@ -171,6 +172,14 @@ def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
             f"The robot {robot.name} does not reach the start of {assembly.name}, {assembly.start * 1e3:g} mm above "
             f"{robot.place}, with the wrist's z axis down and its x axis along the world's: {where}; choose another "
             "home, place or site."
+        )
+    model.opt.gravity[:], data.ctrl[:] = 0.0, angles  # the load of the hand bends any servo
+    mujoco.mj_step(model, data, HOLD)
+    mujoco.mj_kinematics(model, data)
+    if not (pulled := np.linalg.norm(data.site_xpos[site] - goal)) < HELD:
+        raise InputError(
+            f"The robot {robot.name} does not stay at the start of {assembly.name}: its model moves the wrist by "
+            f"{pulled * 1e3:.3g} mm, as constraints between its joints do, or tendons with limits; remove those."
         )
     return angles
 
