@@ -14,14 +14,14 @@ from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, Parts
 from sim_mjx.assemblies.fields import FieldWriter
 from sim_mjx.assemblies.program import UPRIGHT, Controller
-from sim_mjx.assembly.parts import Fields
+from sim_mjx.assembly.parts import MOUNT, MOUNT_MASS, Fields, add_mount
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, set_solver, with_tabs
 from sim_mjx.own_code import own_code
 from sim_mjx.robots.chain import serial_chain
 from sim_mjx.robots.robot import FORCE, HAND, Robot, equipped
 
-MALE, MOUNT, TIP = "MALE", "MOUNT", "TIP"  # bodies of the parts, site at the male part's tip
-MOUNT_MASS, MOUNT_DAMPING = 0.3, 0.7  # kg; share of critical damping
+MALE, TIP = "MALE", "TIP"  # body of the male part, site at its tip
+MOUNT_DAMPING = 0.7  # share of critical damping
 SEARCH_STEPS, STEP, CLOSE = 500, 0.2, 1e-6  # of the search for home; most rad per step; m and rad
 HOLD, HELD = 200, 1e-3  # physics steps in which the tip must stay at home; m
 
@@ -96,12 +96,7 @@ def _elements(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
     hand.add_site(name=TIP, pos=(0.0, 0.0, assembly.reach))
     # the hand points down, the parts' z axis up
     assembly.male(spec, hand.add_body(name=MALE, pos=(0.0, 0.0, assembly.reach), quat=(0.0, 1.0, 0.0, 0.0)))
-    mount = spec.worldbody.add_body(name=MOUNT, pos=robot.place)
-    mount.mass, mount.inertia, mount.explicitinertial = MOUNT_MASS, (2e-4, 2e-4, 2e-4), True
-    mount.gravcomp = 1.0
-    for axis, name in enumerate("XYZ"):
-        mount.add_joint(name=f"{MOUNT}_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[axis])
-    assembly.female(spec, mount)
+    assembly.female(spec, add_mount(spec.worldbody, robot.place))
     return spec
 
 

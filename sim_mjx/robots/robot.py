@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from rcbht_jax.errors import InputError
+from sim_mjx.assembly.robot import add_visual
 from sim_mjx.own_code import finite, own_code
 
 Vector = tuple[float, float, float]
@@ -256,9 +257,6 @@ def arm(
             name=f"JOINT{number}", axis=link.axis, pos=link.anchor, range=link.limits, armature=link.armature
         )
         if any(link.to):
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0.0, 0.0, 0.0, *link.to), size=(link.radius, 0.0, 0.0),
-                contype=0, conaffinity=0, group=2, rgba=(0.7, 0.7, 0.75, 1.0),
-            )  # fmt: skip
+            add_visual(body, (0.0, 0.0, 0.0), link.to, link.radius)
     body.add_site(name="WRIST", pos=flange, quat=flange_turn)
     return spec
