@@ -173,8 +173,8 @@ def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
     mujoco.mj_kinematics(model, data)
     if not (pulled := np.linalg.norm(data.site_xpos[site] - goal)) < HELD:
         raise InputError(
-            f"The robot {robot.name} does not stay at the start of {assembly.name}: its model moves the wrist by "
-            f"{pulled * 1e3:.3g} mm, as constraints between its joints do, or tendons with limits; remove those."
+            f"The robot {robot.name} does not stay at the start of {assembly.name}: the model moves the wrist by "
+            f"{pulled * 1e3:.3g} mm, as constraints on its joints, limits of tendons or springs of the parts do."
         )
     return angles
 

@@ -166,7 +166,7 @@ def test_an_arm_that_cannot_stay_at_its_start_is_refused(end: str, tmp_path: Pat
     panda = ROBOTS["panda"]
     robot = from_mjcf(tmp_path / "mine.xml", site="WRIST", home=panda.home, place=panda.place)
     with pytest.raises(
-        InputError, match=r"mine does not stay at the start of clip: its model moves the wrist by \S+ mm"
+        InputError, match=r"mine does not stay at the start of clip: the model moves the wrist by \S+ mm"
     ):
         home(ASSEMBLIES["clip"], robot)
 
