@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
-from sim_mjx.assembly.parts import Fields, add_pair
+from sim_mjx.assembly.parts import Fields, add_box, add_pair
 
 Vector = tuple[float, float, float]
 MALE, FEMALE, MARK = (0.25, 0.45, 0.75, 1.0), (0.45, 0.45, 0.45, 1.0), (0.9, 0.5, 0.1, 1.0)  # colours
@@ -30,10 +30,7 @@ def box(body: mujoco.MjsBody, name: str, place: Vector, half: Vector, turn: floa
         turn: rotation about z, rad.
         rgba: colour.
     """
-    body.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=place, size=half, mass=0.0, contype=0, conaffinity=0,
-        quat=(np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)), rgba=rgba,
-    )  # fmt: skip
+    add_box(body, name, half, place, (np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)), rgba)
 
 
 def mark(body: mujoco.MjsBody, name: str, place: Vector = (0.0, 0.0, 0.0)) -> None:

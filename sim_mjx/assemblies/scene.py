@@ -14,15 +14,16 @@ from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, Parts
 from sim_mjx.assemblies.fields import FieldWriter
 from sim_mjx.assemblies.program import UPRIGHT, Controller
-from sim_mjx.assembly.parts import Fields
+from sim_mjx.assembly.parts import MOUNT, MOUNT_MASS, Fields, add_mount
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, set_solver, with_tabs
 from sim_mjx.own_code import own_code
 from sim_mjx.robots.chain import serial_chain
 from sim_mjx.robots.robot import FORCE, HAND, Robot, equipped
 
-MALE, MOUNT, TIP = "MALE", "MOUNT", "TIP"  # bodies of the parts, site at the male part's tip
-MOUNT_MASS, MOUNT_DAMPING = 0.3, 0.7  # kg; share of critical damping
+MALE, TIP = "MALE", "TIP"  # body of the male part, site at its tip
+MOUNT_DAMPING = 0.7  # share of critical damping
 SEARCH_STEPS, STEP, CLOSE = 500, 0.2, 1e-6  # of the search for home; most rad per step; m and rad
+HOLD, HELD = 200, 1e-3  # physics steps in which the tip must stay at home; m
 
 
 def scene(
@@ -95,12 +96,7 @@ def _elements(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
     hand.add_site(name=TIP, pos=(0.0, 0.0, assembly.reach))
     # the hand points down, the parts' z axis up
     assembly.male(spec, hand.add_body(name=MALE, pos=(0.0, 0.0, assembly.reach), quat=(0.0, 1.0, 0.0, 0.0)))
-    mount = spec.worldbody.add_body(name=MOUNT, pos=robot.place)
-    mount.mass, mount.inertia, mount.explicitinertial = MOUNT_MASS, (2e-4, 2e-4, 2e-4), True
-    mount.gravcomp = 1.0
-    for axis, name in enumerate("XYZ"):
-        mount.add_joint(name=f"{MOUNT}_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[axis])
-    assembly.female(spec, mount)
+    assembly.female(spec, add_mount(spec.worldbody, robot.place))
     return spec
 
 
@@ -142,7 +138,7 @@ def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
     """Joint angles at time zero, rad: the tip upright above the mouth, by a search from the robot's home.
 
     Raises:
-        InputError: the arm does not get there within its limits.
+        InputError: the arm does not get there within its limits, or does not stay there.
     """
     _, model = _compiled(assembly, robot)
     data, site = mujoco.MjData(model), model.site(TIP).id
@@ -171,6 +167,14 @@ def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
             f"The robot {robot.name} does not reach the start of {assembly.name}, {assembly.start * 1e3:g} mm above "
             f"{robot.place}, with the wrist's z axis down and its x axis along the world's: {where}; choose another "
             "home, place or site."
+        )
+    model.opt.gravity[:], data.ctrl[:] = 0.0, angles  # the load of the hand bends any servo
+    mujoco.mj_step(model, data, HOLD)
+    mujoco.mj_kinematics(model, data)
+    if not (pulled := np.linalg.norm(data.site_xpos[site] - goal)) < HELD:
+        raise InputError(
+            f"The robot {robot.name} does not stay at the start of {assembly.name}: the model moves the wrist by "
+            f"{pulled * 1e3:.3g} mm, as constraints on its joints, limits of tendons or springs of the parts do."
         )
     return angles
 

@@ -37,6 +37,8 @@ FOOT_HEIGHT = 0.004  # m, centres of the feet above the tips
 LIP = (0.004, 0.0045, 0.003)  # m, half sizes of a lip
 PAST = LIP[2] - TIP_RADIUS * 0.2  # m, above the middle of a lip, beneath which a tip is past it
 BLOCK = (0.006, 0.006, 0.003)  # m, half sizes of a block beside a slot
+MOUNT, MOUNT_MASS = "MOUNT", 0.3  # body, kg
+BOX = (0.3, 0.3, 0.3, 1.0)  # colour
 
 
 @jax.tree_util.register_dataclass
@@ -70,9 +72,6 @@ class PartParams:
     def missing(self) -> Bool[np.ndarray, "*batch 4"]:
         """Which tabs have broken off."""
         return np.asarray(self.hook_overlap) < 0
-
-
-MOUNT_MASS = 0.3  # kg
 
 
 def check(params: PartParams) -> None:
@@ -154,14 +153,7 @@ def add_female(
         place: m, of the front tips' first touch in the holder's frame.
         turn: quaternion of the mount in that frame; its z axis points from the female part to the male one.
     """
-    mount = (holder or spec.worldbody).add_body(name="MOUNT", pos=place, quat=turn)
-    mount.mass, mount.inertia, mount.explicitinertial = MOUNT_MASS, (2e-4, 2e-4, 2e-4), True
-    mount.gravcomp = 1.0
-    for axis, name in enumerate("XYZ"):
-        mount.add_joint(
-            name=f"MOUNT_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[axis],
-            stiffness=[1e4, 0.0, 0.0], damping=[60.0, 0.0, 0.0],
-        )  # fmt: skip
+    mount = add_mount(holder or spec.worldbody, place, turn, stiffness=1e4, damping=60.0)
     for index, name in enumerate(TABS):
         aft, aside = tab_place(index)
         for kind, size in (("LIP", LIP), ("BLOCK1", BLOCK), ("BLOCK2", BLOCK)):
@@ -171,12 +163,28 @@ def add_female(
     add_box(mount, "SEAT", (0.035, 0.045, 0.004), (-TAB_SPACING[0] / 2, 0.0, -0.005))
 
 
-def add_box(body: mujoco.MjsBody, name: str, size: Vector, place: Vector) -> None:
-    """Add a box that touches only the geoms it is paired with, m; a trial sets its place."""
+def add_mount(
+    holder: mujoco.MjsBody, place: Any, turn: Any = UNTURNED, stiffness: float = 0.0, damping: float = 0.0
+) -> mujoco.MjsBody:
+    """Add the female part's mount, which slides on three springs, N/m and Ns/m; a trial sets these."""
+    mount = holder.add_body(name=MOUNT, pos=place, quat=turn, gravcomp=1.0)
+    mount.mass, mount.inertia, mount.explicitinertial = MOUNT_MASS, (2e-4, 2e-4, 2e-4), True
+    for axis, name in enumerate("XYZ"):
+        mount.add_joint(
+            name=f"{MOUNT}_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[axis],
+            stiffness=[stiffness, 0.0, 0.0], damping=[damping, 0.0, 0.0],
+        )  # fmt: skip
+    return mount
+
+
+def add_box(
+    body: mujoco.MjsBody, name: str, size: Vector, place: Vector, turn: Any = UNTURNED, rgba: Any = BOX
+) -> None:
+    """Add a box without mass that touches only the geoms it is paired with, m; a trial sets its place."""
     # never at the body's origin: MuJoCo would then ignore the position that a trial sets
     body.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, mass=0.0, contype=0, conaffinity=0,
-        rgba=(0.3, 0.3, 0.3, 1.0),
+        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, quat=turn, mass=0.0, contype=0, conaffinity=0,
+        rgba=rgba,
     )  # fmt: skip
 
 

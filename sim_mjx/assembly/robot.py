@@ -65,7 +65,7 @@ def new_robot(arms: Sequence[str] = ("R",)) -> mujoco.MjSpec:
     # Euler's method needs shorter steps than the servos' damping allows; this one is stable up to 5 ms.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     chest = spec.worldbody.add_body(name="CHEST", pos=(0.0, 0.0, CHEST_HEIGHT))
-    _add_visual(chest, (0.0, 0.12, 0.35), (0.0, -0.12, 0.35), 0.06)
+    add_visual(chest, (0.0, 0.12, 0.35), (0.0, -0.12, 0.35), 0.06)
     for arm in arms:
         _add_arm(spec, chest, arm)
     return spec
@@ -87,7 +87,7 @@ def _add_arm(spec: mujoco.MjSpec, chest: mujoco.MjsBody, arm: str) -> None:
         name = f"{arm}ARM_JOINT{i}"
         limits = tuple(math.radians(angle) for angle in link.limits)
         body.add_joint(name=name, axis=UNIT[link.axis], range=limits, armature=link.armature)
-        _add_visual(body, (0.0, 0.0, 0.0), link.shape, link.radius)
+        add_visual(body, (0.0, 0.0, 0.0), link.shape, link.radius)
         actuator = spec.add_actuator(name=f"{arm}ARM_SERVO{i}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.set_to_position(kp=servo.kp[i], kv=servo.kv[i])
     _add_tool(spec, body, arm)
@@ -109,14 +109,9 @@ def _add_tool(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, arm: str) -> None:
         spec.add_sensor(name=f"{arm}ARM_{kind}", type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{arm}ARM_FT")
 
 
-def _add_visual(body: mujoco.MjsBody, start: Vector, end: Vector, radius: float) -> None:
-    """A capsule that is drawn and touches nothing."""
+def add_visual(body: mujoco.MjsBody, start: Vector, end: Vector, radius: float) -> None:
+    """Add a capsule that is drawn and touches nothing, m."""
     body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=(*start, *end),
-        size=(radius, 0.0, 0.0),
-        contype=0,
-        conaffinity=0,
-        group=2,
-        rgba=(0.7, 0.7, 0.75, 1.0),
-    )
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(*start, *end), size=(radius, 0.0, 0.0), contype=0, conaffinity=0,
+        group=2, rgba=(0.7, 0.7, 0.75, 1.0),
+    )  # fmt: skip

@@ -219,9 +219,7 @@ class _Lanes:
         scene, home = self.job.scene, self.job.home[self.trial[lane]]
         model = self.models[lane] = model_of(scene, self.job.parts[self.trial[lane]])
         mujoco.mj_resetData(model, self.data)
-        self.data.qpos[scene.joints] = home
-        self.data.ctrl[:] = home
-        mujoco.mj_step(model, self.data, SETTLING)
+        settle(scene, model, self.data, home)
         self.data.time = 0.0
         mujoco.mj_forward(model, self.data)
         mujoco.mj_getState(model, self.data, self.state[lane], STATE)
@@ -292,6 +290,13 @@ def model_of(scene: Scene, part: Any) -> mujoco.MjModel:
     for name, value in scene.fields(part).items():
         getattr(model, name)[:] = value
     return model
+
+
+def settle(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, home: Float64[np.ndarray, " joint"]) -> None:
+    """Let a trial come to rest in its home pose; ``data`` is new or reset."""
+    data.qpos[scene.joints] = home
+    data.ctrl[:] = home
+    mujoco.mj_step(model, data, SETTLING)
 
 
 def seated_tabs(scene: Scene, data: mujoco.MjData) -> Bool[np.ndarray, " tab"]:

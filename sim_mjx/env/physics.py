@@ -19,7 +19,7 @@ from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import single_trials, stack
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import device, native
-from sim_mjx.engines.common import SETTLING, unwarned
+from sim_mjx.engines.common import unwarned
 from sim_mjx.engines.device import Body, Layout
 from sim_mjx.engines.quiet import mjx
 
@@ -160,9 +160,7 @@ def settled(scene: Scene, params: Any) -> tuple[Body, Glance]:
 def _settle(scene: Scene, part: Any, home: Float[np.ndarray, " joint"]) -> tuple[Body, Glance]:
     model = native.model_of(scene, part)
     data = mujoco.MjData(model)
-    data.qpos[scene.joints] = home
-    data.ctrl[:] = home
-    mujoco.mj_step(model, data, SETTLING)
+    native.settle(scene, model, data, home)
     qpos = data.qpos.copy()
     qpos[scene.joints] -= home
     values = (qpos, data.qvel, data.qacc_warmstart, data.sensordata)

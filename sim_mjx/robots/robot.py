@@ -6,6 +6,7 @@ the part in the hand, and the wrist's force and torque sensor.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -14,9 +15,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from rcbht_jax.errors import InputError
+from sim_mjx.assembly.robot import add_visual
 from sim_mjx.own_code import finite, own_code
 
 Vector = tuple[float, float, float]
@@ -105,7 +107,7 @@ def from_mjcf(
         # on a new model the file's defaults, options, names and unit of angles are the arm's alone
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
-        for setting in ("option", *SIZES):  # else each would be reported as a conflict
+        for setting in ("option", "visual", "stat", *SIZES):  # else each would be reported as a conflict
             setattr(own, setting, getattr(spec, setting))
         spec.attach(own, prefix=ARM, frame=spec.worldbody.add_frame())
         return spec
@@ -121,7 +123,11 @@ def _built(robot: Robot) -> mujoco.MjSpec:
         spec = robot.build()
     if not isinstance(spec, mujoco.MjSpec):
         raise InputError(f"{what} gives a {type(spec).__name__}; expected a mujoco.MjSpec.")
-    return spec.copy()  # which is changed below; the user's may be the same object at every call
+    spec = spec.copy()  # the user's may be the same object at every call
+    for group in (spec.actuators, spec.sensors, spec.keys, spec.pairs, spec.excludes):
+        for element in list(group):  # before any is compiled: a muscle may fail to
+            spec.delete(element)
+    return spec
 
 
 @cache
@@ -151,9 +157,9 @@ def _joints(robot: Robot) -> tuple[str, ...]:
 def equipped(robot: Robot) -> mujoco.MjSpec:
     """The robot with servos, a body ``HAND`` at its wrist, and a force and torque sensor between the two.
 
-    The hand's frame is the wrist's. The weight of the arm and springs in its joints are compensated in addition to the
-    servos, as by the integral part of a real controller; the weight of the hand and its load is not. The arm has no
-    contacts except the pairs that an assembly adds.
+    The hand's frame is the wrist's. The weight of the arm, and springs and dry friction in its joints and in tendons
+    across them, are compensated in addition to the servos, as by the integral part of a real controller; the weight of
+    the hand and its load is not. The arm has no contacts except the pairs that an assembly adds.
 
     Raises:
         InputError: the robot has no such site, or a joint that moves it is not a hinge.
@@ -161,29 +167,25 @@ def equipped(robot: Robot) -> mujoco.MjSpec:
     spec = _built(robot)
     # Euler's method needs shorter steps than the servos' damping allows
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    for group in (spec.actuators, spec.sensors, spec.keys, spec.pairs, spec.excludes):
-        for element in list(group):
-            spec.delete(element)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
     for body in spec.bodies[1:]:
         body.gravcomp = 1.0
     for joint in map(spec.joint, robot.joints):
-        joint.stiffness[:] = joint.springdamper[:] = 0.0
-    _add_servos(spec, robot)
+        joint.stiffness[:] = joint.springdamper[:] = joint.frictionloss = 0.0
+    inertias, across = _at_home(robot)
+    for tendon in itertools.compress(spec.tendons, across):
+        tendon.stiffness[:] = tendon.frictionloss = 0.0
+    # torque = kp (command - angle) - kv velocity, as fast as each joint's own inertia allows
+    for name, inertia in zip(robot.joints, inertias, strict=True):
+        servo = spec.add_actuator(name=f"{name}_SERVO", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=inertia * SERVO_SPEED**2, kv=2 * SERVO_DAMPING * inertia * SERVO_SPEED)
     _add_hand(spec, robot)
     return spec
 
 
-def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Servos: torque = kp (command - angle) - kv velocity, as fast as each joint's own inertia at home allows."""
-    for name, inertia in zip(robot.joints, _inertias(robot), strict=True):
-        servo = spec.add_actuator(name=f"{name}_SERVO", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        servo.set_to_position(kp=inertia * SERVO_SPEED**2, kv=2 * SERVO_DAMPING * inertia * SERVO_SPEED)
-
-
-def _inertias(robot: Robot) -> Float64[np.ndarray, " joint"]:
-    """Each joint's inertia at home, kg m^2, with the tool on the wrist and the other joints held."""
+def _at_home(robot: Robot) -> tuple[Float64[np.ndarray, " joint"], Bool[np.ndarray, " tendon"]]:
+    """Each joint's inertia, kg m^2, with the tool on the wrist and other joints held; which tendons the joints pull."""
     spec = _built(robot)
     _add_hand(spec, robot)
     model = spec.compile()
@@ -191,8 +193,9 @@ def _inertias(robot: Robot) -> Float64[np.ndarray, " joint"]:
     data.qpos[[model.joint(name).qposadr[0] for name in robot.joints]] = robot.home
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, full)
-    rows = [model.joint(name).dofadr[0] for name in robot.joints]
-    return full[rows, rows]
+    rows, pulls = [model.joint(name).dofadr[0] for name in robot.joints], np.zeros((model.ntendon, model.nv))
+    mujoco.mju_sparse2dense(pulls, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
+    return full[rows, rows], np.any(np.abs(pulls[:, rows]) > 1e-9, axis=1)
 
 
 @cache
@@ -254,9 +257,6 @@ def arm(
             name=f"JOINT{number}", axis=link.axis, pos=link.anchor, range=link.limits, armature=link.armature
         )
         if any(link.to):
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0.0, 0.0, 0.0, *link.to), size=(link.radius, 0.0, 0.0),
-                contype=0, conaffinity=0, group=2, rgba=(0.7, 0.7, 0.75, 1.0),
-            )  # fmt: skip
+            add_visual(body, (0.0, 0.0, 0.0), link.to, link.radius)
     body.add_site(name="WRIST", pos=flange, quat=flange_turn)
     return spec

@@ -7,7 +7,6 @@ from dataclasses import fields
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int, Shaped
 from numpy.typing import NDArray
@@ -136,12 +135,12 @@ def label(out: Rollouts, config: EncoderConfig, limits: Float[Array, "6 4"]) -> 
     Args:
         out: the trials. config: of the encoder. limits: thresholds, N/s and Nm/s.
     """
-    return jax.device_get(encode_on_device(config, limits, *by_wrist(jnp.asarray(out.wrench), jnp.asarray(out.length))))
+    return jax.device_get(encode_on_device(config, limits, *by_wrist(out.wrench, out.length)))
 
 
 def by_wrist(wrench: Array, length: Array) -> tuple[Array, Array]:
-    """One recording per wrist: wrench [trial, time, 6K] -> [trial * K, time, 6]."""
+    """One recording per wrist: wrench [trial, time, 6K] -> [trial * K, time, 6], with its length."""
     trials, samples, columns = wrench.shape
     wrists = columns // 6
     apart = wrench.reshape(trials, samples, wrists, 6).swapaxes(1, 2).reshape(-1, samples, 6)
-    return apart, jnp.repeat(length, wrists, total_repeat_length=trials * wrists)
+    return apart, length.__array_namespace__().repeat(length, wrists)

@@ -15,7 +15,7 @@ from rcbht_jax.types import Recordings
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.randomization.trials import Fault
 from sim_mjx.registry import Scenario
-from sim_mjx.synthesis import passes
+from sim_mjx.synthesis import passes, records
 from sim_mjx.synthesis.records import Arrays
 
 PHASES = "phase"  # track of an assembly's phases
@@ -37,21 +37,20 @@ def recordings_of(
         rows: arrays of ``records.of_trials``, of the stored trials.
         index: of the trials. faults: of the trials. outcome: of the trials, of :func:`outcomes`.
     """
-    wrench = rows["wrench"]
-    count, samples = wrench.shape[:2]
+    wrench, length = records.by_wrist(rows["wrench"], rows["length"])
     arms, name = scenario.arms, preset if scenario.recorded else f"{scenario.assembly}-{scenario.robot}"
 
     def each(values: Any) -> NDArray[Any]:
         return np.repeat(np.asarray(values), len(arms), axis=0)
 
     trials: dict[str, Any] = {
-        "wrench": wrench.reshape(count, samples, len(arms), 6).swapaxes(1, 2).reshape(-1, samples, 6),
-        "length": each(rows["length"]),
+        "wrench": wrench,
+        "length": length,
         "dt": CONTROL_PERIOD,
         "trial": each([f"sim-{name}-{i:06d}" for i in index]),
-        "arm": np.tile(np.array(arms), count),
-        "source": np.full(count * len(arms), f"SIM_MJX_{name}"),
-        "session": np.full(count * len(arms), f"sim-{name}"),
+        "arm": np.tile(np.array(arms), len(index)),
+        "source": np.full(len(length), f"SIM_MJX_{name}"),
+        "session": np.full(len(length), f"sim-{name}"),
         "outcome": each(outcome),
         "note": each(rows["note"]),
     }

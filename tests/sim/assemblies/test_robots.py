@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies import ASSEMBLIES
+from sim_mjx.assemblies.scene import home
 from sim_mjx.registry import pair
 from sim_mjx.robots import ROBOTS, Robot, from_mjcf
 from sim_mjx.robots.chain import about, jacobian, pose, rotation_vector, serial_chain
@@ -132,17 +134,52 @@ def test_anybodys_arm(tmp_path: Path) -> None:
         serial_chain(sliding, "wrist")
 
 
-@pytest.mark.parametrize("spring", ['stiffness="50"', 'springdamper="0.1 1"'])
-def test_springs_of_an_arm_do_not_bend_its_servos(spring: str, tmp_path: Path) -> None:
+TENDONS = """<tendon><fixed name="arm's" stiffness="50" frictionloss="1"><joint joint="b" coef="1"/></fixed>
+  <fixed name="finger's" stiffness="50" springlength="1" frictionloss="1"><joint joint="finger" coef="1"/></fixed>
+  <spatial stiffness="50" springlength="0.1"><site site="base"/><site site="wrist"/></spatial></tendon></mujoco>"""
+
+
+@pytest.mark.parametrize("spring", ['stiffness="50"', 'springdamper="0.1 1"', 'frictionloss="1"', ""])
+def test_springs_and_friction_of_an_arm_do_not_bend_its_servos(spring: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.xml"
-    path.write_text(ARM.replace("<joint", f"<joint {spring}"))
+    arm = ARM.replace("<joint", f"<joint {spring}").replace("<worldbody>", '<worldbody><site name="base"/>')
+    path.write_text(arm if spring else arm.replace("</mujoco>", TENDONS))
     robot = from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
     model = equipped(robot).compile()
     data = mujoco.MjData(model)
     data.qpos[:] += 1.0
+    data.qvel[:] = 1.0
     mujoco.mj_forward(model, data)
-    bent = [model.joint(model.dof_jntid[dof]).name for dof in np.flatnonzero(data.qfrc_spring)]
+    bent = [model.joint(model.dof_jntid[dof]).name for dof in np.flatnonzero(data.qfrc_spring + data.qfrc_constraint)]
     assert bent == ["arm/finger"]  # which no servo moves
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        '<equality><joint joint1="JOINT3" polycoef="0.3 0 0 0 0"/></equality>',
+        '<tendon><fixed range="-0.1 0.1" limited="true"><joint joint="JOINT2" coef="1"/></fixed></tendon>',
+    ],
+)
+def test_an_arm_that_cannot_stay_at_its_start_is_refused(end: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.xml").write_text(ROBOTS["panda"].build().to_xml().replace("</mujoco>", f"{end}</mujoco>"))
+    panda = ROBOTS["panda"]
+    robot = from_mjcf(tmp_path / "mine.xml", site="WRIST", home=panda.home, place=panda.place)
+    with pytest.raises(
+        InputError, match=r"mine does not stay at the start of clip: the model moves the wrist by \S+ mm"
+    ):
+        home(ASSEMBLIES["clip"], robot)
+
+
+def test_a_files_muscles_and_view_do_not_matter(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.xml"
+    muscle = '<tendon><fixed name="t"><joint joint="a" coef="0"/></fixed></tendon><actuator><muscle tendon="t"/>'
+    view = '<visual><map znear="0.5"/></visual><statistic extent="50"/><worldbody>'
+    path.write_text(ARM.replace("<actuator>", muscle).replace("<worldbody>", view))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        equipped(from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))).compile()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_robot_may_be_built_once() -> None:
@@ -172,7 +209,7 @@ def test_what_a_file_says_of_its_arm_holds_for_the_arm_and_for_nothing_else(tmp_
     assert (model.opt.gravity[2], model.opt.disableflags, spec.default.pair.margin) == (-9.81, 0, 0.0)
     for name in ("a", "b", "c", "d", "finger"):  # an angle is in degrees unless a file says otherwise
         first, second = alone.joint(name), model.joint(f"arm/{name}")
-        for key in ("range", "qpos0", "armature", "damping", "frictionloss"):
+        for key in ("range", "qpos0", "armature", "damping", *(("frictionloss",) if name == "finger" else ())):
             np.testing.assert_array_equal(getattr(first, key), getattr(second, key), err_msg=key)
     np.testing.assert_allclose(model.site("arm/wrist").quat, alone.site("wrist").quat)
     np.testing.assert_allclose(model.body_quat[1], alone.body_quat[1])
