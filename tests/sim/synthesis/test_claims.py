@@ -123,13 +123,13 @@ def test_two_that_find_a_holder_dead_do_not_both_follow(folder: Path, monkeypatc
     seen = claims.attempts(folder, "7")
     first = taken(folder)
     real = claims.attempts
-    looks = iter([seen])
-    monkeypatch.setattr(claims, "attempts", lambda *words: next(looks, None) or real(*words))
+    looks = [seen]
+    monkeypatch.setattr(claims, "attempts", lambda *words: looks.pop() if looks else real(*words))
     assert claims.take(folder, "7") is None
     # the same where the notes of earlier attempts were cleared in between, so that the next number is free
     (folder / claims.FOLDER / "7-0").unlink()
     for earlier in ([claims.Attempt("7", 4, "dead", "", 0, 0.0)], []):
-        looks = iter([earlier])
+        looks = [earlier]
         assert claims.take(folder, "7") is None
     first.done()
     assert claims.take(folder, "7") is not None
