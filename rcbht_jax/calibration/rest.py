@@ -108,7 +108,7 @@ class _Lines:
         windows = min(max(1, round(seconds / (window * recordings.dt))), self.rest.shape[1])
         slope, used = _slopes(recordings, windows * window)
         parts = self.rest[:, : slope.shape[1] * windows].reshape(*slope.shape[:2], windows, -1)
-        return _Lines(np.abs(slope), used, parts.all(2) & used[..., None])
+        return _Lines(np.abs(slope), used, np.asarray(parts.all(2)))
 
     def seen(self, axis: int) -> bool:
         """Whether some line is at rest, and some line has a slope."""

@@ -285,7 +285,6 @@ class _Run:
         return np.asarray(value.round(6))
 
     def note(self, best: float) -> None:
-        best = max(best, self.history[-1][2] if self.history else -np.inf)
         self.history.append((self.number, time.perf_counter() - self.start, best))
 
 

@@ -59,8 +59,8 @@ def required(field: str, values: Any) -> str:
         field: its name.
         values: of one trial.
 
-    >>> required("delay", 40), required("delay", 11)
-    ('0 to 11 control periods', '')
+    >>> required("delay", 40), required("delay", 11), required("noise", 0.0)
+    ('0 to 11 control periods', '', '')
     """
     found = np.asarray(values)
     if field == "step" and not (found > 0).all():

@@ -183,7 +183,8 @@ def test_poisoned_test_folds_change_no_threshold_and_no_training():
     answers = []
     for wrench in (clean.wrench, poison):
         data = replace(clean, wrench=wrench)
-        library = CandidateBank.make(calibration_data(data, items, CONFIG), CONFIG, candidates, chunk=8)
+        library = CandidateBank.make(calibration_data(data, items, CONFIG), CONFIG, candidates, chunk=3)
+        assert len(library.times) == 8
         choose = library.chooser(Objective(), top=2)
 
         def by_context(rows, seed, data=data):

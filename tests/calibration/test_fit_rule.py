@@ -143,6 +143,19 @@ def test_rest_is_constant_with_the_tolerance_of_rest():
     np.testing.assert_allclose(twice, 2 * found.limits.tolerance, rtol=0.05)
 
 
+def test_the_least_tolerance_by_which_rest_is_constant_is_taken_or_the_best_one(monkeypatch):
+    """The first axis is calm from the fifth of the 13 tolerances on, the second never is, and most by the third."""
+    shares = np.ones((13, 2))
+    shares[:4, 0], shares[4, 0], shares[:, 1], shares[2, 1] = 0.94, 0.95, 0.3, 0.9
+    steep = np.where(np.arange(200) < 200 * shares[..., None], 0.0, np.inf)
+    monkeypatch.setattr(rest_runs, "_runs", lambda _r, _c, tried, _: RestRuns(tried, steep))
+    recordings = at_rest(0, 0.05)
+    noise = rest_runs._rest_noise(recordings, rest_thresholds(recordings, 5, "fit").rest, CONFIG)
+    found = fit_rest_limits(recordings, CONFIG)
+    np.testing.assert_allclose(found.limits.tolerance / noise, [4.0, 2.0])
+    np.testing.assert_allclose(found.constant, [0.95, 0.9])
+
+
 def test_noise_at_rest_is_that_of_the_blocks_at_rest():
     """At 2 Hz, a window is longer than the blocks of rest, and two samples are too few for a line."""
     rng = np.random.default_rng(0)
@@ -193,6 +206,7 @@ def test_penalties_are_the_share_of_rest_that_words_do_not_call_constant():
         found = jax.grad(runs.soft_penalty)(at)
         assert (found.tolerance < 0).all()
         assert (found.gradients[:, 3] < 0).all()
+        assert 2 * replace(runs, weight=1.0).soft_penalty(at) == runs.soft_penalty(at)
         step = 1e-6 * at.tolerance[0]
         ends = [replace(at, tolerance=at.tolerance.at[0].add(sign * step)) for sign in (1, -1)]
         slope = (runs.soft_penalty(ends[0]) - runs.soft_penalty(ends[1])) / (2 * step)

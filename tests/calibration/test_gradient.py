@@ -74,7 +74,7 @@ def test_the_fit_loss_is_what_trials_left_out_leave_unexplained() -> None:
         others, classes = (np.delete(table, trial, 0).reshape(-1, table.shape[-1]) for table in (x, target))
         error.append(target[trial] - x[trial] @ np.linalg.solve(others.T @ others + penalty, others.T @ classes))
     spread = np.square(target - target.mean((0, 1))).sum()
-    assert float(found) == pytest.approx(np.square(error).sum() / spread, rel=1e-3)
+    assert float(found) == pytest.approx(np.square(error).sum() / spread, rel=2e-5)
 
 
 def test_the_root_of_a_share_has_a_slope_where_the_share_is_0(monkeypatch: pytest.MonkeyPatch) -> None:

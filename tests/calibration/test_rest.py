@@ -17,6 +17,7 @@ from rcbht_jax.calibration.rest import (
     STEPS,
     RestSlopes,
     auto_thresholds,
+    hidden_changes,
     rest_not_constant,
     rest_thresholds,
     window_slopes,
@@ -73,6 +74,16 @@ def test_presets_of_another_robot_fail_where_auto_does_not() -> None:
     ]
     assert (shares[0] < 0.05).all()
     assert (shares[1] > 0.3).all()
+
+
+@pytest.mark.parametrize(("step", "constant", "hidden"), [(0.93, 3, True), (0.93, 2, False), (0.4, 4, False)])
+def test_changes_are_hidden_where_most_recordings_have_constant_labels_alone(step, constant, hidden) -> None:
+    wrench = 0.1 * np.random.default_rng(0).normal(size=(4, 400, 1))
+    wrench[:, 200:] += step
+    label = np.where(np.arange(4) < constant, Primitive.CONS, Primitive.BPOS)[:, None, None]
+    labels = LabelTrack(label, label * 0, label * 0 + 400, label * 0, *[label * 0.0] * 4)
+    recordings = Recordings.from_arrays(wrench, RATE, axes=("grip",))
+    assert hidden_changes(recordings, labels, 5, Primitive.CONS).tolist() == [hidden]
 
 
 def test_units_and_other_axes_do_not_matter() -> None:
@@ -134,6 +145,8 @@ def test_what_cannot_be_calibrated() -> None:
             rest_thresholds(short)
         for some in (short, short.take([])):
             assert np.array_equal(auto_thresholds(some).limits, preset().limits)
+    volts = Recordings.from_arrays(np.ones((2, 8, 1)), axes=("grip",), units=("V",))
+    assert np.array_equal(auto_thresholds(volts).limits, preset(axes=("grip",)).limits)
     for window in (0, -5, 1):
         with pytest.raises(InputError, match=f"The window is {window} samples; a line needs at least 2"):
             auto_thresholds(short, window)
@@ -171,14 +184,14 @@ def test_rest_of_human_demonstrations(external_dir: Path) -> None:
 def test_calibration_penalises_a_rest_that_is_not_constant():
     """A rest of strong noise, on which the objective alone would choose a constant limit below the noise."""
     rng = np.random.default_rng(5)
-    slopes = RestSlopes(np.sort(np.abs(rng.normal(size=(6, 200))), axis=1))
+    slopes = RestSlopes(np.sort(np.abs(rng.normal(size=(6, 200))), axis=1), weight=3.0)
     limits = np.geomspace(8, 0.01, 30)[:, None, None] * np.array([8.0, 4.0, 2.0, 1.0]) * np.ones((30, 6, 1))
     share = (slopes.steep[None] > limits[:, :, 3, None]).mean((1, 2))
-    assert slopes.penalty(limits) == pytest.approx(share)
+    assert slopes.penalty(limits) == pytest.approx(3 * share)
     assert (np.diff(slopes.penalty(limits)) >= 0).all()
     soft = np.array([float(slopes.soft_penalty(jnp.asarray(one))) for one in limits])
     excess = np.log(slopes.steep[None] / limits[:, :, 3, None]).clip(0).mean((1, 2))
-    assert np.abs(soft - excess).max() < 0.2
+    assert np.abs(soft / 3 - excess).max() < 0.2
     gradient = jax.grad(slopes.soft_penalty)(jnp.asarray(limits[10]))
     assert (np.asarray(gradient)[:, 3] < 0).all()  # a higher constant limit lowers the penalty
     assert not np.asarray(gradient)[:, :3].any()
@@ -239,7 +252,10 @@ def test_limits_of_the_fit_rule_name_slow_changes_in_noise(noise: float, rate: i
         assert limits["paper"].limits[0, 3] > 150 > 10 > limits["fit"].limits[0, 3]
 
 
-def test_there_are_two_rules() -> None:
+@pytest.mark.parametrize(("rule", "logarithms"), [("paper", 37.16070331517703), ("fit", 25.43551118797501)])
+def test_there_are_two_rules_whose_limits_are_those_of_this_version(rule: str, logarithms: float) -> None:
+    limits = rest_thresholds(pushes(0.1)[0], 3, rule).thresholds.limits
+    assert np.log(limits).sum() == pytest.approx(logarithms, rel=1e-6)
     with pytest.raises(InputError, match="no rule 'sax'; there are paper and fit"):
         rest_thresholds(pushes(0.005)[0], 5, "sax")
 
@@ -248,8 +264,8 @@ def test_limits_of_the_fit_rule_need_no_whole_line() -> None:
     """Recordings shorter than a line, a spike after the last whole line, and one axis that never changes."""
     wrench = np.random.default_rng(1).normal(size=(5, 13, 2)) * 0.1
     short = Recordings.from_arrays([*wrench[:4], wrench[4, :6]], rate=50, axes=("a", "b"))
-    spike = np.zeros((2, 109, 2))
-    spike[:, 107, 0] = 5.0
+    spike = np.zeros((2, 111, 2))
+    spike[:, 109, 0] = 5.0
     for recordings in (short, Recordings.from_arrays(spike, rate=50, axes=("a", "b"))):
         limits = np.asarray(rest_thresholds(recordings, 3, "fit").thresholds.limits)
         assert (np.diff(limits) < 0).all()

@@ -109,18 +109,6 @@ def test_scores_do_not_depend_on_the_other_candidates():
     np.testing.assert_array_equal(together[[0, 3, 69]], alone)
 
 
-def test_labels_that_name_the_class_have_the_best_scores():
-    times = np.zeros((1, 6, 2, 6, 25), np.int32)
-    times[:, :, 0, :, [0, 9, 17]] = 10
-    times[:, :, 1, :, [1, 10, 18]] = 10
-    made = dict(zip(SCORES, scores(jnp.asarray(times), np.tile(np.arange(2), (6, 1)), 2)[0], strict=True))
-    assert made["accuracy"] == 1
-    assert made["fit"] > 0.95
-    assert made["fisher"] == pytest.approx(1)
-    assert made["agreement"] == pytest.approx(1)
-    assert made["information"] == pytest.approx(6 / 25)  # two of 25 labels per axis and layer speak, in three layers
-
-
 def test_scores_of_separation_are_those_of_their_definitions() -> None:
     rng = np.random.default_rng(2)
     times = rng.integers(1, 50, (9, 3, 6, 25)) * (rng.random((9, 3, 6, 25)) < 0.15)
@@ -287,12 +275,18 @@ def test_a_point_is_the_mean_of_its_group_within_the_space():
         np.testing.assert_array_equal(space.point(GradientThresholds(space.base_limits * factor)), place)
 
 
-def test_times_of_a_chunk_of_candidates_fit_the_memory_limit(made):
+def test_times_of_a_chunk_of_candidates_fit_the_memory_limit(made, monkeypatch):
     for trials in (1, 2000, 5000):
         data = made.take(np.zeros(trials, int))
         chunk, each = searching._chunk("cpu", data), 4 * 150 * data.y.size  # int32 per sentence, axis and label
         assert chunk == 1 or chunk * each <= 2**28
         assert chunk == 128 or 2 * chunk * each > 2**28
+    sizes = list[int]()
+    monkeypatch.setitem(searching._MOST, "cpu", 2 * 4 * 150 * made.y.size)
+    monkeypatch.setattr(searching, "label_durations", lambda _, some, *_a, **_k: sizes.append(len(some)) or some)
+    monkeypatch.setattr(searching, "scores", lambda some, *_: np.zeros((len(some), len(SCORES)), np.float32))
+    score_candidates(made, CONFIG, random_limits())
+    assert sizes == [2, 2]
 
 
 def test_trials_on_the_device_are_searched_like_any_others_and_nothing_is_copied(wrench, made):
@@ -376,6 +370,9 @@ def test_a_checkpoint_belongs_to_one_penalty_of_rest(made, tmp_path):
     checkpoint, steep = tmp_path / "scores.json", np.full((6, 4), 0.1)
     search(made, CONFIG, SMALL, checkpoint=checkpoint, rest=RestSlopes(steep, 1.0))
     search(made, CONFIG, SMALL, checkpoint=checkpoint, rest=RestSlopes(steep, 1.0))
+    other_base = replace(SMALL, space=SearchSpace(GradientThresholds(2 * preset().limits), SMALL.space.groups))
+    with pytest.raises(InputError, match="other data or options"):
+        search(made, CONFIG, other_base, checkpoint=checkpoint, rest=RestSlopes(steep, 1.0))
     for other in (None, RestSlopes(steep, 5.0), RestSlopes(2 * steep, 1.0)):
         with pytest.raises(InputError, match="other data or options"):
             search(made, CONFIG, SMALL, checkpoint=checkpoint, rest=other)

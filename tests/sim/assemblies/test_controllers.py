@@ -40,6 +40,8 @@ def test_go_to_arrives_at_its_speed_and_stays() -> None:
     assert speeds.max() == pytest.approx(0.01, rel=1e-3)
     np.testing.assert_allclose(path[-1], [*goal, 0.0, 0.1, 0.0], atol=1e-5)
     assert np.linalg.norm(path[200, :3]) == pytest.approx(0.01, rel=0.01)  # after one second
+    left = np.linalg.norm(path[:, :3] - goal, axis=1)
+    assert left[620] / left[620 - round(1 / 8 / PERIOD)] == pytest.approx(np.exp(-1), rel=0.03)
 
 
 def test_a_spiral_leaves_nothing_out() -> None:
@@ -59,6 +61,7 @@ def test_a_spiral_leaves_nothing_out() -> None:
 def test_tilt_leans_all_round_and_keep_turn_undoes_it() -> None:
     turns = followed(lambda seen: tilt(seen, 0.05, 2.0), 6.0)[:, 3:]
     late = turns[400:]
+    assert not turns[0].any()  # leaning begins slowly
     np.testing.assert_allclose(np.linalg.norm(late, axis=1), 0.05, rtol=0.1)
     assert (late.max(0)[:2] > 0.04).all()
     assert (late.min(0)[:2] < -0.04).all()

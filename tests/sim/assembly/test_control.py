@@ -286,12 +286,12 @@ def test_noise_is_added_before_the_filter_with_its_standard_deviation() -> None:
 def test_an_offset_is_read_without_a_load_and_jitter_only_under_one() -> None:
     offset, normal = np.array([2.0, 0.0, -1.0, 0.0, 0.1, 0.0]), np.array([1.0, -1.0, 2.0, 0.5, -0.5, 3.0])
     factor = np.tril(np.arange(36.0).reshape(6, 6) / 10)
-    params, rest = direct(offset=offset, jitter=factor), np.array([0.0, 0.0, -4.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(reading(params, rest, normal), rest + offset, atol=2e-6)
-    pressed = rest + np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0])
+    params = direct(offset=offset, jitter=factor, delay=np.array(1, np.int32))
+    rest, brushed, pressed = np.array([0.0, 0.0, -4.0, 0.0, 0.0, 0.0]) + np.eye(6)[2] * [[0.0], [0.9], [10.0]]
     state, given = sensor.begin(params, jnp.asarray(rest, jnp.float32)), jnp.asarray(normal, jnp.float32)
-    _, logged = sensor.read(params, state, jnp.asarray(pressed, jnp.float32), given, jnp.eye(3))
-    np.testing.assert_allclose(logged, pressed + offset + factor @ normal, atol=1e-5)
+    for felt, expected in ((brushed, rest), (pressed, brushed), (rest, pressed + factor @ normal)):
+        state, logged = sensor.read(params, state, jnp.asarray(felt, jnp.float32), given, jnp.eye(3))
+        np.testing.assert_allclose(logged, expected + offset, atol=1e-5)
 
 
 def test_bias_is_added_to_the_reading_in_the_world_frame() -> None:

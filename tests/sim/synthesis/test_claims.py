@@ -80,13 +80,13 @@ def test_a_killed_holder_is_followed_at_once_and_a_living_one_is_not(folder: Pat
     assert claims.take(folder, "7") is not None
 
 
-@pytest.mark.parametrize("text", [None, "", '{"host": "el'])
+@pytest.mark.parametrize("text", [None, "", '{"host": "el', '{"pid": "me"}'])
 def test_holders_of_other_machines_live_as_long_as_their_lease(folder: Path, text: str | None) -> None:
-    foreign(folder, claims.LEASE - 20, text)
+    foreign(folder, claims.LEASE - 20, text, number=3)  # the files of earlier attempts have been cleared
     assert claims.take(folder, "7") is None
-    foreign(folder, claims.LEASE + 1, text)
+    foreign(folder, claims.LEASE + 1, text, number=3)
     claim = taken(folder)
-    assert claim.path.name == "7-1"
+    assert claim.path.name == "7-4"
     assert claims.take(folder, "7") is None
 
 
@@ -94,7 +94,10 @@ def test_where_there_are_no_locks_the_lease_tells(folder: Path, monkeypatch: pyt
     def missing(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
+    locked = taken(folder, "8")
     monkeypatch.setattr(claims.fcntl, "flock", missing)
+    assert claims.take(folder, "8") is None  # by a process that has them
+    locked.done()
     claim = taken(folder)
     assert claims.take(folder, "7") is None
     os.utime(claim.path, (0, 0))
@@ -120,13 +123,14 @@ def test_two_that_find_a_holder_dead_do_not_both_follow(folder: Path, monkeypatc
     seen = claims.attempts(folder, "7")
     first = taken(folder)
     real = claims.attempts
-    looks = iter([seen])
-    monkeypatch.setattr(claims, "attempts", lambda *words: next(looks, None) or real(*words))
+    looks = [seen]
+    monkeypatch.setattr(claims, "attempts", lambda *words: looks.pop() if looks else real(*words))
     assert claims.take(folder, "7") is None
     # the same where the notes of earlier attempts were cleared in between, so that the next number is free
     (folder / claims.FOLDER / "7-0").unlink()
-    looks = iter([[claims.Attempt("7", 4, "dead", "", 0, 0.0)]])
-    assert claims.take(folder, "7") is None
+    for earlier in ([claims.Attempt("7", 4, "dead", "", 0, 0.0)], []):
+        looks = [earlier]
+        assert claims.take(folder, "7") is None
     first.done()
     assert claims.take(folder, "7") is not None
 
@@ -138,7 +142,9 @@ def test_failures_are_noted_and_cleared(folder: Path) -> None:
     other = taken(folder, "8")
     states = [one.state for one in claims.attempts(folder, "7")]
     assert states == ["failed", "failed", "released"]
-    assert claims.attempts(folder, "7")[0].reason == "ValueError: no."
+    reasons = [one.reason for one in claims.attempts(folder, "7")]
+    assert (reasons[0], len(reasons[1])) == ("ValueError: no.", 500)
+    (folder / claims.FOLDER / ".clock-1").touch()
     claims.clear(folder)
     assert list(claims.board(folder)) == ["8"]
     assert claims.take(folder, "8") is None

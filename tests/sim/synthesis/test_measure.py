@@ -27,8 +27,8 @@ def outcome(seed: int) -> Outcome:
     joints = 0.1 * np.arange(6) + np.cumsum(rng.normal(0, 0.01, (TRIALS, SAMPLES, 6)), 1)
     wrench[1, 0, 2], wrench[2, 0, 0], wrench[3, 0, 5] = np.nan, 3000.0, 1e6
     joints[4, 0, 1], joints[5, 1:, 3] = np.nan, 4.0
-    wrench[6, -1], joints[6, -1] = np.nan, np.nan  # after its end
     phase[6, -1] = ONE_ARM.ended
+    wrench[6, -1], joints[6, -1] = np.nan, 4.0  # after its end
     past = np.cumsum(rng.random((TRIALS, SAMPLES, 4)) < 0.05, axis=1) % 2 == 1  # in and out again
     return Outcome(
         jnp.asarray(wrench, jnp.float32), jnp.asarray(joints, jnp.float32), jnp.asarray(phase, jnp.int32),
@@ -49,6 +49,7 @@ def test_a_device_stores_what_the_host_would(seed: int, recorded: bool) -> None:
     for name in expected:
         np.testing.assert_array_equal(found[name][kept], expected[name][kept], err_msg=name)
     assert not found["wrench"][~kept].any()
+    assert not found["seated"][~kept].any()
 
 
 @pytest.mark.parametrize("recorded", [True, False])

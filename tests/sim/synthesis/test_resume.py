@@ -116,25 +116,19 @@ def test_work_of_other_code_is_not_resumed(tmp_path: Path, monkeypatch: pytest.M
         synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
 
 
-def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
-    folder = shards.folder_of(tmp_path / "t.zarr")
-    folder.mkdir()
-    (folder / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"thesis\.txt"):
-        synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
-    assert (folder / "thesis.txt").read_text() == "mine"
-
-
-def test_a_file_called_lock_and_a_link_are_left_alone(tmp_path: Path) -> None:
+def test_files_of_others_and_links_are_left_alone(tmp_path: Path) -> None:
     folder = shards.folder_of(tmp_path / "t.zarr")
     folder.mkdir()
     (folder / "lock").write_text("precious")
     with pytest.raises(InputError, match="holds lock"):
         synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
-    assert (folder / "lock").read_text() == "precious"
-    shards.folder_of(tmp_path / "u.zarr").symlink_to(folder)
-    with pytest.raises(InputError, match="is a link"):
-        synthesise(tmp_path / "u.zarr", SMALL, simulate=fake_engine)
+    for target, inside in ((tmp_path / "u.zarr", "."), (tmp_path / "v.zarr", claims.FOLDER)):
+        place = shards.folder_of(target) / inside
+        place.parent.mkdir(exist_ok=True)
+        place.symlink_to(folder)
+        with pytest.raises(InputError, match="is a link"):
+            synthesise(target, SMALL, simulate=fake_engine)
+    assert [(file.name, file.read_text()) for file in folder.iterdir()] == [("lock", "precious")]
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -216,6 +210,11 @@ def test_a_damaged_shard_is_made_again_and_a_store_without_metadata_begun_anew(
 def test_a_resumed_run_says_that_it_verifies(tmp_path: Path) -> None:
     target, said = tmp_path / "t.zarr", list[str]()
     interrupted(target, SMALL, after=2)
+    working = claims.take(folder := shards.folder_of(target), shards.task(3))
+    assert working is not None
+    shards.renew(folder, said.append)
+    assert not said  # what another worker may be writing is left alone
+    working.release()
     synthesise(target, SMALL, simulate=fake_engine, notice=said.append)
     assert said == ["Verifying 2 finished shards."]
 

@@ -269,14 +269,22 @@ def test_the_rate_is_that_of_the_last_ten_minutes(tmp_path: Path) -> None:
     target = tmp_path / "t.zarr"
     folder = shards.folder_of(target)
     shards.begin(folder, plan.manifest_of(replace(SMALL, trials=40)))
-    for shard, seconds in enumerate((0.0, 5000.0, 5060.0, 5120.0)):
+    for shard, seconds in enumerate((5060.0, 0.0, 5120.0, 5000.0)):
         digest = shards.store_of(folder) / parts.digest_file(shard)
         digest.parent.mkdir(parents=True)
         digest.touch()
         os.utime(digest, (1e9 + seconds, 1e9 + seconds))
     assert status_of(target).per_minute is None  # nobody is at work
-    claim = claims.take(folder, shards.task(4))
-    assert claim is not None
-    assert status_of(target).per_minute == pytest.approx(5.0)
-    claim.failed("E.")
-    assert [(one.shard, one.left_out) for one in status_of(target).failures] == [(4, False)]
+    dead = folder / claims.FOLDER / f"{shards.task(4)}-0"
+    dead.touch()
+    os.utime(dead, (0, 0))
+    assert status_of(target).killed == [4]
+    for end in ("release", "failed"):
+        claim = claims.take(folder, shards.task(4))
+        assert claim is not None
+        assert status_of(target).per_minute == pytest.approx(5.0)
+        assert status_of(target).killed == []
+        getattr(claim, end)(*["E."] * (end == "failed"))
+    assert [(one.shard, one.tries, one.left_out) for one in status_of(target).failures] == [(4, 3, False)]
+    shards.close(folder)
+    assert (folder / claims.FOLDER).is_dir()  # it was begun anew

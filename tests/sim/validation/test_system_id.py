@@ -191,7 +191,12 @@ def test_parameter_files_round_trip(tmp_path: Path) -> None:
     overrides.write(path, values, {"session": "B"})
     assert dict(overrides.read(path)) == values
     assert overrides.value(preset("A").parts, preset("B").sensor, "sensor.delay") == 11.0
-    for text in ("", "{}", '{"format": "rcbht-physical", "values": {"parts.friction": "much"}}',
+    parts = preset("A").parts
+    assert overrides.value(parts, preset("A").sensor, "parts.mount_stiffness") == np.mean(parts.mount_stiffness)
+    with pytest.raises(InputError, match=r"parts\.friction is nan"):
+        overrides.write(path, {"parts.friction": np.nan}, {})
+    for text in ("", '{"format": "other", "values": {}}',
+                 '{"format": "rcbht-physical", "values": {"parts.friction": "much"}}',
                  '{"format": "rcbht-physical", "values": {"parts.friction": "0.3"}}'):  # fmt: skip
         path.write_text(text)
         with pytest.raises(InputError, match="holds no physical parameters"):
