@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 
 # JAX 0.10's default emitters also make batched kinematics a hundred times slower on a CPU.
-_CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+_CPU_OPTIONS: dict[str, str | bool | int] = {"xla_cpu_use_fusion_emitters": False}
+_QUICK = {"xla_backend_optimization_level": 0}
 
 
 def full_precision() -> AbstractContextManager[None]:
@@ -28,16 +29,20 @@ def full_precision() -> AbstractContextManager[None]:
 
 
 @cache
-def compiler_options(backend: str) -> dict[str, str | bool]:
-    """Options of ``jax.jit`` for programs of a backend; a version of JAX that does not know them gets none."""
+def compiler_options(backend: str, quick: bool = False) -> dict[str, str | bool | int]:
+    """Options of ``jax.jit`` for programs of a backend; a version of JAX that does not know them gets none.
+
+    ``quick``: the program compiles in half of the time or less, and takes two or three times as long to run.
+    """
     if backend != "cpu":
         return {}
+    options = _CPU_OPTIONS | (_QUICK if quick else {})
     try:
         with jax.default_device(jax.devices("cpu")[0]):
-            jax.jit(jnp.negative, compiler_options=_CPU_OPTIONS).lower(jnp.float32(0)).compile()
+            jax.jit(jnp.negative, compiler_options=options).lower(jnp.float32(0)).compile()
     except jax.errors.JaxRuntimeError:
         return {}
-    return _CPU_OPTIONS
+    return options
 
 
 def host_device() -> jax.Device | None:
@@ -60,10 +65,13 @@ class Jitted:
         function: to compile.
         options: of ``jax.jit``.
         host: its arguments are on :func:`host_device`.
+        quick: as in :func:`compiler_options`.
     """
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any], host: bool = False) -> None:
-        self.on = cache(lambda backend: jax.jit(function, compiler_options=compiler_options(backend), **options))
+    def __init__(
+        self, function: Callable[..., Any], options: dict[str, Any], host: bool = False, quick: bool = False
+    ) -> None:
+        self.on = cache(lambda backend: jax.jit(function, compiler_options=compiler_options(backend, quick), **options))
         self._host = host
         update_wrapper(self, function)
 
@@ -73,8 +81,8 @@ class Jitted:
         return self.on(backend)(*args, **kwargs)
 
 
-def jit(host: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Jitted]:
-    """A decorator like ``partial(jax.jit, **options)``; ``host`` as in :class:`Jitted`.
+def jit(host: bool = False, quick: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Jitted]:
+    """A decorator like ``partial(jax.jit, **options)``; ``host`` and ``quick`` as in :class:`Jitted`.
 
     >>> @jit(static_argnums=0)
     ... def times(count, x):
@@ -82,4 +90,4 @@ def jit(host: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Ji
     >>> float(times(3, 2.0))
     6.0
     """
-    return lambda function: Jitted(function, options, host)
+    return lambda function: Jitted(function, options, host, quick)

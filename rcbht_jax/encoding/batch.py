@@ -22,7 +22,8 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
 _FIELDS = tuple(f.name for f in fields(LabelTrack))
-_MOST_SLOTS = 128
+_SLOTS = 1, 16, 128  # few, because each number compiles programs of its own
+_STEP_LANES = 64  # lanes that take as long as what a piece costs whatever their number
 _PIECE_WINDOWS, _PIECE_SAMPLES = 64, 4096  # fewer windows where the data have fewer, but so many samples
 
 
@@ -41,18 +42,20 @@ class Schedule:
     samples: int
 
 
-def plan(length: NDArray[np.int32], samples: int, most_slots: int = _MOST_SLOTS) -> Schedule:
-    """Longest recording first onto the slot that is free first; slots are a power of two, as many as keep busy.
+def plan(length: NDArray[np.int32], samples: int, axes: int = 6) -> Schedule:
+    """Longest recording first onto the slot that is free first, with the number of slots that takes least time.
 
     Args:
         length: int ``[recording]``, samples.
         samples: samples of one piece, > 0.
-        most_slots: bound on the slots, hence on the working memory.
+        axes: lanes of a slot.
     """
     pieces = np.maximum(-(-length.astype(np.int64) // samples), 1)
-    busy = int(pieces.sum() // pieces.max())  # more slots than this would wait for the longest recording
-    # A power of two: data sets of all sizes share a few compiled programs.
-    slots = 1 << (max(1, min(most_slots, busy)).bit_length() - 1)
+
+    def cost(slots: int) -> int:
+        return max(int(pieces.max()), -(-int(pieces.sum()) // slots)) * (_STEP_LANES + slots * axes)
+
+    slots = min(_SLOTS, key=cost)
     free = [(0, slot) for slot in range(slots)]
     starts = np.empty((len(pieces), 2), np.int64)
     for index in np.argsort(-pieces, kind="stable"):
@@ -96,7 +99,7 @@ def encode_batch(
     limits, axes = _checked(config, thresholds, wrench, length), wrench.shape[2]
     rule = rule_of(config)
     whole = 1 << max(-(-int(length.max()) // config.window) - 1, 0).bit_length()  # a power of two: few programs
-    schedule = plan(length, min(_PIECE_WINDOWS, max(whole, _PIECE_SAMPLES // config.window)) * config.window)
+    schedule = plan(length, min(_PIECE_WINDOWS, max(whole, _PIECE_SAMPLES // config.window)) * config.window, axes)
     slots = schedule.recording.shape[1]
     state = rule.init(config, (slots * axes,), jax.dtypes.canonicalize_dtype(wrench.dtype))
     rows = _Rows(axes)
@@ -168,7 +171,7 @@ def _piece(
     return rule_of(config).scan_lanes(config, limits, jax.tree.map(restart, state), samples, count)
 
 
-@jit(static_argnums=0)
+@jit(quick=True, static_argnums=0)
 def _drained(config: AnyConfig, limits: jax.Array, state: EncoderState) -> LabelTracks:
     return rule_of(config).drain(config, limits, state)
 

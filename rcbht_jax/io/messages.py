@@ -101,9 +101,13 @@ def parse(line: bytes | str) -> Message:
 def _parsed(line: bytes | str) -> list[Message]:
     """The messages of one line, in their order: a reset, a begin, a reading."""
     try:
-        return _messages(json.loads(line))
-    except (ValueError, RecursionError, OverflowError, TypeError, KeyError) as error:
-        return [Malformed(f"a line is not a message ({type(error).__name__}: {str(error)[:80]})")]
+        value = json.loads(line)
+    except (ValueError, RecursionError):
+        return [Malformed("a line is not JSON that can be read")]
+    try:
+        return _messages(value)
+    except (ValueError, OverflowError, TypeError) as error:
+        return [Malformed(f"a line is not a message: {error}")]
 
 
 def _messages(value: Any) -> list[Message]:

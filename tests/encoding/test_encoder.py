@@ -131,12 +131,12 @@ def test_data_set_equals_its_recordings_one_by_one(seed: int, lengths: list[int]
 
 @given(
     lengths=st.lists(st.integers(0, 20_000), min_size=1, max_size=200), samples=st.integers(2, 2000),
-    slots=st.integers(1, 128),
+    axes=st.integers(1, 60),
 )  # fmt: skip
-def test_every_sample_is_scheduled_once_in_order(lengths: list[int], samples: int, slots: int) -> None:
+def test_every_sample_is_scheduled_once_in_order(lengths: list[int], samples: int, axes: int) -> None:
     length = np.array(lengths, np.int32)
-    schedule = plan(length, samples, slots)
-    assert schedule.recording.shape[1] <= slots
+    schedule = plan(length, samples, axes)
+    assert schedule.recording.shape[1] in (1, 16, 128)  # a program each
     for index, size in enumerate(lengths):
         piece, slot = np.nonzero(schedule.recording == index)
         assert len(set(slot)) == 1
@@ -155,6 +155,11 @@ def test_padding_of_the_recorded_data_costs_less_than_a_quarter(hiro_recordings)
     assert padding(plan(length, 64 * 5), length) < 0.25
     real = np.char.startswith(hiro_recordings.source, "REAL")
     assert padding(plan(length[real], 64 * 5), length[real]) < 0.25
+
+
+def test_the_number_of_slots_follows_recordings_and_axes() -> None:
+    for count, axes, slots in ((1, 6, 1), (3, 6, 16), (3, 60, 1), (30, 6, 16), (300, 6, 128)):
+        assert plan(np.full(count, 3200, np.int32), 320, axes).recording.shape[1] == slots
 
 
 def test_recordings_before_and_after_each_other_do_not_mix() -> None:
@@ -324,9 +329,9 @@ def test_the_mean_of_a_word_of_days_stays_between_its_extremes(value: float) -> 
 def test_long_windows_take_memory_by_the_data_and_keep_their_labels(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = []
 
-    def noted(length: np.ndarray, samples: int) -> batch.Schedule:
+    def noted(length: np.ndarray, samples: int, axes: int) -> batch.Schedule:
         sizes.append(samples)
-        return plan(length, samples)
+        return plan(length, samples, axes)
 
     monkeypatch.setattr(batch, "plan", noted)
     wrench = np.random.default_rng(0).normal(size=(2, 9000, 1)).cumsum(1).astype(np.float32)

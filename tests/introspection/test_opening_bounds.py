@@ -40,7 +40,7 @@ def test_a_stream_without_readings_ends(message: Message, monkeypatch: pytest.Mo
     "line", ['{"force": [0, 0, 5], "torque": [0, 0, 0]}', '{"Fz": 5}', '{"wrench": {"force": {"x": 1}}}']
 )
 def test_a_stream_of_other_lines_is_told_what_a_reading_is(line: str) -> None:
-    expected = r"first problem: .*expected wrench: a list of numbers, or force and torque with x, y and z\)\.$"
+    expected = r"first problem: .*expected wrench: a list of numbers, or force and torque with x, y and z\.$"
     with pytest.raises(InputError, match=expected):
         read_opening(iter([parse(line)]))
 

@@ -35,8 +35,9 @@ def test_a_program_is_compiled_once_for_a_shape_and_a_static_argument() -> None:
 
 def test_options_go_to_the_compiler_of_a_cpu_alone(afresh: None, monkeypatch: pytest.MonkeyPatch) -> None:
     known = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
-    assert compiling.compiler_options("cpu") == known
-    assert compiling.compiler_options("cuda") == {}
+    assert compiling.compiler_options("cpu", False) == known
+    assert compiling.compiler_options("cpu", True) == (known and known | {"xla_backend_optimization_level": 0})
+    assert compiling.compiler_options("cuda", True) == {}
     given = []
     monkeypatch.setattr(compiling.jax, "jit", lambda function, **options: given.append(options))
     compiling.jit(donate_argnums=1)(lambda x, y: x + y).on("cpu")
