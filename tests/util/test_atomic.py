@@ -129,6 +129,25 @@ def test_a_folder_is_replaced_by_the_complete_new_one(
     assert exchanged == [at_once] or sys.platform != "linux"
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="folders are exchanged on Linux only")
+def test_of_two_that_replace_a_folder_at_the_same_moment_none_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The later one deleted the folder of the earlier one, which had come after it had looked."""
+    path = tmp_path / "store"
+    path.mkdir()
+
+    def overtaken(one: Path, other: Path) -> bool:
+        monkeypatch.undo()
+        replaced_folder(path)
+        return _exchanged(one, other)
+
+    monkeypatch.setattr(atomic, "_exchanged", overtaken)
+    with pytest.raises(InputError, match=r"store meanwhile, which is kept; what was to be written is .*store-2"):
+        replaced_folder(path)
+    assert sorted(tmp_path.iterdir()) == [path, tmp_path / "store-2"]
+
+
 def test_a_second_ctrl_c_leaves_no_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It ended the deletion that the first one had begun, although the command says that nothing is left."""
     real = shutil.rmtree
