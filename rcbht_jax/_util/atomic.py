@@ -29,6 +29,7 @@ from typing import Any, TextIO
 from rcbht_jax.errors import InputError
 
 _DRAFT = re.compile(r"\.([^/]*)\.partial-[0-9a-f]{12}")  # the name of one
+_STEM, _SUFFIX = 160, 64  # bytes in the name of a draft, of the 255 that a name has at most
 _FLUSHES = 16  # files that are flushed at the same time
 Identity = tuple[int, int, int, int] | None  # of what is at a path; None = nothing
 
@@ -172,8 +173,10 @@ def atomic_folder(path: Path, near: Path | None = None, *, replace: bool = False
 
 
 def draft_of(path: Path) -> Path:
-    """A new hidden name beside ``path`` with the same suffix."""
-    return path.with_name(f".{path.stem[:64]}.partial-{uuid.uuid4().hex[:12]}{path.suffix}")
+    """A new hidden name beside ``path`` with the same suffix, unless that is absurdly long."""
+    stem = os.fsencode(path.stem[:64])[:_STEM].decode(errors="ignore")
+    suffix = path.suffix if len(os.fsencode(path.suffix)) <= _SUFFIX else ""
+    return path.with_name(f".{stem}.partial-{uuid.uuid4().hex[:12]}{suffix}")
 
 
 def without_draft(path: str) -> str:

@@ -37,6 +37,14 @@ def test_the_old_file_stays_until_the_new_one_is_complete(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("name", ["\U0001f600" * 60 + ".model", "a" * 64 + "." + "b" * 180])
+def test_every_name_that_a_file_can_have_can_be_written(name: str, tmp_path: Path) -> None:
+    """The name of the draft was too long, which came to light after the work."""
+    with atomic_write(tmp_path / name) as draft:
+        draft.write_text("new")
+    assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [(name, "new")]
+
+
 def test_pipes_and_devices_are_written_to_and_links_stay(tmp_path: Path) -> None:
     pipe, link, target = tmp_path / "pipe", tmp_path / "link", tmp_path / "target"
     os.mkfifo(pipe)
