@@ -29,6 +29,7 @@ from typing import Any, TextIO
 from rcbht_jax.errors import InputError
 
 _DRAFT = re.compile(r"\.([^/]*)\.partial-[0-9a-f]{12}")  # the name of one
+_STEM, _SUFFIX = 160, 64  # bytes in the name of a draft, of the 255 that a name has at most
 _FLUSHES = 16  # files that are flushed at the same time
 Identity = tuple[int, int, int, int] | None  # of what is at a path; None = nothing
 
@@ -46,7 +47,7 @@ def targets(paths: Iterable[Path]) -> Iterator[None]:
     ...     draft.write_bytes(b"states")
     6
     """
-    token = _BEFORE.set({path: _identity(path) for path in map(_followed, paths)})
+    token = _BEFORE.set({path: identity(path) for path in map(_followed, paths)})
     try:
         yield
     finally:
@@ -159,10 +160,10 @@ def atomic_folder(path: Path, near: Path | None = None, *, replace: bool = False
     try:
         yield draft
         flush_all([*draft.rglob("*"), draft])  # before what it replaces is deleted
-        if _identity(path) != before:
+        if identity(path) != before:
             raise _kept(path, draft)
         with uninterrupted():
-            _swap(draft, path)
+            _swap(draft, path, before)
         _flush(path.parent)
         _noted(_followed(path))
     except BaseException:
@@ -172,8 +173,10 @@ def atomic_folder(path: Path, near: Path | None = None, *, replace: bool = False
 
 
 def draft_of(path: Path) -> Path:
-    """A new hidden name beside ``path`` with the same suffix."""
-    return path.with_name(f".{path.stem[:64]}.partial-{uuid.uuid4().hex[:12]}{path.suffix}")
+    """A new hidden name beside ``path`` with the same suffix, unless that is absurdly long."""
+    stem = os.fsencode(path.stem[:64])[:_STEM].decode(errors="ignore")
+    suffix = path.suffix if len(os.fsencode(path.suffix)) <= _SUFFIX else ""
+    return path.with_name(f".{stem}.partial-{uuid.uuid4().hex[:12]}{suffix}")
 
 
 def without_draft(path: str) -> str:
@@ -261,8 +264,12 @@ def _followed(path: Path) -> Path:
     return followed
 
 
-def _identity(path: Path) -> Identity:
-    """Identifies what is at a path, to detect a replacement; the content of a folder may change."""
+def identity(path: Path) -> Identity:
+    """Identifies what is at a path, to detect a replacement; the content of a folder may change.
+
+    >>> identity(Path("nothing.zarr")) is None
+    True
+    """
     try:
         found = path.lstat()
     except (OSError, ValueError):
@@ -276,13 +283,13 @@ def _before(path: Path) -> Identity:
     """What was at a path when the command began, or is there now."""
     known = _BEFORE.get({})
     followed = _followed(path)
-    return known[followed] if followed in known else _identity(path)
+    return known[followed] if followed in known else identity(path)
 
 
 def _put(draft: Path, path: Path, before: Identity) -> None:
     """Move a complete draft to its place, if that holds what it did before."""
     _flush(draft)
-    if _identity(path) != before:
+    if identity(path) != before:
         raise _kept(path, draft)
     if before is None:
         try:
@@ -300,7 +307,7 @@ def _put(draft: Path, path: Path, before: Identity) -> None:
 def _noted(path: Path) -> None:
     """Record what this process has written, which it may replace again."""
     if path in (known := _BEFORE.get({})):
-        known[path] = _identity(path)
+        known[path] = identity(path)
 
 
 def _cut_to_lines(path: Path) -> None:
@@ -327,11 +334,14 @@ def _kept(path: Path, draft: Path) -> InputError:
     return InputError(f"Another process changed {path} meanwhile, which is kept; what was to be written is {other}.")
 
 
-def _swap(draft: Path, path: Path) -> None:
+def _swap(draft: Path, path: Path, before: Identity) -> None:
     if not path.exists():
         draft.rename(path)
         return
     if _exchanged(draft, path):
+        if identity(draft) != before:  # another process was quicker by a moment
+            _exchanged(draft, path)
+            raise _kept(path, draft)
         shutil.rmtree(draft, ignore_errors=True)
         return
     old = draft.with_name(f"{draft.name}-old")  # for a moment there is nothing at the target

@@ -8,6 +8,7 @@ fits in memory, and must not unpack to more than measured signals do. Numbers mu
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import math
 import os
@@ -52,6 +53,11 @@ MAX_DIGITS = 300  # of a whole number, which a float must hold
 MAX_VALUES = 2**27  # numbers kept of one bag, and samples of one recording
 MAX_PADDED = 2**20  # samples to which recordings may be padded; beyond, MAX_RATIO times those of the longest
 
+# Errors of the machine: what could not be read now may be sound.
+_MACHINE = (
+    errno.EACCES, errno.EPERM, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.ETIMEDOUT,
+)  # fmt: skip
+
 _HEADERS: Mapping[tuple[int, int], Any] = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
@@ -85,6 +91,20 @@ def check_file(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> int
     if status.st_size > most:
         raise InputError(f"{path} has {status.st_size} bytes; expected at most {most}. Split it.")
     return status.st_size
+
+
+def check_readable(error: BaseException | None) -> None:
+    """Raise the error of the machine behind an error of reading: what it kept from being read is not damaged.
+
+    >>> check_readable(InputError("a.zarr is damaged."))
+
+    Raises:
+        OSError, MemoryError: rights, memory, open files or a disk were the reason.
+    """
+    while error is not None:
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _MACHINE):
+            raise error
+        error = error.__cause__
 
 
 def check_inside(path: Path, root: Path) -> None:

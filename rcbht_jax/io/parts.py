@@ -29,7 +29,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import chunk_files, chunk_reader
 from rcbht_jax.io import zarr as zarr_io
 
-DIGESTS = "part_sha256"
+DIGESTS, HASH = "part_sha256", "content_sha256"  # of each part, and of a table that is finished
 CHUNK_BYTES = 2**18  # of a chunk of an array that grows: what reading one row costs
 CHUNKS = 8  # along the dimension that grows, in one file
 AT_ONCE = 4  # parts that are verified at the same time: more would fill the memory
@@ -128,7 +128,7 @@ def put(path: Path, parts: Sequence[Part]) -> None:
     """Write parts of tables below a folder and flush them to disk; their digests last, in this order.
 
     Raises:
-        InputError: an array has another shape or dtype than its table.
+        InputError: an array has another shape or dtype than its table, or a table is finished with other content.
     """
     for part in parts:  # all before any is written: a refused part must not change one that is there
         check(part)
@@ -188,8 +188,13 @@ def _unseal(part: Part) -> None:
     """Remove the digest of a part that is about to be written with other content: until the new one it is missing."""
     if not part.hashed:
         return
-    stored = digest(zarr_io.open_group(part.folder, "r"), part.number)
+    group = zarr_io.open_group(part.folder)
+    stored = digest(group, part.number)
     if stored is not None and stored != _digest_of(part):  # the same content: another process may have written it
+        if HASH in group.attrs:
+            raise InputError(
+                f"{part.folder} is finished, and its part {part.number} has other content; write another store."
+            )
         file = part.folder / digest_file(part.number)
         delete(file)
         flush_all([file.parent])

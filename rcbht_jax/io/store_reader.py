@@ -187,9 +187,9 @@ def read_lengths(stored: Stored) -> NDArray[np.int32]:
 def read_summary(stored: Stored) -> Summary:
     """The summary of the parts that are written."""
     with zarr_io.reading(stored.path):
+        there = None if stored.finished else parts.digests(stored.group)  # before texts of parts that are finished now
         texts = parts.read(stored.group, SUMMARIES, slice(None), Field("string")).tolist()
-        there = [True] * len(texts) if stored.finished else [found is not None for found in parts.digests(stored.group)]
-        return merged(parse_json(text, finite=False) for text, counts in zip(texts, there, strict=True) if counts)
+        return merged(parse_json(text, finite=False) for row, text in enumerate(texts) if there is None or there[row])
 
 
 def read_digests(stored: Stored) -> NDArray[np.uint8]:

@@ -22,7 +22,7 @@ from rcbht_jax.types import Recordings
 
 FORMAT, FORMAT_VERSION = "rcbht-recordings", 3
 SIMULATION, COLUMNS, ANNOTATIONS, LABELS = "simulation", "columns", "annotations", "labels"
-HASH, WRENCH_HASH, GAPS = "content_sha256", "wrench_sha256", "gaps"  # gaps: rows that are no recording
+HASH, WRENCH_HASH, GAPS = parts.HASH, "wrench_sha256", "gaps"  # gaps: rows that are no recording
 LABELLED = "recordings_sha256"  # of label tracks: the digest of the store whose recordings they label
 SUMMARIES = "part_summary"  # of each part: rcbht_jax.io.summary as JSON
 PART_BYTES = 2**26  # of wrenches in one part, unless the caller chooses

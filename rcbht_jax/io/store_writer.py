@@ -83,7 +83,7 @@ def write_part(
 
     The last thing written is its digest, without which it counts as missing.
 
-    Args, Raises: as of :func:`parts_of`.
+    Args, Raises: as of :func:`parts_of` and :func:`rcbht_jax.io.parts.put`.
     """
     path = as_path(path)
     parts.put(path, parts_of(path, number, recordings, simulation))

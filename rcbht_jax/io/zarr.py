@@ -8,7 +8,7 @@ import os
 import stat
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -147,13 +147,18 @@ def _fsspec(path: Path) -> Any:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder, which one process has at a time; the kernel releases it however the process ends."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+    """Hold the lock of a group, which one process has at a time; the kernel releases it however the process ends.
+
+    It is on the description of the group, opened for writing: NFS and Lustre know no locks of folders.
+    """
+    file = folder / META
+    with ExitStack() as handles:
+        while True:
+            handle = handles.enter_context(file.open("rb+"))
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            if os.path.samestat(os.fstat(handle.fileno()), file.stat()):  # else replaced by who held the lock
+                break
         yield
-    finally:
-        os.close(handle)
 
 
 class _Files(LocalStore):

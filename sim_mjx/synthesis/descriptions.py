@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rcbht_jax._util.atomic import atomic_new
-from rcbht_jax._util.untrusted import MAX_JSON_BYTES, load_json, parse_json, read_bytes
+from rcbht_jax._util.untrusted import MAX_JSON_BYTES, check_readable, load_json, parse_json, read_bytes
 from rcbht_jax.io.store_schema import GAPS, HASH
 
 FILE = "descriptions.json"  # in the work folder
@@ -27,14 +27,19 @@ def keep(folder: Path, store: Path) -> None:
 
 
 def are_intact(folder: Path, store: Path) -> bool:
-    """Whether the files are the recorded ones, except for dimensions that grow and attributes that completion adds."""
+    """Whether the files are the recorded ones, except for dimensions that grow and attributes that completion adds.
+
+    Raises:
+        OSError: one cannot be read now.
+    """
     try:
         texts = load_json(folder / FILE)
         there = {name: _text(store / name) for name in texts}
         return _holds_files(store, texts) and all(
             there[name] == text or _is_grown(text, there[name]) for name, text in texts.items()
         )
-    except (OSError, ValueError, AttributeError, KeyError, TypeError):  # whatever a damaged file can hold
+    except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:  # whatever a damaged file can hold
+        check_readable(error)
         return False
 
 

@@ -24,6 +24,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from rcbht_jax._util.atomic import Identity, identity
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from sim_mjx import engines
@@ -81,7 +82,7 @@ def synthesise(
     Args:
         target: store to create, for example trials.zarr; the work folder is trials.zarr.work beside it.
         job: what to simulate.
-        overwrite: replace an existing store, once the new one is complete.
+        overwrite: replace the store that is there now, once the new one is complete.
         simulate: what simulates a batch; default ``job.engine``. A trial's result must not depend on its batch.
         progress: called at the start and after each shard.
         notice: called with a sentence that the user should read, for example that a batch was halved.
@@ -94,7 +95,7 @@ def synthesise(
         InputError: impossible options, the target exists, the work folder belongs to other options, shards failed
             (:class:`sim_mjx.synthesis.workers.ShardsFailed`), or all trials diverged.
     """
-    scenario = check(job)
+    scenario, before = check(job), identity(target)
     _check_lanes(lanes)
     folder = shards.folder_of(target)
     manifest = manifest_of(job)
@@ -117,7 +118,7 @@ def synthesise(
             if finished:
                 shards.remove(folder)
             else:
-                _complete(target, draft, overwrite, ready)
+                _complete(target, draft, before if overwrite else None, ready)
     shards.close(folder)
     if not _is_made_by(target, manifest):
         raise InputError(f"{folder} was removed while its trials were simulated; run the same command again.")
@@ -175,7 +176,7 @@ def work_on(
     if claim is not None:
         try:
             if shards.has_plan(folder) and not target.exists():
-                _complete(target, draft, False)
+                _complete(target, draft, None)
         finally:
             claim.release()
         shards.close(folder)
@@ -187,17 +188,21 @@ def _check_lanes(lanes: int | None) -> None:
         raise InputError(f"The number of lanes is {lanes}; expected 1 or more.")
 
 
-def _complete(target: Path, draft: Draft, overwrite: bool, ready: Callable[[Path], object] | None = None) -> None:
-    """Have the store at its place, complete; the caller holds the claim "join"."""
-    if overwrite or not _is_result(target, draft.manifest):  # which another has just made, and was killed
+def _complete(target: Path, draft: Draft, old: Identity, ready: Callable[[Path], object] | None = None) -> None:
+    """Have the store at its place, complete, where it replaces only ``old``; the caller holds the claim "join"."""
+    if _is_still(target, old) or not _is_result(target, draft.manifest):  # which another made, and was killed then
         draft.finish()
         if ready is not None:
             ready(draft.path)
-        store.check_target(target, overwrite)  # again: something may have appeared there meanwhile
+        store.check_target(target, _is_still(target, old))  # what appeared there meanwhile is kept
         if target.exists():
             target.rename(draft.folder / f"replaced-{time.time_ns()}.zarr")
         draft.path.rename(target)
     shards.remove(draft.folder)
+
+
+def _is_still(target: Path, old: Identity) -> bool:
+    return old is not None and identity(target) == old
 
 
 def _is_result(target: Path, manifest: Mapping[str, Any]) -> bool:

@@ -21,7 +21,7 @@ from typing import Any
 from rcbht_jax._util.atomic import atomic_new, delete
 from rcbht_jax._util.checkpoint import first_difference
 from rcbht_jax._util.printable import plural
-from rcbht_jax._util.untrusted import load_json
+from rcbht_jax._util.untrusted import check_readable, load_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, parts, store_reader
 from rcbht_jax.io.store_reader import Stored
@@ -83,6 +83,9 @@ def renew(folder: Path, notice: Callable[[str], None] | None = None) -> None:
     Args:
         folder: the work folder.
         notice: called with a sentence before shards are verified, which takes minutes if there are many.
+
+    Raises:
+        OSError, MemoryError: something cannot be read now; nothing of it is deleted.
     """
     with claims.wait_for(folder, "begin"):
         if any(tries[-1].state == "held" for task, tries in claims.board(folder).items() if task != "begin"):
@@ -101,7 +104,8 @@ def renew(folder: Path, notice: Callable[[str], None] | None = None) -> None:
             for shard, intact in zip(found, parts.each(partial(_is_intact, stored), found), strict=True):
                 if not intact:
                     parts.discard(stored.path, shard)
-        except InputError:  # no store yet, or a damaged one
+        except InputError as error:  # no store yet, or a damaged one
+            check_readable(error)
             delete(store_of(folder))
 
 
@@ -178,7 +182,8 @@ def _is_intact(stored: Stored, shard: int) -> bool:
         store_reader.check_part(stored, shard)
         for labels in sorted((stored.path / LABELS).glob("*/zarr.json")):
             label_parts.check_part(labels.parent, shard)
-    except InputError:
+    except InputError as error:
+        check_readable(error)
         return False
     return True
 

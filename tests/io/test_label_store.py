@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import json
 import shutil
 import tempfile
@@ -214,6 +215,27 @@ def test_of_two_that_write_at_the_same_time_the_later_one_collects_both(
         list(pool.map(lambda name: label_store.write_tracks(path, name, label_tracks(), {}), ["a", "b"]))
     assert most == [1, 1]
     assert label_store.uncollected_tracks(path) == []
+
+
+def test_the_lock_of_a_store_is_one_that_other_machines_see(path: Path) -> None:
+    """On shared folders, which know no locks of folders; also where who holds it replaces the file that is locked."""
+    file = path / "zarr.json"
+
+    def locks_others_out() -> None:
+        with file.open("rb+") as other, pytest.raises(BlockingIOError):
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def waiting() -> None:
+        with zarr_io.locked(path):
+            locks_others_out()
+
+    with ThreadPoolExecutor(1) as pool:
+        with zarr_io.locked(path):
+            locks_others_out()
+            second = pool.submit(waiting)
+            time.sleep(0.1)
+            Path(shutil.copy(file, path.with_suffix(".json"))).replace(file)
+        second.result()
 
 
 def test_labels_kept_under_another_name_are_collected(path: Path) -> None:

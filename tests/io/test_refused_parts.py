@@ -137,3 +137,24 @@ def test_columns_of_any_legal_name_and_no_wider_numbers_than_stores_hold(tmp_pat
         wide = Recordings.from_arrays([np.ones((9, 6))], 200.0, c=np.ones(1, np.longdouble))
         with pytest.raises(InputError, match=r"column c is .*; expected text or numbers of at most 64 bits"):
             store.write_recordings(tmp_path / "b.zarr", wide, {})
+
+
+def test_a_part_that_is_finished_while_counts_are_read_does_not_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A growing store counted as damaged: the text of that part was still empty."""
+    path = begun(tmp_path / "parts.zarr")
+    add(path, 1)
+    expected, real = store.read_summary(path), parts.read
+    monkeypatch.setattr(parts, "read", lambda *args: (real(*args), add(path, 0))[0])
+    assert store.read_summary(path) == expected
+    assert store_writer.has_part(path, 0)
+
+
+def test_a_finished_store_takes_no_other_part(parted: Path) -> None:
+    before = tree(parted)
+    add(parted, 0)  # the same content, of a worker that was late
+    changed, simulation = ragged().take([3, 2, 1, 0]), {name: values[:4] for name, values in truth().items()}
+    with pytest.raises(InputError, match=r"parts\.zarr is finished, and its part 0 has other content"):
+        store_writer.write_part(parted, 0, trimmed(changed), simulation)
+    assert tree(parted) == before

@@ -37,6 +37,14 @@ def test_the_old_file_stays_until_the_new_one_is_complete(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("name", ["\U0001f600" * 60 + ".model", "a" * 64 + "." + "b" * 180])
+def test_every_name_that_a_file_can_have_can_be_written(name: str, tmp_path: Path) -> None:
+    """The name of the draft was too long, which came to light after the work."""
+    with atomic_write(tmp_path / name) as draft:
+        draft.write_text("new")
+    assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [(name, "new")]
+
+
 def test_pipes_and_devices_are_written_to_and_links_stay(tmp_path: Path) -> None:
     pipe, link, target = tmp_path / "pipe", tmp_path / "link", tmp_path / "target"
     os.mkfifo(pipe)
@@ -127,6 +135,25 @@ def test_a_folder_is_replaced_by_the_complete_new_one(
     assert [entry.name for entry in path.iterdir()] == ["new"]
     assert list(tmp_path.iterdir()) == [path]
     assert exchanged == [at_once] or sys.platform != "linux"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="folders are exchanged on Linux only")
+def test_of_two_that_replace_a_folder_at_the_same_moment_none_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The later one deleted the folder of the earlier one, which had come after it had looked."""
+    path = tmp_path / "store"
+    path.mkdir()
+
+    def overtaken(one: Path, other: Path) -> bool:
+        monkeypatch.undo()
+        replaced_folder(path)
+        return _exchanged(one, other)
+
+    monkeypatch.setattr(atomic, "_exchanged", overtaken)
+    with pytest.raises(InputError, match=r"store meanwhile, which is kept; what was to be written is .*store-2"):
+        replaced_folder(path)
+    assert sorted(tmp_path.iterdir()) == [path, tmp_path / "store-2"]
 
 
 def test_a_second_ctrl_c_leaves_no_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

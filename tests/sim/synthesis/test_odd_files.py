@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -15,6 +16,8 @@ from sim_mjx.synthesis import claims, descriptions, shards
 from sim_mjx.synthesis.pipeline import synthesise
 from tests.sim.synthesis.test_resume import interrupted, whole  # noqa: F401  # the fixture
 from tests.support.fake_simulation import SMALL, fake_engine, tree
+from tests.support.parted_stores import add
+from tests.support.parted_stores import begun as begun_store
 
 
 @pytest.fixture(scope="module")
@@ -105,3 +108,26 @@ def test_work_of_a_version_without_an_option_is_not_resumed(tmp_path: Path) -> N
     file.write_text(json.dumps(manifest))
     with pytest.raises(InputError, match=r"begun with other options \(one of the manifests alone has job.spec.longest"):
         synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
+
+
+@pytest.mark.parametrize(
+    "reader", ["rcbht_jax.io.chunk_reader.read", "zarr.open_group", "sim_mjx.synthesis.descriptions.read_bytes"]
+)
+@pytest.mark.parametrize("error", [OSError(errno.EMFILE, "Too many open files"), MemoryError()])
+def test_what_cannot_be_read_now_is_not_damaged(
+    reader: str, error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(*_: object, **__: object) -> None:
+        raise error
+
+    (tmp_path / claims.FOLDER).mkdir()
+    descriptions.keep(tmp_path, begun_store(shards.store_of(tmp_path)))
+    add(shards.store_of(tmp_path), 0)
+    before = tree(shards.store_of(tmp_path))
+    with monkeypatch.context() as patch:
+        patch.setattr(reader, failing)
+        with pytest.raises(type(error)):
+            shards.renew(tmp_path)
+    assert tree(shards.store_of(tmp_path)) == before
+    shards.renew(tmp_path)
+    assert shards.finished(tmp_path) == {0}

@@ -180,12 +180,17 @@ def test_a_store_without_a_name_is_refused() -> None:
 
 
 def test_an_existing_store_is_only_replaced_when_asked(whole: Path, tmp_path: Path) -> None:
-    target = tmp_path / "t.zarr"
-    write_recordings(target, read_recordings(whole), {})
+    """Not even then one that came while trials were simulated."""
+    target, other = tmp_path / "t.zarr", read_recordings(whole)
+    write_recordings(target, other, {})
     with pytest.raises(InputError, match="--overwrite"):
         synthesise(target, SMALL, simulate=fake_engine)
     assert len(read_recordings(target)) == 60
-    synthesise(target, SMALL, simulate=fake_engine, overwrite=True)
+    again = partial(synthesise, target, SMALL, simulate=fake_engine, overwrite=True)
+    with pytest.raises(InputError, match="exists already"):
+        again(ready=lambda _: write_recordings(target, other, {}, overwrite=True))
+    assert len(read_recordings(target)) == 60
+    assert again().resumed == 12
     assert len(read_recordings(target)) == 12
     assert os.listdir(tmp_path) == ["t.zarr"]
 
