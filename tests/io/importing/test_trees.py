@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from rcbht_jax.io.importing.attributes import lists_of_units, units_in
 from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.trees import Tree, leaves
+from rcbht_jax.labels import AXES
 from tests.io.importing.test_readers import TIME, WRENCH, N, same
 
 
@@ -37,6 +41,40 @@ def test_hdf5_lists_of_texts_among_attributes_change_nothing(tmp_path: Path) -> 
         file.attrs["tags_1"], file.attrs["tags_2"] = ["a", "b"], ["a", "b", "c"]
         file["wrench"].attrs["axes"] = np.array(["Größe".encode()] * 6)
     same(read_source(tmp_path / "a.h5"))
+
+
+GROUP = {"t": TIME, "wrench": WRENCH}
+TWO = {"a": GROUP, "b": {"t": TIME, "wrench": WRENCH + 1}}
+
+
+@pytest.mark.parametrize("kind", ["json", "h5"])
+@pytest.mark.parametrize(
+    ("content", "trials"),
+    [
+        ({"raw": GROUP, "compensated": TWO["b"]}, ["run"]),
+        ({"data": TWO, "meta": {"rate": 100.0}}, ["run-a", "run-b"]),
+        ({**TWO, "c": {"t": TIME[:1], "wrench": WRENCH[:1]}}, ["run-a", "run-b"]),
+        ({"gains": {"kp": np.arange(3.0)}, **TWO}, ["run-a", "run-b"]),
+        ({**GROUP, "poses": {"hand": {"x": TIME, "y": TIME}, "base": {"x": TIME, "y": TIME}}}, ["run"]),
+    ],
+)
+def test_one_walk_finds_the_recordings_of_all_nested_formats(
+    kind: str, content: dict[str, Any], trials: list[str], tmp_path: Path
+) -> None:
+    if kind == "json":
+        (tmp_path / "run.json").write_text(json.dumps(content, default=np.ndarray.tolist))
+    else:
+        with pytest.importorskip("h5py").File(tmp_path / "run.h5", "w") as file:
+            for path, one in leaves(tree_of(content)):
+                file[path] = one
+    imported = read_source(tmp_path)
+    assert (imported.recordings.trial.tolist(), imported.recordings.axes) == (trials, AXES)
+    assert bool(imported.report.skipped) == ("c" in content)
+
+
+def tree_of(content: dict[str, Any]) -> Tree:
+    return {f"{key}/" if isinstance(one, dict) else key: tree_of(one) if isinstance(one, dict) else one
+            for key, one in content.items()}  # fmt: skip
 
 
 def test_what_is_no_list_of_units_stays(tmp_path: Path) -> None:
