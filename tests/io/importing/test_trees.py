@@ -26,6 +26,13 @@ def test_groups_called_after_errors_are_recordings(tmp_path: Path) -> None:
         assert len(read_source(tmp_path / "a.h5").recordings) == len(names)
 
 
+def test_groups_share_a_time_by_a_link(tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        file["one/t"], file["one/ft"], file["two/ft"] = TIME, WRENCH, WRENCH + 1
+        file["two/t"], file["two/loop"] = file["one/t"], file["/"]
+    assert read_source(tmp_path / "a.h5").recordings.trial.tolist() == ["a-one", "a-two"]
+
+
 def test_hdf5_types_and_null_arrays_beside_recordings_change_nothing(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "a.h5", "w") as file:
