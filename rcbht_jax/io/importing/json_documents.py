@@ -139,7 +139,7 @@ def _marks(value: Any) -> list[Object]:
     if not _are_objects(value) or is_intervals(value[0]):
         return value if _are_objects(value) else []
     renamed = ({"label" if key == "name" else key: cell for key, cell in one.items()} for one in value)
-    return list(renamed) if is_intervals("label" if key == "name" else key for key in value[0]) else []
+    return list(renamed) if is_intervals(["label" if key == "name" else key for key in value[0]]) else []
 
 
 def intervals_in(value: Object) -> tuple[Interval, ...]:
