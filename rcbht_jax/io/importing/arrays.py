@@ -133,6 +133,8 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         )
         group, parts = separated(tree, -1 if turned else 0) or ("", {"": dict(leaves(tree))})
         sides = all(map(names_side, parts))
+        used = {id(one) for found in parts.values() for one in found.values()}
+        lost = [key for key, one in leaves(tree) if key[0] != "#" and id(one) not in used and one.size]
         for part, found in parts.items():
             node = file["/".join(filter(None, (group, part))) or "/"]
             above = accumulate(filter(None, node.name.split("/")), "{}/{}".format)
@@ -149,7 +151,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             for table in without_objects(path, f"{name}#{part}" if part else name, usable, objects, part):
                 arm = {"arm": part} if sides and part else {}
                 units = {**table.units, **units_of(table.columns, stated)}
-                yield replace(table, units=units, facts={**arm, **table.facts})
+                yield replace(table, units=units, facts={**arm, **table.facts}, others=(*table.others, *lost))
 
 
 def _members(group: Any, seen: set[int], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

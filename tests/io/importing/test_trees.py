@@ -102,5 +102,10 @@ def test_many_lists_of_units_are_found_in_linear_time() -> None:
 
 def test_arrays_beside_groups_that_are_left_out_are_remarked(tmp_path: Path) -> None:
     groups = {f"{name}/{key}": one for name in ("one", "two") for key, one in (("t", TIME), ("ft", WRENCH + len(name)))}
-    np.savez(tmp_path / "a.npz", **groups, other=np.arange(N + 3.0))
-    assert "Arrays of another shape or kind were left out: 'other'." in read_source(tmp_path / "a.npz").report.remarks
+    groups["other"] = np.arange(N + 3.0)
+    np.savez(tmp_path / "a.npz", **groups)
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        file.update(groups)
+    for kind in ("npz", "h5"):
+        remarks = read_source(tmp_path / f"a.{kind}").report.remarks
+        assert "Arrays of another shape or kind were left out: 'other'." in remarks
