@@ -195,7 +195,7 @@ def _is_number(text: str) -> bool:
     return text.lstrip("-").replace(".", "", 1).isdecimal()
 
 
-def _several(value: Any) -> tuple[dict[str, Object], Object]:
+def _several(value: Any) -> tuple[Object, Object]:
     """The recordings of a list, or of an object with like objects, and what is beside them; none if it is one."""
     if _are_objects(value):
         return {str(number): one for number, one in enumerate(value)}, {}
@@ -209,13 +209,19 @@ def _several(value: Any) -> tuple[dict[str, Object], Object]:
             value = value[key[:-1]]
         several = {key: value[key] for key in parts}
         return several, {**around, **{name: one for name, one in value.items() if name not in several}}
+    rows: Object = {
+        key: one for key, one in value.items() if _are_objects(one) and not _marks(one) and _is_sample(one[0])
+    }
+    rest = {key: one for key, one in value.items() if key not in rows}
+    if len(rows) > 1 and len({tuple(sorted(one[0])) for one in rows.values()}) == 1 and not _is_recording(rest):
+        return rows, rest
     lists = [key for key, one in value.items() if _are_objects(one) and any(map(_is_recording, one[:PROBES]))]
     within = [key for key, one in value.items() if isinstance(one, dict)]
     chosen = lists if len(lists) == 1 else within if not _is_recording(value) else []
     if len(chosen) != 1:
         return {}, {}
-    several, beside = _several(value[chosen[0]])
-    return several, {**{key: one for key, one in value.items() if key != chosen[0]}, **beside}
+    within_it, beside = _several(value[chosen[0]])
+    return within_it, {**{key: one for key, one in value.items() if key != chosen[0]}, **beside}
 
 
 def _tree(value: Object, depth: int = 0) -> Tree:
@@ -229,6 +235,12 @@ def _tree(value: Object, depth: int = 0) -> Tree:
         elif isinstance(one, dict):
             tree[f"{key}/"] = _tree(one, depth + 1)
     return tree
+
+
+def _is_sample(value: Object) -> bool:
+    """Whether an object holds a time, or the axes of a wrench."""
+    names = [key for key, _ in _flat(value)]
+    return any(unit_of_time(name.rpartition(".")[2]) for name in names) or bool(wrenches(names))
 
 
 def _is_recording(value: Object) -> bool:

@@ -89,8 +89,12 @@ def separated(tree: Tree, axis: int = 0, wrench: bool = False) -> tuple[str, dic
     taken, beside = {*path, *(f"{part}/" for part in parts)}, dict[str, Any]()
     for key in [*path, ""]:
         others = {name: one for name, one in tree.items() if name not in taken and name[0] != "#"}
-        # a number is that of a segment, of which recording is unknown
-        beside |= {name: one for name, one in leaves(others) if not any(map(str.isdecimal, name.split("/")))}
+        # a number is that of a segment, of which recording is unknown; a list in another group may be of one name
+        beside |= {
+            name: one
+            for name, one in leaves(others)
+            if name in others or (len(one.shape) != 1 and not any(map(str.isdecimal, name.split("/"))))
+        }
         tree = tree[key] if key else tree
     found: dict[str, dict[str, Any]] = {}
     for part, group in parts.items():

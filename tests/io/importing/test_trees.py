@@ -59,7 +59,7 @@ TWO = {"a": GROUP, "b": {"t": TIME, "wrench": WRENCH + 1}}
     ("content", "trials"),
     [
         ({"raw": GROUP, "compensated": TWO["b"]}, ["run"]),
-        ({"data": TWO, "meta": {"rate": 100.0}}, ["run-a", "run-b"]),
+        ({"data": TWO, "meta": {"rate": 100.0, "names": np.zeros(1)}}, ["run-a", "run-b"]),
         ({**TWO, "c": {"t": TIME[:1], "wrench": WRENCH[:1]}}, ["run-a", "run-b"]),
         ({"gains": {"kp": np.arange(3.0)}, **TWO}, ["run-a", "run-b"]),
         ({**GROUP, "poses": {"hand": {"x": TIME, "y": TIME}, "base": {"x": TIME, "y": TIME}}}, ["run"]),
@@ -77,6 +77,7 @@ def test_one_walk_finds_the_recordings_of_all_nested_formats(
     imported = read_source(tmp_path)
     assert (imported.recordings.trial.tolist(), imported.recordings.axes) == (trials, AXES)
     assert bool(imported.report.skipped) == ("c" in content)
+    assert not {"meta.names", "meta_names"} & set(imported.recordings.columns)
 
 
 def tree_of(content: dict[str, Any]) -> Tree:
