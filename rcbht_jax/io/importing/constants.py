@@ -135,5 +135,6 @@ def _overlap(one: Record, other: Record) -> bool:
     """Whether two recordings, the first of which begins no later, were made at the same time."""
     length, end = one.time[-1], other.time[-1] + other.origin - one.origin
     counts = sorted((len(one.time), len(other.time)))
-    as_long = one.origin == other.origin and abs(end - length) < 0.02 * length and 3 * counts[0] < 2 * counts[1]
+    close = max(0.02, 2 / counts[0]) * length  # two samples of the slower one, at least
+    as_long = one.origin == other.origin and abs(end - length) < close and 3 * counts[0] < 2 * counts[1]
     return bool(as_long or (one.origin > length and other.origin < one.origin + length))

@@ -53,19 +53,6 @@ def test_sensors_of_other_rates_with_times_and_annotations_of_their_own(tmp_path
     assert "'robot_state/joint_positions'" in imported.report.remarks[0]
 
 
-@pytest.mark.parametrize(
-    ("start", "later", "every", "remarked"), [(0, 0, 2, True), (0, 0, 1, False), (9, 0.5, 1, True), (9, 1, 1, False)]
-)
-def test_sensors_of_one_trial_that_became_recordings_are_remarked(
-    start: float, later: float, every: int, remarked: bool, tmp_path: Path
-) -> None:
-    with pytest.importorskip("h5py").File(tmp_path / "run.h5", "w") as file:
-        file["wrist/t"], file["wrist/wrench"] = start + TIME, WRENCH
-        file["ati/t"], file["ati/wrench"] = (start + later + TIME)[::every], -WRENCH[::every]
-    said = "may be of sensors of one trial: "
-    assert any(said in remark for remark in read_source(tmp_path).report.remarks) == remarked
-
-
 def test_a_matrix_for_every_sample_makes_no_recordings(tmp_path: Path) -> None:
     names = ("obs/tcp_force", "obs/tcp_torque")
     arrays = {"obs/jacobian": np.zeros((N, 6, 7)), names[0]: WRENCH[:, :3], names[1]: WRENCH[:, 3:]}

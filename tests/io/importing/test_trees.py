@@ -85,6 +85,19 @@ def tree_of(content: dict[str, Any]) -> Tree:
             for key, one in content.items()}  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("start", "later", "every", "remarked"), [(0, 0, 2, True), (0, 0, 1, False), (9, 0.1, 1, True), (9, 1, 1, False)]
+)
+def test_sensors_of_one_trial_that_became_recordings_are_remarked(
+    start: float, later: float, every: int, remarked: bool, tmp_path: Path
+) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "run.h5", "w") as file:
+        file["wrist/t"], file["wrist/wrench"] = start + TIME, WRENCH
+        file["ati/t"], file["ati/wrench"] = (start + later + TIME)[::every], -WRENCH[::every]
+    said = "may be of sensors of one trial: "
+    assert any(said in remark for remark in read_source(tmp_path).report.remarks) == remarked
+
+
 def test_what_is_no_list_of_units_stays(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", **{"run/t": TIME, "run/wrench": WRENCH, "run/unit": np.array(["N"] * N)})
     assert read_source(tmp_path / "a.npz").recordings.columns["run_unit"].tolist() == ["N"]
