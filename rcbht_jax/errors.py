@@ -11,4 +11,12 @@ class InputError(ValueError):
         ... except rj.InputError as error:
         ...     str(error).split(";")[0]
         "Robot 'r2d2' has no thresholds"
+
+    Attributes:
+        fault: the text without the advice that a caller may know better.
     """
+
+    def __init__(self, fault: str, advice: str = "") -> None:
+        """State what is wrong, and apart from it what helps unless a caller knows something better; "" = nothing."""
+        super().__init__(f"{fault} {advice}".rstrip())
+        self.fault = fault

@@ -102,8 +102,8 @@ def layout_of(group: zarr_io.Group) -> Layout:
     layout = Layout(int(group.attrs["rows"]), int(group.attrs["part_rows"]))  # type: ignore[arg-type]
     if layout.rows < 0 or layout.part < 1 or zarr_io.member(group, DIGESTS).shape != (len(layout), _DIGEST):
         raise InputError(
-            f"{zarr_io.path_of(group)} declares {layout.rows} rows in parts of {layout.part}, but has others; import "
-            "or copy it again."
+            f"{zarr_io.path_of(group)} declares {layout.rows} rows in parts of {layout.part}, but has others.",
+            "Import or copy it again.",
         )
     return layout
 
@@ -289,7 +289,7 @@ def read(
     wanted = len(range(*rows.indices(rows.stop))) if isinstance(rows, slice) and rows != slice(None) else len(values)
     if len(values) != wanted:
         where = zarr_io.path_of(group)
-        raise InputError(f"{where}: {name} has {len(values)} of {wanted} rows; import or copy it again.")
+        raise InputError(f"{where}: {name} has {len(values)} of {wanted} rows.", "Import or copy it again.")
     return np.array(values.tolist(), np.str_).reshape(values.shape) if made.dtype == "string" else values
 
 

@@ -219,7 +219,7 @@ def reading(path: Path) -> Iterator[None]:
         raise
     except Exception as error:  # a damaged store can fail in any way inside zarr and its codecs
         detail = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path} is damaged or incomplete ({detail}). Import or copy it again.") from error
+        raise InputError(f"{path} is damaged or incomplete ({detail}).", "Import or copy it again.") from error
 
 
 @uninterrupted()
@@ -268,7 +268,7 @@ def member(group: Group, name: str) -> Array[Any]:
     if array is None:
         array = group.get(name)  # type: ignore[assignment]
     if not isinstance(array, zarr.Array):
-        raise InputError(f"{path_of(group)} has no array {name}; it is incomplete. Import or copy it again.")
+        raise InputError(f"{path_of(group)} has no array {name}; it is incomplete.", "Import or copy it again.")
     return bounded(array)
 
 
@@ -302,7 +302,7 @@ def subgroup(group: Group, name: str) -> Group:
     """A group inside a group."""
     sub = group.get(name)
     if not isinstance(sub, Group):
-        raise InputError(f"{path_of(group)} has no group {name}; it is incomplete. Import or copy it again.")
+        raise InputError(f"{path_of(group)} has no group {name}; it is incomplete.", "Import or copy it again.")
     return sub
 
 
@@ -339,7 +339,7 @@ def check_collected(path: Path, chosen: Callable[[str], bool]) -> None:
                 continue
             own = load_json(path / name / META)
             if {**found, "consolidated_metadata": None} != {**own, "consolidated_metadata": None}:
-                raise InputError(f"{path} is damaged: {name}/{META} is not as in {META}. Import or copy it again.")
+                raise InputError(f"{path} is damaged: {name}/{META} is not as in {META}.", "Import or copy it again.")
 
 
 def uncollected(path: Path, folder: str) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -19,7 +18,6 @@ from rcbht_jax.errors import InputError
 TRIALS, SAMPLES, WINDOW = 100, 2000, 5  # of the measurement, as "rcbht bench" makes it
 USUAL = 0.084  # speed of the encoder in plain line fits on a CPU: the newest record of benchmarks/history.json
 SLOW = 0.5  # of the usual ratio
-_OTHER_ADVICE = re.compile(r"[.;] \w+ or copy it again\.$")  # of a reader that does not know what can be repaired
 
 
 @dataclass(frozen=True)
@@ -175,9 +173,7 @@ def _store_text(result: dict[str, Any]) -> str:
     if result["uncollected"]:
         offers.append(f"collects the metadata of {', '.join(result['uncollected'])}")
     lines = [f"{result['store']}: {plural(result['recordings'], 'recording')}"]
-    mended = not result["unknown"] and (result["intact"] or result["repairable"])
-    for sentence in result["damage"]:
-        lines.append(f"damaged: {_OTHER_ADVICE.sub('.', sentence) if mended else sentence}")
+    lines += [f"damaged: {sentence}" for sentence in result["damage"]]
     if not result["damage"]:
         lines.append("every checksum is right, nothing is missing")
     if result["simulated_again"]:

@@ -116,7 +116,7 @@ def check_store(path: Path) -> StoreHealth:
     attrs = store.read_attrs(path)
     if not store.is_finished(path):
         store.verify(path)
-    damage: list[str] = []
+    damage: list[InputError] = []
     notes: list[str] = []
     _read(partial(store.verify, path), damage)
     # damage of the lengths is already reported
@@ -126,13 +126,14 @@ def check_store(path: Path) -> StoreHealth:
     if job is not None and not damage:
         expected = (job.trials - len(attrs.get("diverged", []))) * len(get_scenario(job.preset).arms)
         if count != expected:
-            damage.append(f"{path} has {plural(count, 'recording')}; its simulation made {expected}.")
+            damage.append(InputError(f"{path} has {plural(count, 'recording')}; its simulation made {expected}."))
     intact = not damage
     tracks = _damaged_tracks(path, job, not difference, damage)
     uncollected = [name for name in _read(partial(uncollected_tracks, path), []) or [] if name not in tracks]
     if uncollected:
+        names = ", ".join(uncollected)
         damage.append(
-            f"{path} lacks the metadata of {', '.join(uncollected)} among those it has collected: xarray misses them."
+            InputError(f"{path} lacks the metadata of {names} among those it has collected: xarray misses them.")
         )
     if (folder := shards.folder_of(path)).is_dir():
         notes.append(f"{folder} {_state(folder)}")
@@ -140,7 +141,10 @@ def check_store(path: Path) -> StoreHealth:
         notes.append(difference)
     known = {name: how for name, how in tracks.items() if how is not None}
     unknown = [name for name in tracks if name not in known]
-    return StoreHealth(count, damage, notes, job is not None and not difference, known, intact, unknown, uncollected)
+    repairable = job is not None and not difference
+    mended = not unknown and (intact or repairable)  # by doctor, so that no reader's advice is needed
+    sentences = [error.fault if mended else str(error) for error in damage]
+    return StoreHealth(count, sentences, notes, repairable, known, intact, unknown, uncollected)
 
 
 def _state(folder: Path) -> str:
@@ -151,7 +155,7 @@ def _state(folder: Path) -> str:
 
 
 def _damaged_tracks(
-    path: Path, job: SynthesisConfig | None, same: bool, damage: list[str]
+    path: Path, job: SynthesisConfig | None, same: bool, damage: list[InputError]
 ) -> dict[str, dict[str, Any] | None]:
     """Label tracks that are damaged, or missing though the job makes them, and how they are made; None = not known.
 
@@ -159,20 +163,20 @@ def _damaged_tracks(
         path: of the store.
         job: that made the store.
         same: the installed code makes what the job made.
-        damage: gets a sentence for each.
+        damage: gets the error of each.
     """
     found = dict[str, dict[str, Any] | None]()
     names = _read(partial(list_tracks, path), damage) or []
     for name in names:
-        reasons = list[str]()
+        reasons = list[InputError]()
         _read(partial(verify_tracks, path, name), reasons)
         if reasons:
             found[name] = made_how(path, name)
-            damage += [reason for reason in reasons if reason not in damage]
+            _add(reasons[0], damage)
     if job is not None and job.window is not None:
         own = f"online-W{job.window}"
         if own not in names:
-            damage.append(f"{path} lacks its labels {own}.")
+            damage.append(InputError(f"{path} lacks its labels {own}."))
             found[own] = None
         if same and own in found and found[own] is None:
             found[own] = simulated_how(path, job)
@@ -301,14 +305,18 @@ def _made_by(simulated: dict[str, Any]) -> tuple[SynthesisConfig | None, str]:
     return (job, "") if now == simulated else (None, "Its options are not those of the installed version.")
 
 
-def _read(part: Callable[[], Any], damage: list[str]) -> Any:
-    """A part of a store; None if it is damaged, with the reason added to ``damage``."""
+def _read(part: Callable[[], Any], damage: list[InputError]) -> Any:
+    """A part of a store; None if it is damaged, with the error added to ``damage``."""
     try:
         return part()
     except InputError as error:
-        if str(error) not in damage:  # several readers may meet the same
-            damage.append(str(error))
+        _add(error, damage)
         return None
+
+
+def _add(error: InputError, damage: list[InputError]) -> None:
+    if str(error) not in map(str, damage):  # several readers may meet the same
+        damage.append(error)
 
 
 def _rate(call: Callable[[], Any]) -> float:

@@ -46,7 +46,7 @@ def test_an_array_of_other_rows_than_its_store_is_one_sentence(
     content["shape"][0] = rows
     file.write_text(json.dumps(content))
     assert main(["export", str(parted), "--format", "csv", "-o", str(tmp_path / "out")]) == 2
-    assert f"{name} has {rows} of 11 rows; import or copy it again" in capsys.readouterr().err
+    assert f"{name} has {rows} of 11 rows. Import or copy it again" in capsys.readouterr().err
     read = {"length": store.read_lengths, "wrench_sha256": store.read_digests}.get(name, store.read_table)
     with pytest.raises(InputError, match=f"{name} has {rows} of 11 rows"):
         read(parted)

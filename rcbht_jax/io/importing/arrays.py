@@ -117,18 +117,15 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
     with reading(path, "HDF5"), h5py.File(path, "r") as file:
         datasets: list[Any] = []
         tree: Tree = {}
-
-        def visit(name: str, item: Any) -> None:
+        for place, item in _members(file, {hash(file["/"].id)}):
             if isinstance(item, h5py.Dataset):
                 datasets.append(item)
                 if len(datasets) > MAX_MEMBERS:
                     raise InputError(f"{path} holds more than {MAX_MEMBERS} arrays; split it.")
                 if item.shape is not None:  # it holds something
-                    put(tree, name.split("/"), item)
+                    put(tree, place, item)
             elif isinstance(item, h5py.Group):
-                put(tree, name.split("/"), None)
-
-        file.visititems(visit)  # follows neither soft nor external links
+                put(tree, place, None)
         if any(item.external or item.is_virtual for item in datasets):
             raise InputError(f"{path} takes arrays from other files; copy them into it.")
         check_declared(
@@ -136,6 +133,8 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         )
         group, parts = separated(tree, -1 if turned else 0) or ("", {"": dict(leaves(tree))})
         sides = all(map(names_side, parts))
+        used = {id(one) for found in parts.values() for one in found.values()}
+        lost = [key for key, one in leaves(tree) if key[0] != "#" and id(one) not in used and one.size]
         for part, found in parts.items():
             node = file["/".join(filter(None, (group, part))) or "/"]
             above = accumulate(filter(None, node.name.split("/")), "{}/{}".format)
@@ -152,7 +151,25 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             for table in without_objects(path, f"{name}#{part}" if part else name, usable, objects, part):
                 arm = {"arm": part} if sides and part else {}
                 units = {**table.units, **units_of(table.columns, stated)}
-                yield replace(table, units=units, facts={**arm, **table.facts})
+                yield replace(table, units=units, facts={**arm, **table.facts}, others=(*table.others, *lost))
+
+
+def _members(group: Any, seen: set[int], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """The path and content of all that a group holds, an array by each of its names; a group that is linked, once.
+
+    Soft and external links are not followed.
+    """
+    for name in group:
+        if type(group.get(name, getlink=True)).__name__ != "HardLink":
+            continue
+        item, place = group[name], (*above, name)
+        if hasattr(item, "keys"):
+            if hash(item.id) in seen:
+                continue
+            seen.add(hash(item.id))
+        yield place, item
+        if hasattr(item, "keys"):
+            yield from _members(item, seen, place)
 
 
 def _titles(item: Any) -> dict[str, NDArray[Any]]:

@@ -14,7 +14,7 @@ from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
-from rcbht_jax.io.importing.constants import still_axes
+from rcbht_jax.io.importing.constants import at_once, still_axes
 from rcbht_jax.io.importing.encodings import WORDS
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.names import GROUPS, column_name
@@ -64,7 +64,7 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
         moves.append(flags)
     if not kept:
         raise InputError(f"{source} holds no usable recording.{report.first_reason}")
-    report.remarks += _remarks([record.notes for record in kept], moves, period) + still_axes(kept)
+    report.remarks += _remarks([record.notes for record in kept], moves, period) + still_axes(kept) + at_once(kept)
     report.remarks += _interpolated(kept)
     report.imported = [record.name for record in kept]
     _words(kept)

@@ -30,6 +30,7 @@ _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 _BETWEEN = ",.' \u00a0\u2009\u202f’"  # marks between thousands
 _GROUPED = re.compile(rf"^([+-]?\d{{1,3}})([{_BETWEEN}])(\d{{3}}(?:\2\d{{3}})*)(?:([,.])(\d*))?$")
 _DECIMAL = re.compile(r"^[+-]?(\d*)([,.])(\d+)(?:[eE][+-]?\d+)?$")
+_DOUBLE = re.compile(r"^([+-]?\d*\.\d*)D([+-]?\d+)$")
 _WHOLE = re.compile(r"^[+-]?[1-9]\d{0,2}$")
 _BETWEEN_BLANKS = re.compile(r"[+-]?\d+(?:,\d+(?:[eE][+-]?\d+)?)?")  # numbers, some with decimal commas
 
@@ -103,9 +104,13 @@ def is_number(cell: str) -> bool:
 def plain(cell: str, delimiter: str) -> str:
     """A cell with a point where a table without commas between cells has a decimal one, and without brackets of a row.
 
-    >>> plain("1,5", ";"), plain("1,5", ","), plain("( 1.5", ",")
-    ('1.5', '1,5', '1.5')
+    An exponent may be one of double precision in Fortran.
+
+    >>> plain("1,5", ";"), plain("1,5", ","), plain("( 1.5", ","), plain("1.5D+02", " ")
+    ('1.5', '1,5', '1.5', '1.5e+02')
     """
+    if "D" in cell:
+        return _DOUBLE.sub(r"\1e\2", cell)
     if cell[:1] in ("(", "[") or cell[-1:] in (")", "]"):
         inner = cell.strip("()[] ")
         return inner if inner and is_number(inner) else cell

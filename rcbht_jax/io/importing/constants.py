@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from rcbht_jax._util.columns import base_and_unit, measured
+from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.names import COUNTERS, column_name, of_any_arm
 from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.table import Table
@@ -105,3 +107,34 @@ def still_axes(records: Sequence[Record]) -> list[str]:
         where = "any recording" if count == len(records) else f"{count} of {len(records)} recordings"
         found += [f"{axis} never changes within {where}; is its sensor connected?"] if count else []
     return found
+
+
+def at_once(records: Sequence[Record]) -> list[str]:
+    """A remark on recordings of one file that were made at the same time: sensors of one trial, perhaps.
+
+    They last as long at rates of their own, or overlap on a clock that began long before them.
+
+    >>> values = np.zeros((40, 1))
+    >>> wrist, ati = (Record(f"a.h5#{part}", np.linspace(0, 1, count), values[:count], ("Fz",), ("N",), part=part)
+    ...               for part, count in (("wrist", 40), ("ati", 20)))
+    >>> at_once([wrist, ati])[0].partition(";")[0]
+    "Recordings of one file that were made at the same time may be of sensors of one trial: 'a.h5#wrist', 'a.h5#ati'"
+    """
+    files: dict[tuple[str, str], list[Record]] = {}
+    for record in records:
+        files.setdefault((record.file, record.arm), []).append(record)
+    ordered = (sorted(those, key=lambda record: (record.origin, record.time[-1])) for those in files.values())
+    found = dict.fromkeys(
+        record.name for those in ordered for pair in pairwise(those) if _overlap(*pair) for record in pair
+    )
+    which = f"Recordings of one file that were made at the same time may be of sensors of one trial: {some(found)}"
+    return [f"{which}; if so, keep one of them, or all on one side of every split."] if found else []
+
+
+def _overlap(one: Record, other: Record) -> bool:
+    """Whether two recordings, the first of which begins no later, were made at the same time."""
+    length, end = one.time[-1], other.time[-1] + other.origin - one.origin
+    counts = sorted((len(one.time), len(other.time)))
+    close = max(0.02, 2 / counts[0]) * length  # two samples of the slower one, at least
+    as_long = one.origin == other.origin and abs(end - length) < close and 3 * counts[0] < 2 * counts[1]
+    return bool(as_long or (one.origin > length and other.origin < one.origin + length))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Iterable
 from typing import BinaryIO
 
 BLOCK = 2**20  # bytes that are looked at together
@@ -38,6 +39,16 @@ def encoding_of(file: BinaryIO) -> str:
         encoding = _other(block)
     file.seek(0)
     return encoding
+
+
+def doubts(name: str, notes: Iterable[str]) -> list[tuple[str, str]]:
+    """A warning about a file of words, by its notes, if it is not UTF-8.
+
+    >>> doubts("runs.csv", ["cp1252"])
+    [('runs.csv', 'is not UTF-8 and was read as Windows-1252; if words are garbled, save it as UTF-8.')]
+    """
+    how = "if words are garbled, save it as UTF-8."
+    return [(name, f"is not UTF-8 and was read as {WORDS[note]}; {how}") for note in notes if note in WORDS]
 
 
 def _other(block: bytes) -> str:

@@ -262,8 +262,11 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:
         more = f" Arrays of another shape or kind are left out: {some(table.others)}." if table.others else ""
-        if any(names.group_base(name) in names.GROUPS for name in table.columns):
-            more += " If it describes other files, add a column 'file' with their names."
+        if key := next((name for name in table.columns if names.group_base(name) in names.GROUPS), ""):
+            more += (
+                " If it describes other files, add a column 'file' with their names; if parts of one, write in a map"
+            )
+            more += f" table = {table.name!r} and key = {key!r}."
         raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.{more}")
     if len(rest) > MAX_CHANNELS:
         raise InputError(

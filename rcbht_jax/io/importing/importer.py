@@ -28,6 +28,7 @@ from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.cases import read_blocks, read_ts
 from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
+from rcbht_jax.io.importing.encodings import doubts
 from rcbht_jax.io.importing.exported import attrs_of_export, not_read, read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
 from rcbht_jax.io.importing.given import from_start, possible
@@ -240,6 +241,7 @@ def _read(
                 if item.kind == "csv" and marks.is_intervals(named.columns):
                     marked.append(marks.with_words(named, item.path))
                     report.remarks += marks.unused(named)
+                    report.warnings += doubts(named.name, named.notes)
                     continue
                 described = beside.described(table)
                 try:

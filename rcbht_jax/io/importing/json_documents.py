@@ -23,7 +23,7 @@ from rcbht_jax.io.importing.mapping import Track
 from rcbht_jax.io.importing.marks import intervals_of, is_intervals
 from rcbht_jax.io.importing.names import column_name, names_side, wrenches
 from rcbht_jax.io.importing.table import Interval, Table, scalars_of, tables_of, with_units
-from rcbht_jax.io.importing.trees import are_quantities
+from rcbht_jax.io.importing.trees import Tree, recordings_in
 from rcbht_jax.io.importing.unpacked import opened
 
 DEPTH = 16  # of objects and lists within each other
@@ -60,12 +60,12 @@ def read_json_document(path: Path, name: str) -> Iterator[Table]:
 def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
     if _are_objects(value) and not any(map(_is_recording, value[:PROBES])):
         value = {"rows": value}
-    if several := _several(value):
+    several, around = _several(value)
+    if several:
         if len(several) > MAX_GROUPS:
             raise InputError(f"{path} holds more than {MAX_GROUPS} recordings; split it.")
         sides = all(map(names_side, several))
-        around = value if isinstance(value, dict) else {}
-        around = {key: one for key, one in around.items() if key not in several and _is_shared(one)}
+        around = {key: one for key, one in around.items() if _is_shared(one)}
         rate, facts = scalars_of({key: one for key, one in _named(around) if one.ndim == 0})
         intervals = intervals_in(around)
         lost = () if sides else tuple(dict.fromkeys(track for track, *_ in intervals))  # of which trial is unknown
@@ -93,7 +93,7 @@ def _is_shared(value: Any) -> bool:
     """Whether a value beside recordings holds none: it may be about all of them."""
     if _are_objects(value):
         return not any(map(_is_recording, value[:PROBES])) and bool(_marks(value))
-    return not _several(value)
+    return not _several(value)[0]
 
 
 def _with_shared(one: Any, around: Object) -> Any:
@@ -139,7 +139,7 @@ def _marks(value: Any) -> list[Object]:
     if not _are_objects(value) or is_intervals(value[0]):
         return value if _are_objects(value) else []
     renamed = ({"label" if key == "name" else key: cell for key, cell in one.items()} for one in value)
-    return list(renamed) if is_intervals("label" if key == "name" else key for key in value[0]) else []
+    return list(renamed) if is_intervals(["label" if key == "name" else key for key in value[0]]) else []
 
 
 def intervals_in(value: Object) -> tuple[Interval, ...]:
@@ -195,21 +195,52 @@ def _is_number(text: str) -> bool:
     return text.lstrip("-").replace(".", "", 1).isdecimal()
 
 
-def _several(value: Any) -> dict[str, Object]:
-    """The recordings of a list, or of an object whose objects hold the same names; none if it is one recording."""
+def _several(value: Any) -> tuple[Object, Object]:
+    """The recordings of a list, or of an object with like objects, and what is beside them; none if it is one."""
     if _are_objects(value):
-        return {str(number): one for number, one in enumerate(value)}
+        return {str(number): one for number, one in enumerate(value)}, {}
     if not isinstance(value, dict):
-        return {}
-    inner: dict[str, Object] = {key: one for key, one in value.items() if isinstance(one, dict) and _is_recording(one)}
-    alike = len({tuple(sorted(one)) for one in inner.values()}) == 1
-    if len(inner) > 1 and alike and not are_quantities(inner):
-        return inner
-    lists = [one for one in value.values() if _are_objects(one) and any(map(_is_recording, one[:PROBES]))]
-    if len(lists) == 1:
-        return {str(number): one for number, one in enumerate(lists[0])}
-    within = [one for one in value.values() if isinstance(one, dict)]
-    return _several(within[0]) if len(within) == 1 and not _is_recording(value) else {}
+        return {}, {}
+    around: Object = {}
+    if found := recordings_in(_tree(value)):
+        path, parts = found
+        for key in path:
+            around = {**around, **{name: one for name, one in value.items() if name != key[:-1]}}
+            value = value[key[:-1]]
+        several = {key: value[key] for key in parts}
+        return several, {**around, **{name: one for name, one in value.items() if name not in several}}
+    rows: Object = {
+        key: one for key, one in value.items() if _are_objects(one) and not _marks(one) and _is_sample(one[0])
+    }
+    rest = {key: one for key, one in value.items() if key not in rows}
+    if len(rows) > 1 and len({tuple(sorted(one[0])) for one in rows.values()}) == 1 and not _is_recording(rest):
+        return rows, rest
+    lists = [key for key, one in value.items() if _are_objects(one) and any(map(_is_recording, one[:PROBES]))]
+    within = [key for key, one in value.items() if isinstance(one, dict)]
+    chosen = lists if len(lists) == 1 else within if not _is_recording(value) else []
+    if len(chosen) != 1:
+        return {}, {}
+    within_it, beside = _several(value[chosen[0]])
+    return within_it, {**{key: one for key, one in value.items() if key != chosen[0]}, **beside}
+
+
+def _tree(value: Object, depth: int = 0) -> Tree:
+    """The shapes of the lists over time in an object and those within it."""
+    if depth > DEPTH:
+        raise ValueError(f"objects are nested more than {DEPTH} times")
+    tree: Tree = {}
+    for key, one in value.items():
+        if isinstance(one, list):
+            tree[str(key)] = np.broadcast_to(0.0, (len(one), len(one[0])) if _are_lists(one) else len(one))
+        elif isinstance(one, dict):
+            tree[f"{key}/"] = _tree(one, depth + 1)
+    return tree
+
+
+def _is_sample(value: Object) -> bool:
+    """Whether an object holds a time, or the axes of a wrench."""
+    names = [key for key, _ in _flat(value)]
+    return any(unit_of_time(name.rpartition(".")[2]) for name in names) or bool(wrenches(names))
 
 
 def _is_recording(value: Object) -> bool:

@@ -13,17 +13,18 @@ import numpy as np
 
 from rcbht_jax._util.untrusted import check_inside, read_json
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.encodings import doubts
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Value
-from rcbht_jax.io.importing.marks import Names, ambiguous, beside, is_intervals, plain_number
+from rcbht_jax.io.importing.marks import Names, ambiguous, beside, is_intervals
 from rcbht_jax.io.importing.names import GROUPS, column_name, group_base
 from rcbht_jax.io.importing.record import Record, Row
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.unpacked import opened
-from rcbht_jax.io.importing.words import OUTCOMES, is_outcome, text
+from rcbht_jax.io.importing.words import OUTCOMES, is_outcome, plain_number, text
 from rcbht_jax.types import STANDARD_COLUMNS
 
 HEAD = 4096  # bytes of a table in which a recording is named, if it lists them
@@ -55,6 +56,7 @@ def rows_of(
     else:
         if table is None:
             [table] = read_csv(path, path.name, words=True)
+        warnings += doubts(mapping.table, table.notes)
         columns = {key: [text(value) for value in values] for key, values in table.columns.items()}
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     there = dict.fromkeys(key for row in rows for key in row)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
@@ -15,6 +15,7 @@ from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, read_bytes
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.clock import since_epoch
+from rcbht_jax.io.importing.encodings import doubts
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Track
@@ -24,12 +25,12 @@ from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.timing import unit_by_size
 from rcbht_jax.io.importing.unpacked import plain_name
-from rcbht_jax.io.importing.words import of_numbers, text
+from rcbht_jax.io.importing.words import of_numbers, plain_number, text
 
 Marks = dict[int, list[Interval]]  # of one file, by recording; ANY = of any
 ANY = -1
 _NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
-_LABELS = ("label", "text", "description", *LABELS)
+_LABELS = ("label", "text", "description", "trial_type", *LABELS)
 _STARTS = (
     "start", "start_time", "begin", "begin_time", "onset", "t_start", "time_start", "starttime", "tmin", "from",
     "anfang",
@@ -38,25 +39,39 @@ _ENDS = (
     "end", "end_time", "stop", "stop_time", "offset", "t_end", "time_end", "endtime", "tmax", "to", "finish",
     "finish_time", "ende",
 )  # fmt: skip
+_TIMES = ("time", "t", "timestamp", "stamp")  # of events
 _OF_ELAN = {"ss.msec": " [s]", "hh:mm:ss.ms": " [s]", "msec": " [ms]"}  # units of times, as that program names them
 _ELAN = re.compile(rf"\s+-\s+({'|'.join(map(re.escape, _OF_ELAN))})$")
 SAMPLES = "samples"  # note of a table of annotations that counts them
 _COUNTS = "(?:samples?|frames?|index|idx|rows?)"
 _COUNTED = re.compile(rf"(?<![ _])[ _]*[\[(]?{_COUNTS}[\])]?$|^{_COUNTS}[ _]+")
 _DURATIONS = ("duration", "dur", "length")
-_FILES = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
+_FILES = (
+    "_labels",
+    ".labels",
+    "-labels",
+    "_annotations",
+    ".annotations",
+    "-annotations",
+    "_label",
+    ".label",
+    "_events",
+)
 
 
-def is_intervals(columns: Iterable[str]) -> bool:
-    """Whether a table with these columns is one of annotations: label and start, or like names and an end.
+def is_intervals(columns: Collection[str]) -> bool:
+    """Whether a table with these columns is one of annotations: label and start, like names and an end, or events only.
 
     >>> is_intervals(["label", "start"]), is_intervals(["Action", "Start time [s]", "duration [s]"])
     (True, True)
+    >>> is_intervals(["file", "event", "time"]), is_intervals(["t", "event", "Fz"])
+    (True, False)
     """
     fields = _fields(columns)
     plain = {name.lower() for name in columns}
     whole = {"label", "start"} <= set(fields) and not {"end", "duration"}.isdisjoint(fields)
-    return {"label", "start"} <= plain or (whole and not wrenches(columns))
+    events = {"label", "start"} <= set(fields) and "event" in plain and len(fields) == len(columns)
+    return {"label", "start"} <= plain or events or (whole and not wrenches(columns))
 
 
 def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
@@ -64,8 +79,8 @@ def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
     pairs = ((name, *base_and_unit(_ELAN.sub(lambda unit: _OF_ELAN[unit[1]], name))) for name in columns)
     parsed = {base.replace(" ", "_"): (name, SECONDS.get(unit, 0.0)) for name, base, unit in pairs}
     kinds = {
-        "label": _LABELS, "start": _STARTS, "end": _ENDS, "duration": _DURATIONS, "track": ("track", "tier"),
-        "recording": _NAMES,
+        "label": _LABELS, "start": (*_STARTS, *_TIMES) if "event" in parsed else _STARTS, "end": _ENDS,
+        "duration": _DURATIONS, "track": ("track", "tier"), "recording": _NAMES,
     }  # fmt: skip
     found = {kind: next((parsed[word] for word in words if word in parsed), None) for kind, words in kinds.items()}
     return {kind: place for kind, place in found.items() if place is not None}
@@ -243,15 +258,6 @@ class Names:
         return len({self._trials[place] for place in places}) == 1
 
 
-def plain_number(word: str) -> str:
-    """A whole number without zeros before it, as a group of a column of numbers is called; any other word as it is.
-
-    >>> plain_number("007"), plain_number("0"), plain_number("run_007")
-    ('7', '0', 'run_007')
-    """
-    return str(int(word)) if word.isascii() and word.isdecimal() and len(word) < 16 else word
-
-
 def beside(source: Path, file: Path, pattern: str) -> Path:
     """The file that a pattern names for a recording, as :class:`~rcbht_jax.io.importing.mapping.Track` explains.
 
@@ -338,6 +344,7 @@ def track_intervals(
 def _marks_in(path: Path, track: Track, names: Names, warnings: list[tuple[str, str]]) -> Marks:
     """The intervals of a table by recording."""
     [table] = read_csv(path, path.name)
+    warnings += doubts(path.name, table.notes)
     if not is_intervals(table.columns):
         raise InputError(f"{path} has columns {', '.join(table.columns)}; expected label, start and end.")
     rows = intervals_of(with_words(table, path), track)

@@ -16,6 +16,7 @@ from rcbht_jax.io.importing.words import in_order
 
 Tree = dict[str, Any]  # groups, "NAME/", and what has a shape, by its name
 DEPTH = 16  # of groups in names
+FEW = 16  # elements that a list of gains or of names has at most
 
 
 def put(tree: Tree, path: Sequence[str], array: Any) -> None:
@@ -71,7 +72,8 @@ def of_groups(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, NDArray
 def separated(tree: Tree, axis: int = 0, wrench: bool = False) -> tuple[str, dict[str, dict[str, Any]]] | None:
     """The path of the group whose groups are a recording each, and the arrays of each by their paths in it.
 
-    Single values beside them are of all, as are arrays as long as one of their own, such as a time that all share.
+    Single values beside them, also in groups without signals, are of all, as are arrays as long as one of their own,
+    such as a time that all share.
 
     Args:
         tree: of arrays, or of what has a shape and a size.
@@ -81,20 +83,32 @@ def separated(tree: Tree, axis: int = 0, wrench: bool = False) -> tuple[str, dic
     Returns:
         path and arrays; None = there are no such groups.
     """
-    path = _path(tree, wrench)
-    if path is None:
+    if not (recordings := recordings_in(tree, wrench)):
         return None
-    beside: dict[str, Any] = {}
+    path, parts = recordings
+    taken, beside = {*path, *(f"{part}/" for part in parts)}, dict[str, Any]()
     for key in [*path, ""]:
-        beside |= {name: one for name, one in tree.items() if not isinstance(one, dict)}
+        others = {name: one for name, one in tree.items() if name not in taken and name[0] != "#"}
+        # a number is that of a segment, of which recording is unknown; a list in another group may be of one name
+        beside |= {
+            name: one
+            for name, one in leaves(others)
+            if name in others or (len(one.shape) != 1 and not any(map(str.isdecimal, name.split("/"))))
+        }
         tree = tree[key] if key else tree
     found: dict[str, dict[str, Any]] = {}
-    for part, group in _groups(tree).items():
+    for part, group in parts.items():
         own = dict(leaves(group))
         lengths = {one.shape[axis] for one in own.values() if one.shape}
         shared = {key: one for key, one in beside.items() if key not in own and _is_shared(one, lengths)}
         found[part] = {**shared, **own}
     return "".join(path).rstrip("/"), found
+
+
+def recordings_in(tree: Tree, wrench: bool = False) -> tuple[list[str], dict[str, Tree]] | None:
+    """The keys that lead to the group whose groups are a recording each, and these by name; None = there are none."""
+    path = _path(tree, wrench)
+    return None if path is None else (path, _with_signals(_groups(_at(tree, path))))
 
 
 def _is_shared(array: Any, lengths: set[int]) -> bool:
@@ -107,6 +121,15 @@ def _groups(tree: Tree) -> dict[str, Tree]:
     return {key[:-1]: tree[key] for key in names}
 
 
+def _with_signals(groups: dict[str, Tree]) -> dict[str, Tree]:
+    """The groups that hold more than single values, and than gains and the like if others do, or the same names."""
+    longest = {name: max((max(one.shape or (1,)) for _, one in leaves(own)), default=0) for name, own in groups.items()}
+    least = FEW if max(longest.values(), default=0) > FEW else 1
+    names = {name: tuple(sorted(own)) for name, own in groups.items()}
+    those = {names[name] for name, length in longest.items() if length > least}
+    return {name: own for name, own in groups.items() if longest[name] > least or names[name] in those}
+
+
 def _path(tree: Tree, wrench: bool) -> list[str] | None:
     """Keys of the outermost group whose groups (two or more) have the same names, or the same wrench, or are trial_0,
     ...; None = there is no such group.
@@ -114,13 +137,14 @@ def _path(tree: Tree, wrench: bool) -> list[str] | None:
     Groups of single values alone describe segments, and those beside a wrench, without one of their own, hold more
     signals of its recording, as do those of what was done to one wrench.
     """
-    groups = _groups(tree)
+    groups = _with_signals(_groups(tree))
     children = list(groups.values())
     if len(children) > 1 and not _are_of_one_wrench(groups) and _are_recordings(tree, wrench):
         return []
     if len(children) == 1:
         key, below = f"{next(iter(groups))}/", _path(children[0], wrench)
-        return None if below is None else [key, *below]
+        of_other = _one_wrench([tree]) and not any(has_forces(path) for path, _ in leaves(children[0]))
+        return None if below is None or of_other else [key, *below]
     # Beside a group of recordings there may be one of splits.
     for name, child in groups.items():
         below = _path(child, wrench)
@@ -137,13 +161,11 @@ def _are_of_one_wrench(groups: Mapping[str, Tree]) -> bool:
 
 
 def _are_recordings(tree: Tree, wrench: bool) -> bool:
-    groups = _groups(tree)
+    groups = _with_signals(_groups(tree))
     children = list(groups.values())
     if wrench or _one_wrench(children):
         return _one_wrench(children)
     arrays = [one for child in children for one in leaves(child)]
-    if not any(array.size > 1 for _, array in arrays):
-        return False
     alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0]) > 0
     columns = {name: _columns((path, one.shape[1:]) for path, one in leaves(child)) for name, child in groups.items()}
     alike = alike and not are_quantities(columns)

@@ -108,3 +108,12 @@ def in_order(name: str) -> list[tuple[int, int, str]]:
     """
     parts = re.findall(r"\d+|\D|\Z", name, re.ASCII)
     return [(0, int(part[:18]), part) if part.isascii() and part.isdecimal() else (1, 0, part) for part in parts]
+
+
+def plain_number(word: str) -> str:
+    """A whole number without zeros before it, as a group of a column of numbers is called; any other word as it is.
+
+    >>> plain_number("007"), plain_number("0"), plain_number("run_007")
+    ('7', '0', 'run_007')
+    """
+    return str(int(word)) if word.isascii() and word.isdecimal() and len(word) < 16 else word

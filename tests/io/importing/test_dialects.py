@@ -51,6 +51,12 @@ def test_decimal_commas_between_blanks(between: str, tmp_path: Path) -> None:
     holds(read_source(tmp_path))
 
 
+def test_exponents_of_double_precision_in_fortran(tmp_path: Path) -> None:
+    rows = ["".join(f"{value:15.6E}" for value in (time, *row)) for time, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["time " + " ".join(AXES), *rows]).replace("E", "D"))
+    holds(read_source(tmp_path))
+
+
 @given(
     st.lists(st.tuples(*[st.floats(-1e6, 1e6).map(lambda value: round(value, 4))] * 3), min_size=3, max_size=8),
     st.sampled_from(",;\t"),

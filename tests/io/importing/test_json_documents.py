@@ -72,6 +72,13 @@ SEVERAL = {
 }
 
 
+def test_lists_of_samples_by_name_are_recordings(tmp_path: Path) -> None:
+    recordings = read(tmp_path, {name: samples(number) for number, name in enumerate("ab")}).recordings
+    assert recordings.trial.tolist() == ["runs-a", "runs-b"]
+    events = {name: [{"t": 0.1, "kind": name}] for name in ("contacts", "slips")}
+    assert read(tmp_path, {**lists(0), **events}).recordings.trial.tolist() == ["runs"]
+
+
 @pytest.mark.parametrize("content", SEVERAL.values(), ids=SEVERAL)
 def test_several_recordings(content: Any, tmp_path: Path) -> None:
     recordings = read(tmp_path, content).recordings

@@ -22,7 +22,15 @@ def write(path: Path, names: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "head", ["force_torque", "observation.force_torque", "robot/force_torque", "tcp_force_torque", "obs/ft_sensor"]
+    "head",
+    [
+        "force_torque",
+        "observation.force_torque",
+        "robot/force_torque",
+        "tcp_force_torque",
+        "obs/ft_sensor",
+        "$FORCE_TORQUE",
+    ],
 )
 def test_an_array_of_forces_and_torques_is_a_wrench_wherever_it_lies(head: str) -> None:
     """Behind a path, "force_" was part of it, and "torque" the array: no wrench was found."""

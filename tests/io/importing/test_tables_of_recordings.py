@@ -225,6 +225,26 @@ def test_a_table_with_as_many_rows_as_recordings_have_events_lists_none(tmp_path
     assert [name for name, _ in imported.report.skipped] == ["events.csv"]
 
 
+@pytest.mark.parametrize("rows", [["a.csv,touch,0.1", "b.csv,slip,0.2"], ["a.csv,touch,0.1", "a.csv,slip,0.2"]])
+def test_a_list_of_events_holds_annotations_and_describes_no_recordings(rows: list[str], tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write(tmp_path / f"{name}.csv", noise(ord(name)))
+    (tmp_path / "events.csv").write_text("\n".join(["file,event,time", *rows]))
+    imported = read_source(tmp_path)
+    assert (imported.report.skipped, "event" in imported.recordings.columns) == ([], False)
+    assert sorted(imported.recordings.annotations.labels["label"]) == ["slip", "touch"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("a_labels.csv", "label,start\nfügen,0.1\n"), ("list.csv", "file,Teil\na,ö\n")]
+)
+def test_words_that_are_not_utf8_are_doubted_beside_recordings_too(name: str, text: str, tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", noise(0))
+    (tmp_path / name).write_bytes(text.encode("cp1252"))
+    [(file, warning)] = read_source(tmp_path).report.warnings
+    assert (file, "read as Windows-1252" in warning) == (name, True)
+
+
 def test_rows_of_recordings_that_are_not_there_are_told(tmp_path: Path) -> None:
     rows = [f"{k % 50 * DT},T{k // 50},{k}" for k in range(150)]
     (tmp_path / "all.csv").write_text("\n".join(["t,trial,Fz", *rows]))
@@ -345,4 +365,4 @@ def test_numbers_that_may_mean_other_files_list_none(tmp_path: Path) -> None:
     (tmp_path / "runs" / "list.csv").write_text("trial,result\n1,ok\n2,nok\n3,ok\n")
     [(name, reason)] = read_source(tmp_path / "runs").report.skipped
     assert name == "list.csv"
-    assert reason.endswith("add a column 'file' with their names.")
+    assert "add a column 'file' with their names" in reason

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from rcbht_jax.io.importing.attributes import lists_of_units, units_in
 from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.trees import Tree, leaves
+from rcbht_jax.labels import AXES
 from tests.io.importing.test_readers import TIME, WRENCH, N, same
 
 
@@ -20,6 +24,13 @@ def test_groups_called_after_errors_are_recordings(tmp_path: Path) -> None:
             for name in names:
                 file[f"{name}/t"], file[f"{name}/ft"] = TIME[: len(groups[name])], groups[name]
         assert len(read_source(tmp_path / "a.h5").recordings) == len(names)
+
+
+def test_groups_share_a_time_by_a_link(tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        file["one/t"], file["one/ft"], file["two/ft"] = TIME, WRENCH, WRENCH + 1
+        file["two/t"], file["two/loop"] = file["one/t"], file["/"]
+    assert read_source(tmp_path / "a.h5").recordings.trial.tolist() == ["a-one", "a-two"]
 
 
 def test_hdf5_types_and_null_arrays_beside_recordings_change_nothing(tmp_path: Path) -> None:
@@ -37,6 +48,54 @@ def test_hdf5_lists_of_texts_among_attributes_change_nothing(tmp_path: Path) -> 
         file.attrs["tags_1"], file.attrs["tags_2"] = ["a", "b"], ["a", "b", "c"]
         file["wrench"].attrs["axes"] = np.array(["Größe".encode()] * 6)
     same(read_source(tmp_path / "a.h5"))
+
+
+GROUP = {"t": TIME, "wrench": WRENCH}
+TWO = {"a": GROUP, "b": {"t": TIME, "wrench": WRENCH + 1}}
+
+
+@pytest.mark.parametrize("kind", ["json", "h5"])
+@pytest.mark.parametrize(
+    ("content", "trials"),
+    [
+        ({"raw": GROUP, "compensated": TWO["b"]}, ["run"]),
+        ({"data": TWO, "meta": {"rate": 100.0, "names": np.zeros(1)}}, ["run-a", "run-b"]),
+        ({**TWO, "c": {"t": TIME[:1], "wrench": WRENCH[:1]}}, ["run-a", "run-b"]),
+        ({"gains": {"kp": np.arange(3.0)}, **TWO}, ["run-a", "run-b"]),
+        ({**GROUP, "poses": {"hand": {"x": TIME, "y": TIME}, "base": {"x": TIME, "y": TIME}}}, ["run"]),
+    ],
+)
+def test_one_walk_finds_the_recordings_of_all_nested_formats(
+    kind: str, content: dict[str, Any], trials: list[str], tmp_path: Path
+) -> None:
+    if kind == "json":
+        (tmp_path / "run.json").write_text(json.dumps(content, default=np.ndarray.tolist))
+    else:
+        with pytest.importorskip("h5py").File(tmp_path / "run.h5", "w") as file:
+            for path, one in leaves(tree_of(content)):
+                file[path] = one
+    imported = read_source(tmp_path)
+    assert (imported.recordings.trial.tolist(), imported.recordings.axes) == (trials, AXES)
+    assert bool(imported.report.skipped) == ("c" in content)
+    assert not {"meta.names", "meta_names"} & set(imported.recordings.columns)
+
+
+def tree_of(content: dict[str, Any]) -> Tree:
+    return {f"{key}/" if isinstance(one, dict) else key: tree_of(one) if isinstance(one, dict) else one
+            for key, one in content.items()}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("start", "later", "every", "remarked"), [(0, 0, 2, True), (0, 0, 1, False), (9, 0.1, 1, True), (9, 1, 1, False)]
+)
+def test_sensors_of_one_trial_that_became_recordings_are_remarked(
+    start: float, later: float, every: int, remarked: bool, tmp_path: Path
+) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "run.h5", "w") as file:
+        file["wrist/t"], file["wrist/wrench"] = start + TIME, WRENCH
+        file["ati/t"], file["ati/wrench"] = (start + later + TIME)[::every], -WRENCH[::every]
+    said = "may be of sensors of one trial: "
+    assert any(said in remark for remark in read_source(tmp_path).report.remarks) == remarked
 
 
 def test_what_is_no_list_of_units_stays(tmp_path: Path) -> None:
@@ -57,5 +116,10 @@ def test_many_lists_of_units_are_found_in_linear_time() -> None:
 
 def test_arrays_beside_groups_that_are_left_out_are_remarked(tmp_path: Path) -> None:
     groups = {f"{name}/{key}": one for name in ("one", "two") for key, one in (("t", TIME), ("ft", WRENCH + len(name)))}
-    np.savez(tmp_path / "a.npz", **groups, other=np.arange(N + 3.0))
-    assert "Arrays of another shape or kind were left out: 'other'." in read_source(tmp_path / "a.npz").report.remarks
+    groups["other"] = np.arange(N + 3.0)
+    np.savez(tmp_path / "a.npz", **groups)
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        file.update(groups)
+    for kind in ("npz", "h5"):
+        remarks = read_source(tmp_path / f"a.{kind}").report.remarks
+        assert "Arrays of another shape or kind were left out: 'other'." in remarks
