@@ -130,7 +130,9 @@ class Info(Command):
             summary, verified = summary_of(recordings), True
             trials = list(dict.fromkeys(recordings.trial.tolist()))
             found = {name: examined(recordings, TaskSpec(name), facts) for name in task_names(recordings)}
-            tasks = {name: {"classes": classes, "sentences": texts} for name, (classes, texts) in found.items()}
+            tasks = {
+                name: {"classes": classes, "sentences": texts + rest} for name, (classes, texts, rest) in found.items()
+            }
         else:
             summary, trials = read_summary(self.store), first_trials(self.store, FIRST)
         dt = checked_number(f"{self.store}: dt", attrs["dt"])

@@ -9,6 +9,7 @@ from dataclasses import fields
 from functools import cache
 from typing import Any, Literal
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import fits
 from rcbht_jax.errors import InputError
 
@@ -33,7 +34,8 @@ def check_choices(window: int, dt: float, **seconds: float | None) -> None:
         rcbht_jax.errors.InputError: The latency cap is -1.0 s; expected a positive number or none.
     """
     if not 2 <= window <= MAX_WINDOW:
-        raise InputError(f"The window is {window} samples; a line needs at least 2, and at most {MAX_WINDOW}.")
+        count = plural(window, "sample")
+        raise InputError(f"The window is {count}; a line needs at least 2, and at most {MAX_WINDOW}.")
     if not 0 < dt < math.inf:
         raise InputError(f"The sampling period is {dt} s; expected a positive, finite number.")
     cap = seconds.get("latency_cap")

@@ -21,8 +21,8 @@ _RARE = 0.05  # probability of what chance does not explain
 
 def examined(
     recordings: Recordings, spec: TaskSpec, facts: WrenchFacts | None = None
-) -> tuple[dict[str, int], list[str]]:
-    """What a data set has for a task: intervals of each class; sentences about confounds and what is not counted.
+) -> tuple[dict[str, int], list[str], list[str]]:
+    """What a data set has for a task: intervals of each class; sentences about confounds; others, on what is left out.
 
     Args:
         recordings: the data set; its samples are not needed.
@@ -34,12 +34,12 @@ def examined(
 
     Example:
         >>> examined(Recordings.example(), TaskSpec("outcome"))
-        ({'failure': 4, 'success': 4}, [])
+        ({'failure': 4, 'success': 4}, [], [])
     """
     try:
         items, _ = learnable(labelled_intervals(recordings, spec))
     except InputError as error:
-        return {}, [str(error)]
+        return {}, [], [str(error)]
     left = [f"{what} left out: {reason}." for what, reason in reasons_of(items.dropped)]
     trials = groups_of_classes(items.y, items.trial, range(len(items.classes)))
     if trials.min() < 2:
@@ -47,11 +47,10 @@ def examined(
             "to train and to test, two classes must occur in two trials or more; at most one of its "
             f"{len(trials)} classes does."
         )
-        return {}, [too_few, *left]
+        return {}, [], [too_few, *left]
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
     remarks = [] if spec.arms == BOTH else rows_of_arm(recordings.arm, spec.arms)[1]
-    sentences = [*confounds(items, facts), *left, *remarks]
-    return dict(zip(items.classes, counts, strict=True)), sentences
+    return dict(zip(items.classes, counts, strict=True)), list(confounds(items, facts)), [*left, *remarks]
 
 
 def confounds(items: LabelledIntervals, facts: WrenchFacts | None = None) -> tuple[str, ...]:

@@ -129,10 +129,11 @@ def trial_figure(
 
 
 def outcome_of(recordings: Recordings, index: int) -> str:
-    """Outcome of one recording, and its columns of text: such as "failure (fault: jamming)"."""
+    """Outcome of one recording, and its columns of text: such as "failure (fault: jamming)" or "outcome unknown"."""
     texts = {name: str(values[index]) for name, values in recordings.columns.items() if values.dtype.kind == "U"}
     facts = ", ".join(f"{name.replace('_', ' ')}: {cut(text, 40)}" for name, text in texts.items() if text)
-    return f"{recordings.outcome[index]} ({facts})" if facts else str(recordings.outcome[index])
+    outcome = str(recordings.outcome[index]).replace("unknown", "outcome unknown")
+    return f"{outcome} ({facts})" if facts else outcome
 
 
 def state_marks(recordings: Recordings, index: int) -> list[Mark]:

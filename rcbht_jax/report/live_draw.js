@@ -78,16 +78,17 @@ function clip(pen, width, height) {
 function marks(pen, width, height, x, named) {
   clip(pen, width, height);
   pen.font = SMALL;
-  let free = -Infinity;
+  const free = [-Infinity, -Infinity]; // where the last name of either row ends
   for (const mark of kept.marks.slice(lower(kept.marks, view.to - view.span, one => one.t))) {
     if (mark.t > view.to) break;
     const at = x(mark.t);
     pen.strokeStyle = pen.fillStyle = colors()[mark.kind || "accent"];
     pen.setLineDash(mark.kind === "warn" && !mark.small ? [2, 3] : []);
     if (named || !mark.small) line(pen, at, mark.small ? height - 5 : 0, at, height);
-    if (named && !mark.small && at > free) {
-      pen.fillText(mark.text, at + 3, height - 5);
-      free = at + pen.measureText(mark.text).width + 8;
+    const row = free.findIndex(end => at > end);
+    if (named && !mark.small && row >= 0) {
+      pen.fillText(mark.text, at + 3, height - 5 - 12 * row);
+      free[row] = at + pen.measureText(mark.text).width + 8;
     }
   }
   pen.setLineDash([6, 4]);

@@ -101,7 +101,7 @@ function take(frame) {
 
 function note(event, t) {
   const kind = { AnomalyRaised: "bad", AnomalyCleared: "good", Notice: "warn", FailureType: "bad" }[event.event] ?? "";
-  const text = event.event === "SubtaskStarted" ? "sub-task " + (event.detected ? "(detected)" : event.label) : event.event === "Notice" ? event.kind
+  const text = event.event === "SubtaskStarted" ? event.detected ? "sub-task (detected)" : event.label || "sub-task" : event.event === "Notice" ? event.kind
     : event.event === "TrialStarted" ? "trial " + event.trial
     : event.event === "AnomalyRaised" ? "alarm" : event.event === "AnomalyCleared" ? "cleared" : event.label ?? event.event;
   const small = event.event === "Notice" && !["silent", "resumed", "lost"].includes(event.kind); // often, on a real network

@@ -148,7 +148,7 @@ def test_what_cannot_be_calibrated() -> None:
     volts = Recordings.from_arrays(np.ones((2, 8, 1)), axes=("grip",), units=("V",))
     assert np.array_equal(auto_thresholds(volts).limits, preset(axes=("grip",)).limits)
     for window in (0, -5, 1):
-        with pytest.raises(InputError, match=f"The window is {window} samples; a line needs at least 2"):
+        with pytest.raises(InputError, match=r"The window is (1 sample|(0|-5) samples); a line"):
             auto_thresholds(short, window)
     unchecked = inspect.unwrap(window_slopes)  # the annotations of the tests' run refuse it first
     for recordings, window, sentence in (

@@ -71,6 +71,8 @@ def test_a_session_without_a_name_is_not_named() -> None:
     [label] = label_map(recordings, tracks, "llb").axes[0].get_yticklabels()
     assert label.get_text() == "success (1)"
     assert "\nsuccess" in trial_figure(recordings, tracks, 0).get_suptitle()
+    recordings = Recordings.from_arrays(wrench, 100, axes=["Fz"], session="1")
+    assert "\nsession 1, outcome unknown" in trial_figure(recordings, tracks, 0).get_suptitle()
 
 
 def test_long_names_of_sessions_are_told_apart_by_their_ends() -> None:

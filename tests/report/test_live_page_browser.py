@@ -269,6 +269,23 @@ def test_a_gap_is_a_gap_in_a_window_of_minutes():
         assert driver.execute_script(blank) == 0
 
 
+def test_close_names_of_sub_tasks_stand_in_two_rows():
+    named = """
+      const pen = byId('signal-0').getContext('2d'), seen = [];
+      pen.fillText = (text, x, y) => seen.push([text, y]);
+      for (const label of ["insertion", "mating", ""]) note({event: "SubtaskStarted", detected: false, label}, 1);
+      Object.assign(view, {to: 2, span: 2, live: false});
+      marks(pen, 800, 100, t => 400 * t, true);
+      return seen.concat(kept.marks.at(-1).text);
+    """
+    session = session_of(("grip",), ("N",))
+    with PageServer(session, port=0) as server, browser(600, 700) as driver:
+        driver.get(server.url)
+        feed(Frames(session, server.broadcast), readings(1, 200))
+        wait_for(driver, "kept.t.length === 200 && !dirty")
+        assert driver.execute_script(named) == [["insertion", 95], ["mating", 83], "sub-task"]
+
+
 def test_beliefs_seconds_apart_and_frames_that_were_lost():
     session = Session(Introspector(model(), rate=0.25))
     with PageServer(session, port=0) as server, browser(1000, 700) as driver:

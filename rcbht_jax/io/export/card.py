@@ -101,9 +101,8 @@ def confounds(data: DataSet) -> Sequence[str]:
     for task in task_names(recordings):
         spec, title = TaskSpec(task), task
         if task in recordings.annotations.tracks:  # as the files hold it
-            spec, title = TaskSpec(task, "recorded", outcomes=()), f"{task} of all outcomes"
-        classes, found = learning.examined(recordings, spec, facts)
-        for sentence in found if classes else ():
+            spec, title = TaskSpec(task, "recorded", outcomes=()), f"{task} (all outcomes)"
+        for sentence in learning.examined(recordings, spec, facts)[1]:
             tasks_of.setdefault(sentence, []).append(title)
     sentences = [f"Task{'s' * (len(of) > 1)} {', '.join(of)}: {sentence}" for sentence, of in tasks_of.items()]
     copies = learning.copies(data.digests)  # also of recordings that are in no task
