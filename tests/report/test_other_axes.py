@@ -61,7 +61,11 @@ def test_arms_are_called_as_elsewhere_and_lines_are_not_called_samples(tmp_path:
         assert names == ["trial-0 (left)", "trial-1 (ur5)", "trial-2"]
         about = "const done = arguments[1]; show(arguments[0]).then(() => done(byId('about').textContent.split(', ')))"
         facts = [driver.execute_async_script(about, number)[2:] for number in range(3)]
-        assert facts == [["unknown", "left arm", "8.02 s"], ["unknown", "arm ur5", "2.00 s"], ["unknown", "2.00 s"]]
+        assert facts == [
+            ["outcome unknown", "left arm", "8.02 s"],
+            ["outcome unknown", "arm ur5", "2.00 s"],
+            ["outcome unknown", "2.00 s"],
+        ]
         driver.execute_script("byId('list').closest('details').open = true; say(2, 0, 0); draw()")
         assert driver.find_element("id", "caption").text.endswith("; smallest and largest of the fitted lines")
         smallest, largest = driver.execute_script("const w = view.trial.words[2][0][0]; return [w.vmin, w.vmax]")
