@@ -16,6 +16,7 @@ from sim_mjx.assemblies.fields import FieldWriter
 from sim_mjx.assemblies.program import UPRIGHT, Controller
 from sim_mjx.assembly.parts import MOUNT, MOUNT_MASS, Fields, add_mount
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, set_solver, with_tabs
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.own_code import own_code
 from sim_mjx.robots.chain import serial_chain
 from sim_mjx.robots.robot import FORCE, HAND, Robot, equipped
@@ -23,7 +24,7 @@ from sim_mjx.robots.robot import FORCE, HAND, Robot, equipped
 MALE, TIP = "MALE", "TIP"  # body of the male part, site at its tip
 MOUNT_DAMPING = 0.7  # share of critical damping
 SEARCH_STEPS, STEP, CLOSE = 500, 0.2, 1e-6  # of the search for home; most rad per step; m and rad
-HOLD, HELD = 200, 1e-3  # physics steps in which the tip must stay at home; m
+HOLD, HELD = 80, 1e-3  # control periods in which the tip must stay at home; m
 
 
 def scene(
@@ -169,7 +170,8 @@ def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
             "home, place or site."
         )
     model.opt.gravity[:], data.ctrl[:] = 0.0, angles  # the load of the hand bends any servo
-    mujoco.mj_step(model, data, HOLD)
+    model.opt.timestep = CONTROL_PERIOD / assembly.substeps  # at longer ones stiff springs may be unstable
+    mujoco.mj_step(model, data, HOLD * assembly.substeps)
     mujoco.mj_kinematics(model, data)
     if not (pulled := np.linalg.norm(data.site_xpos[site] - goal)) < HELD:
         raise InputError(

@@ -7,6 +7,7 @@ from dataclasses import fields
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int, Shaped
 from numpy.typing import NDArray
@@ -135,7 +136,8 @@ def label(out: Rollouts, config: EncoderConfig, limits: Float[Array, "6 4"]) -> 
     Args:
         out: the trials. config: of the encoder. limits: thresholds, N/s and Nm/s.
     """
-    return jax.device_get(encode_on_device(config, limits, *by_wrist(out.wrench, out.length)))
+    onto = map(jnp.asarray, by_wrist(out.wrench, out.length))  # a GPU's kernels encode only what is on it
+    return jax.device_get(encode_on_device(config, limits, *onto))
 
 
 def by_wrist(wrench: Array, length: Array) -> tuple[Array, Array]:

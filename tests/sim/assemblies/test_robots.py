@@ -171,6 +171,17 @@ def test_an_arm_that_cannot_stay_at_its_start_is_refused(end: str, tmp_path: Pat
         home(ASSEMBLIES["clip"], robot)
 
 
+def test_an_arm_is_held_at_its_start_with_the_time_step_of_its_trials() -> None:
+    clip = ASSEMBLIES["clip"]
+
+    def female(spec: mujoco.MjSpec, mount: mujoco.MjsBody) -> None:
+        clip.female(spec, mount)
+        pin = mount.add_body(name="pin", mass=0.01, inertia=(1e-6, 1e-6, 1e-6), explicitinertial=True)
+        pin.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, stiffness=[1e5, 0.0, 0.0], springref=1e-3)  # 3160 rad/s
+
+    assert home(replace(clip, female=female, substeps=20), ROBOTS["panda"]) == home(clip, ROBOTS["panda"])
+
+
 def test_a_files_muscles_and_view_do_not_matter(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mine.xml"
     muscle = '<tendon><fixed name="t"><joint joint="a" coef="0"/></fixed></tendon><actuator><muscle tendon="t"/>'

@@ -8,6 +8,7 @@ import signal
 import weakref
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -37,6 +38,14 @@ def made(draft: Draft, shard: int) -> tuple[records.Arrays, records.Arrays]:
     out = fake_engine(draft.draw(shard)[0])
     tracks = records.label(out, encoder_config(JOB), label_limits())
     return records.of_trials(out), records.of_labels(tracks, len(out.length))
+
+
+def test_labels_are_made_where_the_accelerator_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    given: list[object] = []
+    encode = records.encode_on_device
+    monkeypatch.setattr(records, "encode_on_device", lambda *all: given.extend(all[2:]) or encode(*all))
+    records.label(fake_engine(draft_in(tmp_path / "here").draw(0)[0]), encoder_config(JOB), label_limits())
+    assert [isinstance(array, jax.Array) for array in given] == [True, True]
 
 
 def test_processes_write_the_same_bytes_and_say_what_is_wrong(tmp_path: Path) -> None:
