@@ -207,13 +207,16 @@ def _several(value: Any) -> tuple[Object, Object]:
         for key in path:
             around = {**around, **{name: one for name, one in value.items() if name != key[:-1]}}
             value = value[key[:-1]]
-        several = {key: value[key] for key in parts}
+        several = {key: one for key, one in value.items() if key in parts}  # in the order of the document
         return several, {**around, **{name: one for name, one in value.items() if name not in several}}
     rows: Object = {
         key: one for key, one in value.items() if _are_objects(one) and not _marks(one) and _is_sample(one[0])
     }
     rest = {key: one for key, one in value.items() if key not in rows}
-    if len(rows) > 1 and len({tuple(sorted(one[0])) for one in rows.values()}) == 1 and not _is_recording(rest):
+    shapes = {
+        f"{key}/": {name: np.broadcast_to(0.0, len(one)) for name, _ in _flat(one[0])} for key, one in rows.items()
+    }
+    if recordings_in(shapes) and not _is_recording(rest):
         return rows, rest
     lists = [key for key, one in value.items() if _are_objects(one) and any(map(_is_recording, one[:PROBES]))]
     within = [key for key, one in value.items() if isinstance(one, dict)]
