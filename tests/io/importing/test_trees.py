@@ -72,7 +72,7 @@ TWO = {"a": GROUP, "b": {"t": TIME, "wrench": WRENCH + 1}}
         ({"data": TWO, "meta": {"rate": 100.0, "names": np.zeros(1)}}, ["run-a", "run-b"]),
         ({**TWO, "c": {"t": TIME[:1], "wrench": WRENCH[:1]}}, ["run-a", "run-b"]),
         ({**TWO, "few": {"t": TIME[:9], "wrench": WRENCH[:9], "no": 1 + TIME[:9]}}, ["run-a", "run-b", "run-few"]),
-        ({"#1": GROUP, "#2": TWO["b"]}, ["run-1", "run-2"]),
+        ({"#a": GROUP, "#b": TWO["b"]}, ["run-a", "run-b"]),
         ({"gains": {"kp": np.arange(3.0)}, **TWO}, ["run-a", "run-b"]),
         ({**GROUP, "poses": {"hand": {"x": TIME, "y": TIME}, "base": {"x": TIME, "y": TIME}}}, ["run"]),
     ],
