@@ -69,9 +69,11 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
         rate, facts = scalars_of({key: one for key, one in _named(around) if one.ndim == 0})
         intervals = intervals_in(around)
         lost = () if sides else tuple(dict.fromkeys(track for track, *_ in intervals))  # of which trial is unknown
+        columns = {key: one for key, one in _flat(around) if isinstance(one, list) and one}
+        columns = {key: one for key, one in columns.items() if not isinstance(one[0], list | dict)}
         for which, one in several.items():
             place = f"{part}#{which}" if part else which
-            for table in _tables(path, f"{name}#{which}", _with_shared(one, around), place):
+            for table in _tables(path, f"{name}#{which}", _with_shared(one, columns), place):
                 own = {**facts, **({"arm": which} if sides else {}), **table.facts}
                 marks = (*table.intervals, *(intervals if sides else ()))
                 whole = replace(table, rate=table.rate or rate, facts=own, intervals=marks)
@@ -96,13 +98,12 @@ def _is_shared(value: Any) -> bool:
     return not _several(value)[0]
 
 
-def _with_shared(one: Any, around: Object) -> Any:
+def _with_shared(one: Any, columns: Object) -> Any:
     """A recording with the lists beside it that are as long as a list of its own, such as a time that all share."""
     if not isinstance(one, dict):
         return one
     lengths = {len(own) for _, own in _flat(one) if isinstance(own, list) and not _are_objects(own)} - {1}
-    lists = ((key, value) for key, value in _flat(around) if isinstance(value, list) and len(value) in lengths)
-    return {**{key: value for key, value in lists if not isinstance(value[0], list | dict)}, **one}
+    return {**{key: value for key, value in columns.items() if len(value) in lengths}, **one}
 
 
 def _of_rows(
