@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import decoded
+from rcbht_jax._util.columns import decoded, unit_of_time
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_MEMBERS, check_declared, check_file, declared_bytes, read_arrays
 from rcbht_jax.errors import InputError
@@ -155,7 +155,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
 
 
 def _members(group: Any, seen: set[int], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """The path and content of all that a group holds, an array by each of its names; a group that is linked, once.
+    """The path and content of all that a group holds, each once, but a time by each of its names.
 
     Soft and external links are not followed.
     """
@@ -163,10 +163,9 @@ def _members(group: Any, seen: set[int], above: tuple[str, ...] = ()) -> Iterato
         if type(group.get(name, getlink=True)).__name__ != "HardLink":
             continue
         item, place = group[name], (*above, name)
-        if hasattr(item, "keys"):
-            if hash(item.id) in seen:
-                continue
-            seen.add(hash(item.id))
+        if hash(item.id) in seen and (hasattr(item, "keys") or not unit_of_time(name)):
+            continue
+        seen.add(hash(item.id))
         yield place, item
         if hasattr(item, "keys"):
             yield from _members(item, seen, place)

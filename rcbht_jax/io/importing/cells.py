@@ -30,7 +30,7 @@ _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 _BETWEEN = ",.' \u00a0\u2009\u202f’"  # marks between thousands
 _GROUPED = re.compile(rf"^([+-]?\d{{1,3}})([{_BETWEEN}])(\d{{3}}(?:\2\d{{3}})*)(?:([,.])(\d*))?$")
 _DECIMAL = re.compile(r"^[+-]?(\d*)([,.])(\d+)(?:[eE][+-]?\d+)?$")
-_DOUBLE = re.compile(r"^([+-]?\d*\.\d*)D([+-]?\d+)$")
+_DOUBLE = re.compile(r"^([+-]?\d*\.\d*)D([+-]\d\d+)$")  # as Fortran prints it; 1.5D3 may be a serial number
 _WHOLE = re.compile(r"^[+-]?[1-9]\d{0,2}$")
 _BETWEEN_BLANKS = re.compile(r"[+-]?\d+(?:,\d+(?:[eE][+-]?\d+)?)?")  # numbers, some with decimal commas
 

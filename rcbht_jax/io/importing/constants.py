@@ -13,6 +13,7 @@ from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.names import COUNTERS, column_name, of_any_arm
 from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.trees import are_numbered
 from rcbht_jax.io.importing.words import text
 
 
@@ -122,7 +123,10 @@ def at_once(records: Sequence[Record]) -> list[str]:
     """
     files: dict[tuple[str, str], list[Record]] = {}
     for record in records:
-        files.setdefault((record.file, record.arm), []).append(record)
+        if not record.part.isdecimal() and not are_numbered(
+            [record.part]
+        ):  # trials, each perhaps on a clock of its own
+            files.setdefault((record.file, record.arm), []).append(record)
     ordered = (sorted(those, key=lambda record: (record.origin, record.time[-1])) for those in files.values())
     found = dict.fromkeys(
         record.name for those in ordered for pair in pairwise(those) if _overlap(*pair) for record in pair

@@ -69,9 +69,11 @@ def _tables(path: Path, name: str, value: Any, part: str) -> Iterator[Table]:
         rate, facts = scalars_of({key: one for key, one in _named(around) if one.ndim == 0})
         intervals = intervals_in(around)
         lost = () if sides else tuple(dict.fromkeys(track for track, *_ in intervals))  # of which trial is unknown
+        columns = {key: one for key, one in _flat(around) if isinstance(one, list) and one}
+        columns = {key: one for key, one in columns.items() if not isinstance(one[0], list | dict)}
         for which, one in several.items():
             place = f"{part}#{which}" if part else which
-            for table in _tables(path, f"{name}#{which}", _with_shared(one, around), place):
+            for table in _tables(path, f"{name}#{which}", _with_shared(one, columns), place):
                 own = {**facts, **({"arm": which} if sides else {}), **table.facts}
                 marks = (*table.intervals, *(intervals if sides else ()))
                 whole = replace(table, rate=table.rate or rate, facts=own, intervals=marks)
@@ -96,13 +98,12 @@ def _is_shared(value: Any) -> bool:
     return not _several(value)[0]
 
 
-def _with_shared(one: Any, around: Object) -> Any:
+def _with_shared(one: Any, columns: Object) -> Any:
     """A recording with the lists beside it that are as long as a list of its own, such as a time that all share."""
     if not isinstance(one, dict):
         return one
     lengths = {len(own) for _, own in _flat(one) if isinstance(own, list) and not _are_objects(own)} - {1}
-    lists = ((key, value) for key, value in _flat(around) if isinstance(value, list) and len(value) in lengths)
-    return {**{key: value for key, value in lists if not isinstance(value[0], list | dict)}, **one}
+    return {**{key: value for key, value in columns.items() if len(value) in lengths}, **one}
 
 
 def _of_rows(
@@ -207,13 +208,16 @@ def _several(value: Any) -> tuple[Object, Object]:
         for key in path:
             around = {**around, **{name: one for name, one in value.items() if name != key[:-1]}}
             value = value[key[:-1]]
-        several = {key: value[key] for key in parts}
+        several = {key: one for key, one in value.items() if key in parts}  # in the order of the document
         return several, {**around, **{name: one for name, one in value.items() if name not in several}}
     rows: Object = {
         key: one for key, one in value.items() if _are_objects(one) and not _marks(one) and _is_sample(one[0])
     }
     rest = {key: one for key, one in value.items() if key not in rows}
-    if len(rows) > 1 and len({tuple(sorted(one[0])) for one in rows.values()}) == 1 and not _is_recording(rest):
+    shapes = {
+        f"{key}/": {name: np.broadcast_to(0.0, len(one)) for name, _ in _flat(one[0])} for key, one in rows.items()
+    }
+    if recordings_in(shapes) and not _is_recording(rest):
         return rows, rest
     lists = [key for key, one in value.items() if _are_objects(one) and any(map(_is_recording, one[:PROBES]))]
     within = [key for key, one in value.items() if isinstance(one, dict)]

@@ -30,7 +30,7 @@ from rcbht_jax.io.importing.words import of_numbers, plain_number, text
 Marks = dict[int, list[Interval]]  # of one file, by recording; ANY = of any
 ANY = -1
 _NAMES = ("recording", "file", "file_name", "filename", "trial", "name")
-_LABELS = ("label", "text", "description", "trial_type", *LABELS)
+_LABELS = ("label", "text", "description", *LABELS)
 _STARTS = (
     "start", "start_time", "begin", "begin_time", "onset", "t_start", "time_start", "starttime", "tmin", "from",
     "anfang",
@@ -47,16 +47,8 @@ _COUNTS = "(?:samples?|frames?|index|idx|rows?)"
 _COUNTED = re.compile(rf"(?<![ _])[ _]*[\[(]?{_COUNTS}[\])]?$|^{_COUNTS}[ _]+")
 _DURATIONS = ("duration", "dur", "length")
 _FILES = (
-    "_labels",
-    ".labels",
-    "-labels",
-    "_annotations",
-    ".annotations",
-    "-annotations",
-    "_label",
-    ".label",
-    "_events",
-)
+    "_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label", "_events",
+)  # fmt: skip
 
 
 def is_intervals(columns: Collection[str]) -> bool:
@@ -66,20 +58,26 @@ def is_intervals(columns: Collection[str]) -> bool:
     (True, True)
     >>> is_intervals(["file", "event", "time"]), is_intervals(["t", "event", "Fz"])
     (True, False)
+    >>> is_intervals(["t", "event", "length", "Fz"]), is_intervals(["file", "trial_type", "start", "end"])
+    (False, False)
     """
-    fields = _fields(columns)
+    fields, spans = _fields(columns), _fields(columns, ())
     plain = {name.lower() for name in columns}
-    whole = {"label", "start"} <= set(fields) and not {"end", "duration"}.isdisjoint(fields)
+    whole = {"label", "start"} <= set(spans) and not {"end", "duration"}.isdisjoint(spans)
     events = {"label", "start"} <= set(fields) and "event" in plain and len(fields) == len(columns)
     return {"label", "start"} <= plain or events or (whole and not wrenches(columns))
 
 
-def _fields(columns: Iterable[str]) -> dict[str, tuple[str, float]]:
-    """Label, start, end, duration, track and recording of annotations -> its column, and s per unit of a time."""
+def _fields(columns: Iterable[str], times: tuple[str, ...] = _TIMES) -> dict[str, tuple[str, float]]:
+    """Label, start, end, duration, track and recording of annotations -> its column, and s per unit of a time.
+
+    An event begins at one of the times.
+    """
     pairs = ((name, *base_and_unit(_ELAN.sub(lambda unit: _OF_ELAN[unit[1]], name))) for name in columns)
     parsed = {base.replace(" ", "_"): (name, SECONDS.get(unit, 0.0)) for name, base, unit in pairs}
     kinds = {
-        "label": _LABELS, "start": (*_STARTS, *_TIMES) if "event" in parsed else _STARTS, "end": _ENDS,
+        "label": (*_LABELS, "trial_type") if "onset" in parsed else _LABELS,
+        "start": (*_STARTS, *times) if "event" in parsed else _STARTS, "end": _ENDS,
         "duration": _DURATIONS, "track": ("track", "tier"), "recording": _NAMES,
     }  # fmt: skip
     found = {kind: next((parsed[word] for word in words if word in parsed), None) for kind, words in kinds.items()}

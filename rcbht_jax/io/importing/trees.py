@@ -16,6 +16,7 @@ from rcbht_jax.io.importing.words import in_order
 
 Tree = dict[str, Any]  # groups, "NAME/", and what has a shape, by its name
 DEPTH = 16  # of groups in names
+_OF_MATLAB = ("#refs#/", "#subsystem#/")  # groups of its cells and objects
 FEW = 16  # elements that a list of gains or of names has at most
 
 
@@ -88,7 +89,7 @@ def separated(tree: Tree, axis: int = 0, wrench: bool = False) -> tuple[str, dic
     path, parts = recordings
     taken, beside = {*path, *(f"{part}/" for part in parts)}, dict[str, Any]()
     for key in [*path, ""]:
-        others = {name: one for name, one in tree.items() if name not in taken and name[0] != "#"}
+        others = {name: one for name, one in tree.items() if name not in taken and name not in _OF_MATLAB}
         # a number is that of a segment, of which recording is unknown; a list in another group may be of one name
         beside |= {
             name: one
@@ -117,17 +118,21 @@ def _is_shared(array: Any, lengths: set[int]) -> bool:
 
 def _groups(tree: Tree) -> dict[str, Tree]:
     """The groups of a tree by the numbers in their names, but for those in which MATLAB keeps cells and objects."""
-    names = sorted((key for key, one in tree.items() if isinstance(one, dict) and key[0] != "#"), key=in_order)
+    names = sorted((key for key, one in tree.items() if isinstance(one, dict) and key not in _OF_MATLAB), key=in_order)
     return {key[:-1]: tree[key] for key in names}
 
 
 def _with_signals(groups: dict[str, Tree]) -> dict[str, Tree]:
-    """The groups that hold more than single values, and than gains and the like if others do, or the same names."""
+    """The groups that hold more than single values, and than gains and the like if others do; a wrench is none."""
     longest = {name: max((max(one.shape or (1,)) for _, one in leaves(own)), default=0) for name, own in groups.items()}
     least = FEW if max(longest.values(), default=0) > FEW else 1
     names = {name: tuple(sorted(own)) for name, own in groups.items()}
     those = {names[name] for name, length in longest.items() if length > least}
-    return {name: own for name, own in groups.items() if longest[name] > least or names[name] in those}
+    return {
+        name: own
+        for name, own in groups.items()
+        if longest[name] > least or names[name] in those or (longest[name] > 1 and _one_wrench([own]))
+    }
 
 
 def _path(tree: Tree, wrench: bool) -> list[str] | None:
@@ -148,7 +153,7 @@ def _path(tree: Tree, wrench: bool) -> list[str] | None:
     # Beside a group of recordings there may be one of splits.
     for name, child in groups.items():
         below = _path(child, wrench)
-        if below is not None and _are_numbered(_groups(_at(child, below))):
+        if below is not None and are_numbered(_groups(_at(child, below))):
             return [f"{name}/", *below]
     return None
 
@@ -170,7 +175,7 @@ def _are_recordings(tree: Tree, wrench: bool) -> bool:
     columns = {name: _columns((path, one.shape[1:]) for path, one in leaves(child)) for name, child in groups.items()}
     alike = alike and not are_quantities(columns)
     beside = _one_wrench([tree]) and not any(has_forces(path) for path, _ in arrays)
-    return (alike and not beside) or _are_numbered(groups)
+    return (alike and not beside) or are_numbered(groups)
 
 
 def _at(tree: Tree, path: Iterable[str]) -> Tree:
@@ -212,6 +217,10 @@ def _columns(widths: Iterable[tuple[str, tuple[int, ...]]]) -> list[str]:
     ]
 
 
-def _are_numbered(names: Iterable[str]) -> bool:
-    """Whether names are trial_0, trial_1, ... or the like."""
+def are_numbered(names: Iterable[str]) -> bool:
+    """Whether names are trial_0, trial_1, ... or the like.
+
+    >>> are_numbered(["trial_0", "trial_1"]), are_numbered(["ft1", "ft2"])
+    (True, False)
+    """
     return all(numbered(name.rstrip("0123456789")) in GROUPS for name in names)

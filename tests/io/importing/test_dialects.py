@@ -57,6 +57,12 @@ def test_exponents_of_double_precision_in_fortran(tmp_path: Path) -> None:
     holds(read_source(tmp_path))
 
 
+def test_serial_numbers_with_a_d_are_words(tmp_path: Path) -> None:
+    rows = [f"{number},{number},{'ab' if number < 2 else '1.5D3'}" for number in range(9)]
+    (tmp_path / "run.csv").write_text("\n".join(["t,Fz,phase", *rows]))
+    assert {"ab", "1.5D3"} == set(read_source(tmp_path).recordings.annotations.labels["phase"])
+
+
 @given(
     st.lists(st.tuples(*[st.floats(-1e6, 1e6).map(lambda value: round(value, 4))] * 3), min_size=3, max_size=8),
     st.sampled_from(",;\t"),

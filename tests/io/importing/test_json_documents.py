@@ -75,6 +75,11 @@ SEVERAL = {
 def test_lists_of_samples_by_name_are_recordings(tmp_path: Path) -> None:
     recordings = read(tmp_path, {name: samples(number) for number, name in enumerate("ab")}).recordings
     assert recordings.trial.tolist() == ["runs-a", "runs-b"]
+    assert read(tmp_path, {"later": lists(0), "first": lists(1)}).recordings.trial[0] == "runs-later"
+    empty = {**{name: {**lists(number), "tags": []} for number, name in enumerate("ab")}, "notes": []}
+    assert read(tmp_path, empty).recordings.trial.tolist() == ["runs-a", "runs-b"]
+    raw = read(tmp_path, {name: samples(number) for number, name in enumerate(("raw", "filtered"))})
+    assert raw.recordings.trial.tolist() == ["runs"]
     events = {name: [{"t": 0.1, "kind": name}] for name in ("contacts", "slips")}
     assert read(tmp_path, {**lists(0), **events}).recordings.trial.tolist() == ["runs"]
 

@@ -33,6 +33,16 @@ def test_groups_share_a_time_by_a_link(tmp_path: Path) -> None:
     assert read_source(tmp_path / "a.h5").recordings.trial.tolist() == ["a-one", "a-two"]
 
 
+def test_a_signal_with_two_names_is_one(tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        file["entry/data/t"], file["entry/data/ft"] = TIME, WRENCH
+        file["entry/sensor/t"], file["entry/sensor/ft"] = file["entry/data/t"], file["entry/data/ft"]
+        file["entry/data/wrench"] = file["entry/data/ft"]
+    imported = read_source(tmp_path / "a.h5")
+    assert imported.recordings.trial.tolist() == ["a"]
+    assert not any("wrenches were found" in remark for remark in imported.report.remarks)
+
+
 def test_hdf5_types_and_null_arrays_beside_recordings_change_nothing(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "a.h5", "w") as file:
@@ -61,6 +71,8 @@ TWO = {"a": GROUP, "b": {"t": TIME, "wrench": WRENCH + 1}}
         ({"raw": GROUP, "compensated": TWO["b"]}, ["run"]),
         ({"data": TWO, "meta": {"rate": 100.0, "names": np.zeros(1)}}, ["run-a", "run-b"]),
         ({**TWO, "c": {"t": TIME[:1], "wrench": WRENCH[:1]}}, ["run-a", "run-b"]),
+        ({**TWO, "few": {"t": TIME[:9], "wrench": WRENCH[:9], "no": 1 + TIME[:9]}}, ["run-a", "run-b", "run-few"]),
+        ({"#a": GROUP, "#b": TWO["b"]}, ["run-a", "run-b"]),
         ({"gains": {"kp": np.arange(3.0)}, **TWO}, ["run-a", "run-b"]),
         ({**GROUP, "poses": {"hand": {"x": TIME, "y": TIME}, "base": {"x": TIME, "y": TIME}}}, ["run"]),
     ],
@@ -88,12 +100,14 @@ def tree_of(content: dict[str, Any]) -> Tree:
 @pytest.mark.parametrize(
     ("start", "later", "every", "remarked"), [(0, 0, 2, True), (0, 0, 1, False), (9, 0.1, 1, True), (9, 1, 1, False)]
 )
+@pytest.mark.parametrize("names", [("wrist", "ati"), ("trial_1", "trial_2")])
 def test_sensors_of_one_trial_that_became_recordings_are_remarked(
-    start: float, later: float, every: int, remarked: bool, tmp_path: Path
+    start: float, later: float, every: int, remarked: bool, names: tuple[str, str], tmp_path: Path
 ) -> None:
     with pytest.importorskip("h5py").File(tmp_path / "run.h5", "w") as file:
-        file["wrist/t"], file["wrist/wrench"] = start + TIME, WRENCH
-        file["ati/t"], file["ati/wrench"] = (start + later + TIME)[::every], -WRENCH[::every]
+        for name, time, wrench in zip(names, (TIME, (later + TIME)[::every]), (WRENCH, -WRENCH[::every]), strict=True):
+            file[f"{name}/t"], file[f"{name}/wrench"] = start + time, wrench
+    remarked = remarked and names[0] == "wrist"  # trials may have clocks of their own
     said = "may be of sensors of one trial: "
     assert any(said in remark for remark in read_source(tmp_path).report.remarks) == remarked
 
