@@ -22,7 +22,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
 _FIELDS = tuple(f.name for f in fields(LabelTrack))
-_SLOTS = 1, 4, 16, 128  # few, because each number compiles programs of its own
+_SLOTS = 1, 4, 16, 64, 128  # few, because each number compiles programs of its own
 _STEP_LANES = 64  # lanes that take as long as what a piece costs whatever their number
 _PIECE_WINDOWS, _PIECE_SAMPLES = 64, 4096  # fewer windows where the data have fewer, but so many samples
 
