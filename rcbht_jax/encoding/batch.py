@@ -42,7 +42,7 @@ class Schedule:
     samples: int
 
 
-def plan(length: NDArray[np.int32], samples: int, axes: int = 6) -> Schedule:
+def plan(length: NDArray[np.int32], samples: int, axes: int) -> Schedule:
     """Longest recording first onto the slot that is free first, with the number of slots that takes least time.
 
     Args:

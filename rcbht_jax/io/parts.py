@@ -101,9 +101,8 @@ def layout_of(group: zarr_io.Group) -> Layout:
     """
     layout = Layout(int(group.attrs["rows"]), int(group.attrs["part_rows"]))  # type: ignore[arg-type]
     if layout.rows < 0 or layout.part < 1 or zarr_io.member(group, DIGESTS).shape != (len(layout), _DIGEST):
-        raise InputError(
-            f"{zarr_io.path_of(group)} declares {layout.rows} rows in parts of {layout.part}, but has others.",
-            "Import or copy it again.",
+        raise zarr_io.damaged(
+            f"{zarr_io.path_of(group)} declares {layout.rows} rows in parts of {layout.part}, but has others."
         )
     return layout
 
@@ -289,7 +288,7 @@ def read(
     wanted = len(range(*rows.indices(rows.stop))) if isinstance(rows, slice) and rows != slice(None) else len(values)
     if len(values) != wanted:
         where = zarr_io.path_of(group)
-        raise InputError(f"{where}: {name} has {len(values)} of {wanted} rows.", "Import or copy it again.")
+        raise zarr_io.damaged(f"{where}: {name} has {len(values)} of {wanted} rows.")
     return np.array(values.tolist(), np.str_).reshape(values.shape) if made.dtype == "string" else values
 
 

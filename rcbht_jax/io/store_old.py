@@ -41,7 +41,7 @@ def read(path: Path, group: zarr_io.Group) -> Recordings:
         arrays = {name: zarr_io.read_array(group, name, dtype) for name, dtype in VARIABLES.items()}
         dt = float(zarr_io.read_array(group, "dt", "float64")[()])
         if content_hash([*arrays.values(), np.float64(dt)]) != group.attrs[HASH]:
-            raise InputError(f"{path} is damaged: its content does not match its checksum.", "Import or copy it again.")
+            raise zarr_io.damaged(f"{path} is damaged: its content does not match its checksum.")
         wrench, length, trial = (arrays.pop(name) for name in ("wrench", "length", "trial_name"))
         return snap_recordings(wrench, length, dt, trial=trial, **arrays)
 

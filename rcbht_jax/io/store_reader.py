@@ -85,7 +85,7 @@ class Stored:
     def damaged(self, why: str) -> InputError:
         """The error for content that contradicts itself, unless it is that of another store."""
         self.check_unchanged()
-        return InputError(f"{self.path} is damaged: {why}.", "Import or copy it again.")
+        return zarr_io.damaged(f"{self.path} is damaged: {why}.")
 
 
 def replaced(path: Path) -> InputError:

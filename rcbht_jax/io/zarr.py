@@ -210,6 +210,15 @@ class _Readable(_Files):
         return found
 
 
+def damaged(fault: str) -> InputError:
+    """The error for a store that cannot be used, with the advice of a reader that does not know how it was made.
+
+    >>> damaged("a.zarr lacks a part.").fault
+    'a.zarr lacks a part.'
+    """
+    return InputError(fault, "Import or copy it again.")
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn any exception of a damaged store into one InputError."""
@@ -219,7 +228,7 @@ def reading(path: Path) -> Iterator[None]:
         raise
     except Exception as error:  # a damaged store can fail in any way inside zarr and its codecs
         detail = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path} is damaged or incomplete ({detail}).", "Import or copy it again.") from error
+        raise damaged(f"{path} is damaged or incomplete ({detail}).") from error
 
 
 @uninterrupted()
@@ -268,7 +277,7 @@ def member(group: Group, name: str) -> Array[Any]:
     if array is None:
         array = group.get(name)  # type: ignore[assignment]
     if not isinstance(array, zarr.Array):
-        raise InputError(f"{path_of(group)} has no array {name}; it is incomplete.", "Import or copy it again.")
+        raise damaged(f"{path_of(group)} has no array {name}; it is incomplete.")
     return bounded(array)
 
 
@@ -302,7 +311,7 @@ def subgroup(group: Group, name: str) -> Group:
     """A group inside a group."""
     sub = group.get(name)
     if not isinstance(sub, Group):
-        raise InputError(f"{path_of(group)} has no group {name}; it is incomplete.", "Import or copy it again.")
+        raise damaged(f"{path_of(group)} has no group {name}; it is incomplete.")
     return sub
 
 
@@ -339,7 +348,7 @@ def check_collected(path: Path, chosen: Callable[[str], bool]) -> None:
                 continue
             own = load_json(path / name / META)
             if {**found, "consolidated_metadata": None} != {**own, "consolidated_metadata": None}:
-                raise InputError(f"{path} is damaged: {name}/{META} is not as in {META}.", "Import or copy it again.")
+                raise damaged(f"{path} is damaged: {name}/{META} is not as in {META}.")
 
 
 def uncollected(path: Path, folder: str) -> list[str]:

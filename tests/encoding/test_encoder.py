@@ -152,9 +152,9 @@ def padding(schedule: Schedule, length: np.ndarray) -> float:
 
 def test_padding_of_the_recorded_data_costs_less_than_a_quarter(hiro_recordings) -> None:
     length = hiro_recordings.length
-    assert padding(plan(length, 64 * 5), length) < 0.25
+    assert padding(plan(length, 64 * 5, 6), length) < 0.25
     real = np.char.startswith(hiro_recordings.source, "REAL")
-    assert padding(plan(length[real], 64 * 5), length[real]) < 0.25
+    assert padding(plan(length[real], 64 * 5, 6), length[real]) < 0.25
 
 
 def test_the_number_of_slots_follows_recordings_and_axes() -> None:

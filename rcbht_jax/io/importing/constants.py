@@ -123,9 +123,8 @@ def at_once(records: Sequence[Record]) -> list[str]:
     """
     files: dict[tuple[str, str], list[Record]] = {}
     for record in records:
-        if not record.part.isdecimal() and not are_numbered(
-            [record.part]
-        ):  # trials, each perhaps on a clock of its own
+        # numbered parts are trials, each perhaps on a clock of its own
+        if not (record.part.isdecimal() or are_numbered([record.part])):
             files.setdefault((record.file, record.arm), []).append(record)
     ordered = (sorted(those, key=lambda record: (record.origin, record.time[-1])) for those in files.values())
     found = dict.fromkeys(

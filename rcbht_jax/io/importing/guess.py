@@ -265,8 +265,8 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
         if key := next((name for name in table.columns if names.group_base(name) in names.GROUPS), ""):
             more += (
                 " If it describes other files, add a column 'file' with their names; if parts of one, write in a map"
+                f" table = {table.name!r} and key = {key!r}."
             )
-            more += f" table = {table.name!r} and key = {key!r}."
         raise InputError(f"{table.name} has no column of numbers to import; it has {some(table.columns)}.{more}")
     if len(rest) > MAX_CHANNELS:
         raise InputError(

@@ -49,9 +49,8 @@ _FIRST_ARM = re.compile(r"\{arm\}(?=[^\W_])")  # {arm}Fx
 _LAST_ARM = re.compile(r"(?:[\s\[(]+|(?<=[^\W_]))\{arm\}[\s\])]*$")  # Fx{arm}, Fx [{arm}]
 _ARM = re.compile(r"\{arm\}[)\]}]?[ ._\-/]*")
 SIDES = (("left", "right"), ("l", "r"))  # of arms
-_QUOTES = re.compile(
-    r"""["'`,]|^\$|^\(|\)$"""
-)  # of parts of a path: /'FT'/'Fx', levels: ('FT', 'Fx'), variables: $FT.Fx
+# of parts of a path: /'FT'/'Fx', levels: ('FT', 'Fx'), variables: $FT.Fx
+_QUOTES = re.compile(r"""["'`,]|^\$|^\(|\)$""")
 _SAID = re.compile(r"(?:force|torque|moment)s?(\d*)[._/ \-]*$")  # before an axis: Force Fx, cartTorque1_TauX
 _AXIS = re.compile(
     r"^(|.*[._/ \-])(force|f|torque|moment|tau|t|m)(\d*)(?:_?ext)?((?:[._/ \-](?:" + _FRAMES + r"))?)"
