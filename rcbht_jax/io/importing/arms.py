@@ -56,16 +56,13 @@ def arms_of(names: Iterable[str]) -> tuple[str, ...]:
 def tables_of_arms(table: Table, mapping: Mapping) -> Iterator[Table]:
     """The table of each arm: its own columns, with "{arm}" for its name, and those that name no arm.
 
-    A table of one arm, or one whose mapping states channels and no arms, is left as it is.
+    A mapping names the arms as the columns have them, in any case of letters; else they are found. A table of one arm,
+    or one whose mapping states channels and no arms, is left as it is.
 
     >>> table = Table("a.csv", {"t": np.arange(2.0), "left_fx": np.ones(2), "right_fx": np.zeros(2)})
     >>> left, right = tables_of_arms(table, Mapping(arms=("left", "right")))
     >>> right.name, list(right.columns), right.facts
     ('a.csv#right', ['t', '{arm}_fx'], {'arm': 'right'})
-
-    Args:
-        table: of all arms.
-        mapping: names the arms, as the columns have them in any case of letters; else they are found.
     """
     arms = mapping.arms
     if not (arms or mapping.channels or "arm" in mapping.columns or "arm" in table.facts):

@@ -101,16 +101,7 @@ def read_hdf5(path: Path, name: str) -> Iterator[Table]:
 def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
     """As :func:`read_hdf5`, in this process, which a damaged file can keep busy without end.
 
-    >>> [table.columns["Fz"].shape for table in hdf5_tables(Path("run.h5"), "run.h5")]
-    [(400,)]
-
-    Args:
-        path: the file.
-        name: relative to the source.
-        turned: dimensions are stored in reverse, as MATLAB does.
-
-    Raises:
-        InputError: not a regular file, damaged, declares arrays too large for it, or h5py is missing.
+    Dimensions are ``turned`` where they are stored in reverse, as MATLAB does.
     """
     size = check_file(path)
     h5py = require("h5py", "import")
@@ -194,9 +185,7 @@ def _pandas(found: dict[str, Any]) -> dict[str, Any]:
     columns: dict[str, Any] = {}
     for block in blocks:
         values = found.get(f"{block}_values")
-        titles = [
-            text.decode("utf-8", "replace") for text in np.asarray(found[f"{block}_items"][()]).astype("S").tolist()
-        ]
+        titles = [decoded(text) for text in np.asarray(found[f"{block}_items"][()]).astype("S").tolist()]
         if values is not None and values.ndim == 2 and values.shape[1] == len(titles):
             content = values[()]
             columns |= {title: content[:, number] for number, title in enumerate(titles)}
@@ -227,8 +216,7 @@ def _arrays(file: Any, key: str, item: Any, turned: bool, alone: bool) -> dict[s
 
 def _kind(item: Any) -> str:
     """Class of a MATLAB variable."""
-    kind = item.attrs.get("MATLAB_class", b"")
-    return kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
+    return str(decoded(item.attrs.get("MATLAB_class", b"")))
 
 
 def _objects(found: Mapping[str, Any]) -> list[str]:

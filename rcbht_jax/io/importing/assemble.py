@@ -122,11 +122,7 @@ def _remarks(notes: list[list[str]], moves: list[list[str]], period: float) -> l
 
 
 def _interpolated(records: list[Record]) -> list[str]:
-    """A remark on recordings in which many samples had no value.
-
-    >>> _interpolated([Record("a", np.arange(9.0), np.zeros((9, 1)), ("Fz",), ("N",), notes=["missing:3"])])[0]
-    '1 recording lacks values in many samples, up to 33 %; straight lines stand there, as if they were measured.'
-    """
+    """A remark on recordings in which many samples had no value."""
     counts = [(int(note.removeprefix("missing:")), len(record.time))
               for record in records for note in record.notes if note.startswith("missing:")]  # fmt: skip
     shares = [missing / samples for missing, samples in counts if missing > MANY * samples]
@@ -192,13 +188,7 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
 
 
 def _names_apart(columns: dict[str, Any], files: list[str], report: ImportReport) -> dict[str, NDArray[np.str_]]:
-    """Trials that tell the recordings of an arm apart, where the values of the files do not; these become a column.
-
-    >>> given = {"trial": ["1", "1"], "arm": ["R", "R"], "session": ["mon", "tue"], "source": ["lab", "lab"]}
-    >>> columns = {name: np.array(texts) for name, texts in given.items()}
-    >>> _names_apart(columns, ["a", "b"], ImportReport())["trial"].tolist()
-    ['mon/1', 'tue/1']
-    """
+    """Trials that tell the recordings of an arm apart, where the values of the files do not; these become a column."""
     trials, arms, sessions, sources = (columns[name].tolist() for name in ("trial", "arm", "session", "source"))
     within = [f"{session}/{trial}" for session, trial in zip(sessions, trials, strict=True)]
     candidates = {"": trials, "session and value": within, "file": files}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.columns import snake, split_unit, unit_of_time
+from rcbht_jax._util.columns import decoded, snake, split_unit, unit_of_time
 from rcbht_jax.labels import AXES
 
 UNITS = ("unit", "units")
@@ -54,8 +54,7 @@ def stated_units(attributes: Mapping[str, Any]) -> list[str]:
     """
     named = {key.lower(): value for key, value in attributes.items()}
     for key in ("units", "unit"):
-        given = np.asarray(named.get(key, "")).ravel().tolist()
-        texts = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in given]
+        texts = [str(decoded(text)) for text in np.asarray(named.get(key, "")).ravel().tolist()]
         units = [split_unit(f"x [{text.strip()}]")[1] for text in (texts[0].split(",") if len(texts) == 1 else texts)]
         if any(units):
             return units

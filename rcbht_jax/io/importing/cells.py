@@ -178,11 +178,7 @@ def texts(values: Sequence[str], what: str) -> NDArray[np.str_]:
 
 
 def check_texts(longest: int, letters: int, count: int, what: str) -> None:
-    """Whether the longest of so many cells, which hold so many letters, lets a column of text be an array.
-
-    Raises:
-        InputError: as :func:`texts`.
-    """
+    """InputError: the longest of so many cells, which hold so many letters, is too long for a column of text."""
     if 4 * longest * count > max(MAX_TEXT_BYTES, MAX_RATIO * (letters + count)):
         raise InputError(f"{what} has a text of {longest} letters among {count}; labels are shorter.")
 
@@ -262,11 +258,7 @@ class Numerals:
 
 
 def _may_be_thousands(cell: str) -> bool:
-    """Whether the only mark of a number may be a decimal one or one between thousands.
-
-    >>> [_may_be_thousands(cell) for cell in ("1,234", "0,234", "1,23", "1,234.5")]
-    [True, False, False, False]
-    """
+    """Whether the only mark of a number may be a decimal one or one between thousands."""
     found = _GROUPED.match(cell)
     return bool(found and not found[4] and found[2] in ",." and len(found[3]) == 3 and found[1].lstrip("+-")[0] != "0")
 

@@ -75,11 +75,7 @@ def _of_text(table: Table, bases: dict[str, str]) -> tuple[list[str], NDArray[An
 
 
 def _iso(date: str) -> str:
-    """A date and what separates it from a time: as ISO 8601 has them where the order of day and month is known.
-
-    >>> _iso("1.5.2026"), _iso("2026/05/01"), _iso("20260501"), _iso("5/1/2026")
-    ('2026-05-01T', '2026-05-01T', '2026-05-01T', '5/1/2026 ')
-    """
+    """A date and what separates it from a time: as ISO 8601 has them where the order of day and month is known."""
     if match := _GERMAN.fullmatch(date):
         return f"{match[3]}-{int(match[2]):02}-{int(match[1]):02}T"
     if match := re.fullmatch(r"(\d{4})[-/.]?(\d{2})[-/.]?(\d{2})", date):

@@ -59,19 +59,18 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[st
         table = table.flatten()
     columns: dict[str, NDArray[Any]] = {}
     others = list[str]()
-    for field in (field for field in table.schema if _kind(pa, field.type)):
-        column = table.column(field.name).combine_chunks()
-        if _kind(pa, field.type) == "list":
-            wide = _wide(column)
-            if wide is not None and len(columns) + wide.shape[1] <= MAX_COLUMNS:
-                columns |= {f"{field.name}_{number}": wide[:, number] for number in range(wide.shape[1])}
-            else:
-                others.append(field.name)
+    kinds = {field.name: kind for field in table.schema if (kind := _kind(pa, field.type))}
+    for name, kind in kinds.items():
+        column = table.column(name).combine_chunks()
+        if kind != "list":
+            columns[name] = _array(pa, column, kind)
+        elif (wide := _wide(column)) is not None and len(columns) + wide.shape[1] <= MAX_COLUMNS:
+            columns |= {f"{name}_{number}": wide[:, number] for number in range(wide.shape[1])}
         else:
-            columns[field.name] = _array(pa, column, _kind(pa, field.type))
+            others.append(name)
     if not columns or not len(next(iter(columns.values()))):
         raise InputError(f"{path} has no rows of numbers or text.")
-    seconds = {field.name: "s" for field in table.schema if _kind(pa, field.type) == "time"}
+    seconds = {name: "s" for name, kind in kinds.items() if kind == "time"}
     return columns, 1 / float(rows) if rows and float(rows) > 0 else None, seconds, tuple(others)
 
 

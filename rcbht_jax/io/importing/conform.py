@@ -200,11 +200,7 @@ def _within_bursts(steps: NDArray[np.float64]) -> float:
 
 
 def checked_period(period: float) -> float:
-    """The period, if a sensor can have it.
-
-    Raises:
-        InputError: it cannot.
-    """
+    """The period, s; InputError: no sensor has it."""
     if not SHORTEST <= period <= LONGEST:
         raise InputError(
             f"the time step is {period:g} s; expected {SHORTEST:g} to {LONGEST:g} s. Is the unit of time right?"
@@ -213,11 +209,7 @@ def checked_period(period: float) -> float:
 
 
 def checked_rate(rate: float, what: str = "the rate") -> float:
-    """The samples per second, if a sensor can have them; ``what`` names them.
-
-    Raises:
-        InputError: it cannot.
-    """
+    """The samples per second, which ``what`` names; InputError: no sensor has as many or as few."""
     least, most = 1 / LONGEST, 1 / SHORTEST
     if not least <= rate <= most:
         raise InputError(f"{what} is {rate:g}; expected {least:g} to {most:.0f} samples per second.")

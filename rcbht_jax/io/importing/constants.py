@@ -18,14 +18,10 @@ from rcbht_jax.io.importing.words import text
 
 
 def constants_of(table: Table, unused: Iterable[str]) -> dict[str, float]:
-    """The values of columns that are one number throughout, missing cells aside.
+    """The values of those columns of a recording's table that are one number throughout, missing cells aside.
 
     >>> constants_of(Table("a.csv", {"peg": np.full(3, 8.0), "q": np.arange(3.0)}), ["peg", "q"])
     {'peg': 8.0}
-
-    Args:
-        table: of one recording.
-        unused: columns that have no meaning yet.
     """
     found = {}
     for name in unused:
@@ -37,17 +33,13 @@ def constants_of(table: Table, unused: Iterable[str]) -> dict[str, float]:
 
 
 def describe(records: Sequence[Record], constants: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
-    """Make constants that all recordings have, and that differ, their columns, as text; returns the name of each.
+    """Make constants by recording that all have, and that differ, their columns, as text; returns the name of each.
 
     >>> records = [Record(name, np.arange(2.0), np.zeros((2, 1)), ("Fz",), ("N",)) for name in "ab"]
     >>> describe(records, {"a": {"peg": 8.0, "mode": 7.0}, "b": {"peg": 10.0, "mode": 7.0}})
     {'peg': 'peg'}
     >>> records[1].columns
     {'peg': '10'}
-
-    Args:
-        records: of the same axes.
-        constants: of each recording, by its name.
     """
     given = [constants.get(record.name, {}) for record in records]
     those = [name for name in given[0] if all(name in one for one in given) and len({one[name] for one in given}) > 1]
@@ -61,17 +53,14 @@ def describe(records: Sequence[Record], constants: Mapping[str, Mapping[str, flo
 def without_properties(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
     """Make axes that are one number in every recording their columns, as text; returns the records and those axes.
 
-    Those with a unit, or named like an axis of a wrench, remain: a sensor may be at rest. So do all if nothing else is
-    left.
+    All recordings have the same axes. Those with a unit, or named like an axis of a wrench, remain: a sensor may be at
+    rest. So do all if nothing else is left.
 
     >>> values = np.stack([np.arange(3.0), np.full(3, 0.5)], 1)
     >>> records = [Record("a", np.arange(3.0), values, ("load", "mass"), ("", ""))]
     >>> [record], names = without_properties(records)
     >>> record.axes, record.columns, names
     (('load',), {'mass': '0.5'}, ['mass'])
-
-    Args:
-        records: of the same axes.
     """
     axes, units = records[0].axes, records[0].units
     plain = [not unit and measured([axis], [""]) == "signal" for axis, unit in zip(axes, units, strict=True)]
@@ -93,14 +82,11 @@ def without_properties(records: Sequence[Record]) -> tuple[list[Record], list[st
 
 
 def still_axes(records: Sequence[Record]) -> list[str]:
-    """A remark on each axis that never changes within some recording or all: its sensor may be dead.
+    """A remark on each of the same axes of all that never changes within some recording: its sensor may be dead.
 
     >>> values = np.stack([np.arange(3.0), np.full(3, 0.5)], 1)
     >>> still_axes([Record("a", np.arange(3.0), values, ("Fz", "Fx"), ("N", "N"))])
     ['Fx never changes within any recording; is its sensor connected?']
-
-    Args:
-        records: of the same axes.
     """
     still = np.array([np.ptp(record.values, axis=0) == 0 for record in records]).sum(0)
     found = []

@@ -21,7 +21,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.checks import validate
 from rcbht_jax.io.importing import columnar
 from rcbht_jax.io.importing.arrays import reading
-from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.joining import KEPT, importer_of
@@ -117,7 +117,7 @@ def _axes(folder: Path, about: Mapping[str, Any]) -> tuple[tuple[str, ...], tupl
 def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     """A table with a row per recording or interval, from CSV or Parquet; empty if there is none."""
     if (path := folder / f"{name}.parquet").is_file():
-        [table] = isolated(exported_tables, path, name, *columnar.LIBRARIES)
+        [table] = _parquet_tables(path, name)
         return dict(table.columns)
     if not (path := folder / f"{name}.csv").is_file():
         return {}
@@ -135,11 +135,7 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
 
 
 def _in_order(folder: Path, table: Columns) -> Columns:
-    """The table of trials in the order of its recordings, in which another program need not have left it.
-
-    Raises:
-        InputError: the numbers of its recordings are missing, or are not those from 0 on.
-    """
+    """The table of trials in the order of its recordings, in which another program need not have left it."""
     if not table:
         return table
     if "recording" not in table:
@@ -158,11 +154,7 @@ def _in_order(folder: Path, table: Columns) -> Columns:
 
 
 def _files(folder: Path, suffix: str, count: int) -> list[Path]:
-    """The files of the signals of so many recordings.
-
-    Raises:
-        InputError: there is one more.
-    """
+    """The files of the signals of so many recordings; InputError: there is one more."""
     paths = [folder / f"{number:06d}.{suffix}" for number in range(count + 1)]
     if paths[-1].exists():
         raise InputError(f"{paths[-1]} has no row in the table of trials. Export again, and leave its rows complete.")
@@ -181,11 +173,7 @@ def _check_lengths(folder: Path, table: Columns, lengths: list[int]) -> None:
 
 
 def _types(about: Mapping[str, Any]) -> dict[str, str]:
-    """Of each column: "text", or the type of its numbers; of an older export, only of those that are always texts.
-
-    Raises:
-        InputError: a type that no column of a store has.
-    """
+    """Of each column: "text", or the type of its numbers; of an older export, only of those that are always texts."""
     types = about.get("column_types")
     found = {name: str(kind) for name, kind in types.items()} if isinstance(types, dict) else {}
     for name, kind in found.items():
@@ -194,15 +182,9 @@ def _types(about: Mapping[str, Any]) -> dict[str, str]:
     return dict.fromkeys(_TEXTS, "text") | found
 
 
-def exported_tables(path: Path, name: str) -> Iterator[Table]:
-    """A Parquet table of an export, its columns of the types that they were written with.
-
-    >>> [table.columns["Fz"].shape for table in exported_tables(Path("run.parquet"), "run")]
-    [(400,)]
-
-    Raises:
-        InputError: damaged.
-    """
+@apart(*columnar.LIBRARIES)
+def _parquet_tables(path: Path, name: str) -> Iterator[Table]:
+    """A Parquet table of an export, its columns of the types that they were written with."""
     check_declared(path, 0, check_file(path))
     with reading(path, "Parquet"), path.open("rb") as raw:
         file = require("pyarrow.parquet", "import").ParquetFile(raw)
@@ -236,14 +218,7 @@ def _csv(path: Path, axes: tuple[str, ...], number: int) -> NDArray[np.float32]:
 def _check_places(path: Path, columns: Mapping[str, Any], bounds: NDArray[np.intp], first: int = 0) -> None:
     """Compare the numbers of recordings and samples, which a file of signals states, with those of its rows.
 
-    Args:
-        path: of the file.
-        columns: of it.
-        bounds: first row of each recording, and the end of the last one.
-        first: number of the first recording.
-
-    Raises:
-        InputError: rows are missing, doubled, or in another order.
+    ``bounds`` are the first row of each recording, from the one with the number ``first``, and the end of the last.
     """
     lengths = np.diff(bounds)
     recording = first + np.repeat(np.arange(len(lengths)), lengths)

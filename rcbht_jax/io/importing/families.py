@@ -24,16 +24,12 @@ def families(arrays: Arrays, shared: Container[str] = ()) -> dict[str, dict[str,
 
     Numbers of recordings are those of ``trial_0``, ``trial_1``, of ``trial0_time``, ``trial1_time``, of ``log.0.time``,
     ``log.1.time``, any where arrays of one name differ in length, or that of ``cut.0.force``, ``cut.0.depth``, ... if
-    each has single values, too, and the file holds no other signals. What has no number is shared, but for arrays
-    ``[recording]``.
+    each has single values, too, and the file holds no other signals; numbers of arrays in ``shared`` separate none.
+    What has no number is of all, but for arrays ``[recording]``.
 
     >>> arrays = {"trial_0": np.zeros((9, 2)), "trial_1": np.zeros((7, 2)), "class": np.array(["a", "b"])}
     >>> {part: {name: array.shape for name, array in own.items()} for part, own in families(arrays).items()}
     {'0': {'class': (), 'values': (9, 2)}, '1': {'class': (), 'values': (7, 2)}}
-
-    Args:
-        arrays: by their names.
-        shared: those whose numbers separate no recordings.
     """
     heads: dict[str, dict[str, dict[str, NDArray[Any]]]] = {}
     for key, array in ((key, array) for key, array in arrays.items() if key not in shared):

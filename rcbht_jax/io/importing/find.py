@@ -35,16 +35,17 @@ class Item:
     path: Path
     kind: str  # one of KINDS but "auto", or "export"
 
+    @property
+    def title(self) -> str:
+        """The name in messages: also of a source that is one recording by itself."""
+        return self.name or spelled(self.path.name)
+
 
 def kind_of(name: str, asked: str = "auto") -> str:
-    """The kind of a file by the end of its name; "" = unknown.
+    """The kind of a file, perhaps packed, by the end of its name and the kind that the user asked for; "" = unknown.
 
     >>> kind_of("run.csv.gz"), kind_of("run.log"), kind_of("run.log", "csv"), kind_of("run.npz.gz")
     ('csv', '', 'csv', '')
-
-    Args:
-        name: of the file, perhaps of a packed one.
-        asked: the kind that the user named.
     """
     plain = plain_name(name)
     if plain.lower().endswith(".zarr.zip"):
@@ -174,12 +175,7 @@ def is_export(folder: Path) -> bool:
 
 
 def _whole(folder: Path, foreign: bool = False) -> str:
-    """The kind of a folder that is one recording or data set; "" = a folder of files.
-
-    Args:
-        folder: to look at.
-        foreign: its ``dataset.json`` is not that of an export.
-    """
+    """The kind of a folder that is one recording or data set, whose ``dataset.json`` may be foreign; "" = of files."""
     marks = {
         "dataset.json": "export", "meta/info.json": "lerobot", "metadata.yaml": "bag", ".zgroup": "zarr",
         "zarr.json": "zarr",

@@ -193,10 +193,15 @@ def _facts(table: Table, groups: list[NDArray[np.int64]], free: list[str]) -> se
     if not len(starts) or any((np.diff(rows) != 1).any() for rows in groups):
         return set()
     border = np.isin(np.arange(1, len(next(iter(table.columns.values())))), starts)
-    axes = {column for wrench in names.wrenches(free) for column in wrench.values()}
+    axes = _axes(free)
     numbers = (name for name in free if table.columns[name].dtype.kind != "U" and name not in axes)
     steps = ((name, np.diff(table.columns[name])) for name in numbers)
     return {name for name, step in steps if len(step[~border]) and not step[~border].any() and step.any()}
+
+
+def _axes(columns: Iterable[str]) -> set[str]:
+    """The columns that are axes of a wrench."""
+    return {column for wrench in names.wrenches(columns) for column in wrench.values()}
 
 
 def _is_label(name: str) -> bool:
@@ -235,7 +240,7 @@ def _constant(values: NDArray[Any], label: bool) -> bool:
 
 def _check_axes(table: Table, free: list[str]) -> None:
     """Raise InputError where an axis, or a whole wrench, is text, such as 1.234,50: it must not be left out."""
-    axes = {column for wrench in names.wrenches(free) for column in wrench.values()}
+    axes = _axes(free)
     for column in (name for name in free if table.columns[name].dtype.kind == "U"):
         words = _distinct(table.columns[column])
         whole = len(words) > MAX_LABELS and re.split(r"[\W_]+", snake(column))[-1] in names.WHOLE

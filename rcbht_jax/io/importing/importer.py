@@ -170,25 +170,18 @@ def import_source(
     return imported
 
 
-def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
-    """The tables of a file, or of a folder that is one recording.
-
-    >>> [table.name for table in read_item(Item("a.csv", Path("runs/a.csv"), "csv"), Mapping())]
-    ['a.csv']
-
-    Raises:
-        InputError: it cannot be read.
-    """
+def _tables(item: Item, mapping: Mapping) -> Iterator[Table]:
+    """The tables of a file, or of a folder that is one recording."""
     if item.kind in ("bag", "mcap"):
         from rcbht_jax.io.importing.bags import read_bag_tables  # rosbags is an extra of its own
 
-        return read_bag_tables(item.path, item.name or spelled(item.path.name), mapping.topic)
+        return read_bag_tables(item.path, item.title, mapping.topic)
     readers = {
         "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
         "matlab": read_matlab, "lerobot": columnar.read_lerobot, "ts": read_ts, "uci": read_blocks,
         "jsonl": read_json_lines, "json": read_json_document, "zarr": read_zarr,
     }  # fmt: skip
-    return readers[item.kind](item.path, item.name or (spelled(item.path.name) if item.kind == "zarr" else ""))
+    return readers[item.kind](item.path, item.name if item.kind == "lerobot" else item.title)
 
 
 def _unread(source: Path, others: list[str]) -> list[str]:
@@ -226,7 +219,7 @@ def _read(
     if not base.table and source.is_dir():
         base, listed = listing.with_table(source, base, items, report.remarks)
     tables = set(map(plain_name, marks.described_by(base, items)))
-    files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
+    files = [item.title for item in items if item.name not in tables]
     rows = listing.rows_of(source, base, files, report.warnings, listed)
     lacks = Lacks(base)
     for item in progress(items):
@@ -235,7 +228,7 @@ def _read(
         try:
             if source.is_dir():
                 check_inside(item.path, source)
-            wide = (widened(with_whole_times(table, base), base) for table in read_item(item, base))
+            wide = (widened(with_whole_times(table, base), base) for table in _tables(item, base))
             for table in (arm for whole in wide for arm in tables_of_arms(whole, base)):
                 named = marks.counted(marks.headed(table)) if item.kind == "csv" else table
                 if item.kind == "csv" and marks.is_intervals(named.columns):
@@ -256,7 +249,7 @@ def _read(
                     report.skipped.append((table.name, _reason(error, source)))
                     lacks.add(described, read=False)
         except InputError as error:
-            report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
+            report.skipped.append((item.title, _reason(error, source)))
     report.warnings, report.remarks = report.warnings + lacks.warnings(), report.remarks + lacks.remarks()
     if lost := listing.absent(rows, (record for record, _ in found), (name for name, _ in report.skipped)):
         report.warnings.append((base.table, lost))
@@ -293,14 +286,14 @@ def _understood(
 ) -> Iterator[tuple[Record, Meaning]]:
     """The recordings of a table, and the meaning of its columns."""
     mapping, _ = meaning = guess(table, base)
-    more = "" if base.channels else more_wrenches(table, mapping)
-    left = f"Arrays of another shape or kind were left out: {some(table.others)}." if table.others else ""
-    lines = f"Lines that are no samples were left out: {some(table.lines)}." if table.lines else ""
-    words = f"Words in columns of numbers were read as missing values: {some(table.faults)}." if table.faults else ""
-    bare = "" if base.channels else nameless(table, mapping)
+    guessed = [] if base.channels else [remark(table, mapping) for remark in (more_wrenches, nameless, as_pose)]
     hot = [] if base.channels or base.annotations else one_hot(table)
-    pose = "" if base.channels else as_pose(table, mapping)
-    texts = (more, bare, pose, left, lines, words, *hot)
+    lost = {
+        "Arrays of another shape or kind were left out": table.others,
+        "Lines that are no samples were left out": table.lines,
+        "Words in columns of numbers were read as missing values": table.faults,
+    }
+    texts = [*guessed, *(f"{what}: {some(those)}." if those else "" for what, those in lost.items()), *hot]
     report.remarks += [text for text in texts if text and text not in report.remarks]
     doubts = interleaved(table, mapping), stand_ins(table, mapping)
     report.warnings += [(table.name, doubt) for doubt in doubts if doubt]

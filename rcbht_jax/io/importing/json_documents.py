@@ -177,11 +177,7 @@ def _frame(value: Any) -> Any:
 
 
 def _times(index: Any, columns: Iterable[str]) -> dict[str, list[Any]]:
-    """The index of a data frame as a column, if it holds times and no column does; counted rows are no times.
-
-    >>> _times(["0.0", "0.01"], ["Fz"]), _times(["0", "1"], ["Fz"]), _times(["0.0", "0.01"], ["t", "Fz"])
-    ({'time': [0.0, 0.01]}, {}, {})
-    """
+    """The index of a data frame as a column, if it holds times and no column does; counted rows are no times."""
     if not isinstance(index, list) or len(index) < 2 or any(map(unit_of_time, columns)):
         return {}
     if all(_is_number(str(one)) for one in index):
@@ -299,8 +295,7 @@ def _array(value: Any) -> Any:
     if isinstance(value, str | bool):
         return np.array(str(value).lower() if isinstance(value, bool) else value)
     if isinstance(value, list) and (width := max((len(one) for one in value if isinstance(one, list)), default=0)):
-        missing = [None] * width
-        value = [missing if one is None else one for one in value]
+        value = [[None] * width if one is None else one for one in value]
     try:
         return np.array(value, np.float64)
     except (ValueError, TypeError):

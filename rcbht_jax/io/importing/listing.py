@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import check_inside, read_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.encodings import doubts
@@ -84,11 +85,7 @@ def with_table(
 ) -> tuple[Mapping, Table | None]:
     """The mapping with the one CSV of a folder that lists its recordings, a row for each, and that table, if any.
 
-    Args:
-        source: a folder.
-        mapping: names no table.
-        items: all files.
-        remarks: gets what was found.
+    The mapping names no table; ``remarks`` gets what was found.
     """
     files = [item.name for item in items if item.name]
     names = Names((file, "") for file in files)
@@ -148,11 +145,7 @@ def _listing(source: Path, path: Path, files: Sequence[str], names: Names) -> tu
 
 def _by_number(title: str, words: Iterable[str], files: Sequence[str]) -> dict[str, set[int]]:
     """The files that numbers in a column such as "run" mean: 1 means run1.csv and run01/ft.csv, and also test1.csv if
-    the numbers of these files are those of the column.
-
-    >>> _by_number("run", ["1", "2"], ["run01.csv", "run02.csv"]), _by_number("Fz", ["1"], ["run1.csv"])
-    ({'1': {0}, '2': {1}}, {})
-    """
+    the numbers of these files are those of the column."""
     heads: defaultdict[str, defaultdict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
     for place, file in enumerate(files if group_base(title) in GROUPS else ()):
         for part in PurePosixPath(file).with_suffix("").parts:
@@ -164,22 +157,17 @@ def _by_number(title: str, words: Iterable[str], files: Sequence[str]) -> dict[s
 
 
 def absent(rows: AnyMapping[str, Row], records: Iterable[Record], skipped: Iterable[str]) -> str:
-    """A warning about rows whose recording is not there; "" = all are.
+    """A warning about rows of the table whose recording was neither read nor skipped; "" = there are none.
 
     >>> record = Record("a.csv", np.arange(2.0), np.zeros((2, 1)), ("Fz",), ("N",))
     >>> absent({"a.csv": {}, "b": {}, "c.csv": {}}, [record], ["c.csv"])
     "1 row is of no recording here, and left out: 'b'."
-
-    Args:
-        rows: of the table, by FILE#PART, part or file.
-        records: what was read.
-        skipped: names of what is there and was left out.
     """
     there = {word for record in records for word in (record.name, record.file, record.part)}
     there |= {word for name in skipped for word in (name, *name.split("#", 1))}
     unknown = [word for word in rows if word and word not in there]
-    verb = "row is" if len(unknown) == 1 else "rows are"
-    return f"{len(unknown)} {verb} of no recording here, and left out: {some(unknown)}." if unknown else ""
+    are = plural(len(unknown), "row is", "rows are")
+    return f"{are} of no recording here, and left out: {some(unknown)}." if unknown else ""
 
 
 def _word(value: object) -> str:

@@ -21,16 +21,13 @@ def widened(table: Table, mapping: Mapping) -> Table:
     """The table with a column per channel, if a column of text names the axes of a wrench; else the table itself.
 
     All other columns but one, the values, and perhaps their units, must be the same for every channel. Where rows are
-    missing, so are the values: rows of one time and recording belong together.
+    missing, so are the values: rows of one time and recording belong together. Channels that a mapping states are
+    columns of the result.
 
     >>> cells = {"t": np.repeat([0.0, 0.1], 3), "axis": np.tile(["Fx", "Fy", "Fz"], 2), "value": np.arange(6.0)}
     >>> wide = widened(Table("a.csv", cells), Mapping())
     >>> {name: values.tolist() for name, values in wide.columns.items()}
     {'t': [0.0, 0.1], 'Fx': [0.0, 3.0], 'Fy': [1.0, 4.0], 'Fz': [2.0, 5.0]}
-
-    Args:
-        table: as read.
-        mapping: whose channels, if it states some, are columns of the result.
     """
     if mapping.channels and all(channel.column in table.columns for channel in mapping.channels):
         return table

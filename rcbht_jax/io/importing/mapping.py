@@ -274,28 +274,32 @@ def check(mapping: Mapping) -> Mapping:
         raise InputError('key is a column of the table of recordings, and none is named; add table = "FILE.csv".')
     if mapping.nanoseconds and not mapping.time:
         raise InputError("nanoseconds are added to a time, and no column of it is named; add time.")
-    if mapping.bias and mapping.channels and len(mapping.bias) != len(mapping.channels):
-        raise InputError(
-            f"bias has {plural(len(mapping.bias), 'value')} for {plural(len(mapping.channels), 'channel')}."
-        )
+    if mapping.channels:
+        check_bias(mapping, len(mapping.channels))
     _check_rotation(mapping)
     if "" in mapping.arms or len({arm.lower() for arm in mapping.arms}) < len(mapping.arms):
         raise InputError(f"two arms have one name, or one has none: {', '.join(map(repr, mapping.arms))}.")
     for track in mapping.annotations:
-        sources = [bool(name) for name in (track.column, track.file, track.ends, track.starts)]
+        sources = sum(map(bool, (track.column, track.file, track.ends, track.starts)))
         pairs = [(track.ends, track.ids), (track.starts, track.labels)]
-        if sources.count(True) != 1 or any(bool(times) != bool(labels) for times, labels in pairs):
+        if sources != 1 or any(bool(times) != bool(labels) for times, labels in pairs):
             raise InputError(
                 f"track {track.track} needs a column, a file, ends and ids, or starts and labels; one of them."
             )
         if track.clock not in ("start", "stamps"):
             raise InputError(f"the clock of track {track.track} is {track.clock!r}; expected start or stamps.")
     for name, value in mapping.columns.items():
-        if [bool(value.column), bool(value.table), bool(value.value), bool(value.folder)].count(True) != 1:
+        if sum(map(bool, (value.column, value.table, value.value, value.folder))) != 1:
             raise InputError(f"columns.{name} needs a column, a table, a value or a folder; one of them.")
         if value.table and not mapping.table:
             raise InputError(f'columns.{name} is in a table, and the mapping names none; add table = "FILE.csv".')
     return mapping
+
+
+def check_bias(mapping: Mapping, channels: int) -> None:
+    """InputError: a mapping has a bias, and not for so many channels."""
+    if mapping.bias and len(mapping.bias) != channels:
+        raise InputError(f"bias has {plural(len(mapping.bias), 'value')} for {plural(channels, 'channel')}.")
 
 
 def _check_rotation(mapping: Mapping) -> None:

@@ -257,12 +257,7 @@ class Names:
 
 
 def beside(source: Path, file: Path, pattern: str) -> Path:
-    """The file that a pattern names for a recording, as :class:`~rcbht_jax.io.importing.mapping.Track` explains.
-
-    Args:
-        source: a file or a folder.
-        file: of the recording, relative to the folder.
-        pattern: of the file beside it.
+    """The file that a pattern names for a recording's file, which is relative to the folder of the source.
 
     Raises:
         InputError: the file lies outside the source.
@@ -302,16 +297,9 @@ def track_intervals(
     warnings: list[tuple[str, str]],
     read: dict[Path, Marks],
 ) -> list[Interval]:
-    """The intervals of a track that a file beside a recording holds.
+    """The intervals of a track that a file beside a recording holds; ``place`` is that of the recording in ``names``.
 
-    Args:
-        source: a file or a folder.
-        file: of the recording, relative to the folder.
-        track: of its intervals.
-        names: of all recordings.
-        place: of the recording among them.
-        warnings: gets words that mean several recordings.
-        read: gets what files hold, and serves for the next recording with the same track, names and warnings.
+    Words that mean several recordings go to ``warnings``, and what files hold to ``read``, for the next recording.
 
     Raises:
         InputError: the file is missing or not a table of intervals.
@@ -359,10 +347,7 @@ def by_recording(
 ) -> tuple[Marks, list[str], list[str]]:
     """The intervals of each recording, the words that mean several recordings, and those that mean none.
 
-    Args:
-        rows: the name of a recording, "" = ``own``, and an interval.
-        names: of all recordings.
-        own: the name of the recording of rows without one; "" = they are of none.
+    Rows without the name of a recording are of ``own``; "" = of none.
     """
     meant = {word: names.meant(word or own) for word, _ in rows}
     found: Marks = {}

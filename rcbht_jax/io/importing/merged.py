@@ -15,7 +15,7 @@ def merged(meanings: Iterable[Meaning]) -> Meaning:
     """The mapping of the first table with the annotations and columns of all, and what all columns are understood as.
 
     A column that is a track of annotations in any table is one in all; one that counts with its last value in any
-    does so in all. One that separates recordings in any does so if all have it.
+    does so in all. One that separates recordings in any does so if all have it. There is at least one meaning.
 
     >>> from rcbht_jax.io.importing.mapping import Track, Value
     >>> first = Mapping(columns={"phase": Value("phase")}), [Understood("phase", "column phase")]
@@ -23,9 +23,6 @@ def merged(meanings: Iterable[Meaning]) -> Meaning:
     >>> mapping, rows = merged([first, second])
     >>> mapping.annotations[0].column, mapping.columns, rows[0].role
     ('phase', {}, 'annotations phase')
-
-    Args:
-        meanings: of each recording, at least one; those of one table may be the same object.
     """
     several = list({id(one): one for one in meanings}.values())
     first = several[0][0]

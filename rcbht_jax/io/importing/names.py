@@ -131,13 +131,9 @@ def _parsed(names: Iterable[str]) -> dict[str, tuple[str, str]]:
 def _is_no_moment(base: str, following: Mapping[str, str]) -> bool:
     """Whether tx, ty, tz are those of a pose, before rx or qx and without x, or mx, my, mz of a magnetometer, after gz.
 
-    >>> pose, both = {"tz": "rx", "rx": ""}, {"pz": "rx", "tz": ""}
+    >>> pose, both = {"tz": "rx", "rx": ""}, {"pz": "rx", "tz": ""}  # the next column of each
     >>> _is_no_moment("tx", pose), _is_no_moment("tx", both), _is_no_moment("my", {"gz": "mx"})
     (True, False, True)
-
-    Args:
-        base: of a column, in lower case.
-        following: the next column of each.
     """
     match = re.fullmatch(r"(.*?)([tm])[xyz]", base)
     if not match:

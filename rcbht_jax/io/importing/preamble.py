@@ -104,11 +104,6 @@ def _pairs(line: bytes) -> Iterator[tuple[str, str]]:
     """Words and their values: each pair in a cell, between a colon or an equals sign, or in two successive cells.
 
     A comma may also stand between several values of the only word.
-
-    >>> list(_pairs(b"Units: N, Nm"))
-    [('units', 'N, Nm')]
-    >>> list(_pairs(b'"Rate: 7","Force Units: N"')), list(_pairs(b"Rate:,7,Force Units:,N")), list(_pairs(b"Rate;7"))
-    ([('rate', '7'), ('force units', 'N')], [('rate', '7'), ('force units', 'N')], [('rate', '7')])
     """
     line = cells.COMMENT.sub(b"", line)
     row = [cell for cell in cells.split(line, cells.delimiter_of(line)) if cell]

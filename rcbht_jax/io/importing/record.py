@@ -14,14 +14,13 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit
-from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform, topics
 from rcbht_jax.io.importing.arms import column_of_arms
 from rcbht_jax.io.importing.clock import first_second, no_time, seconds_of
 from rcbht_jax.io.importing.given import Given
 from rcbht_jax.io.importing.groups import MAX_GROUPS, rows_of_groups
-from rcbht_jax.io.importing.mapping import Mapping, Track, Value
+from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check_bias
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.timing import unit_of_times
@@ -86,16 +85,13 @@ def records(
 ) -> Iterator[Record | tuple[str, str]]:
     """The recordings of one table; for one that cannot be used its name and the reason.
 
+    ``rows`` are those of the table of recordings by FILE#PART, part or file, for the columns that come from there.
+
     >>> table = Table("a.csv", {"t": np.arange(4) * 0.1, "Fz": np.ones(4), "id": np.array([1.0, 1, 2, 2])})
     >>> from rcbht_jax.io.importing.mapping import Channel
     >>> mapping = Mapping((Channel("Fz", unit="kN", scale=0.001),), time="t", group="id")
     >>> [(record.name, record.values[0, 0].item()) for record in records(table, mapping)]
     [('a.csv#1', 0.001), ('a.csv#2', 0.001)]
-
-    Args:
-        table: as read.
-        mapping: names its columns.
-        rows: of the table of recordings, for the columns that come from there, by FILE#PART, part or file.
 
     Raises:
         InputError: a column of the mapping is missing, or is text where numbers are needed.
@@ -374,8 +370,7 @@ def _of_messages(track: Track, time: NDArray[np.float64], column: NDArray[Any]) 
 def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bias, tare and rotation."""
     if mapping.bias:
-        if len(mapping.bias) != values.shape[1]:
-            raise InputError(f"bias has {plural(len(mapping.bias), 'value')} for {plural(values.shape[1], 'channel')}.")
+        check_bias(mapping, values.shape[1])
         values = values - np.array(mapping.bias)
     if mapping.tare:
         half = np.median(np.diff(time)) / 2 if len(time) > 1 else 0.0  # stamps are rounded

@@ -182,9 +182,7 @@ def _of_one_length(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArra
 def _usual(lengths: Mapping[str, Any], titles: Callable[[Any], list[str]]) -> Any:
     """The length of the arrays of a wrench, else of forces, which need not be six, else the most frequent; None = none.
 
-    Args:
-        lengths: of each array, or its numbers of recordings and rows.
-        titles: the names of the columns of that length.
+    ``titles`` gives the names of the columns of a length, which may be a pair of numbers of recordings and rows.
     """
     every = list(lengths.values())
     found = [length for length in set(every) if wrenches(titles(length))]
@@ -352,11 +350,7 @@ def scalars_of(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[
 
 
 def _control_rate(text: str) -> float | None:
-    """The rate of the controller in a JSON object such as ``env_args`` of robomimic; None = it states none.
-
-    >>> _control_rate('{"env_name": "Lift", "env_kwargs": {"control_freq": 20}}')
-    20.0
-    """
+    """The rate of the controller in a JSON object such as ``env_args`` of robomimic; None = it states none."""
     found = _CONTROL.search(text[:LONGEST_TEXT]) if text.startswith("{") else None
     return float(found[1]) if found and 0 < float(found[1]) < np.inf else None
 

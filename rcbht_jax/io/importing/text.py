@@ -45,18 +45,14 @@ def read_csv(path: Path, name: str, words: bool = False) -> Iterator[Table]:
     are no rows are left out: names that are repeated, comments, words below the last row, such as "mean", and a last
     line that was cut off while the log was written: it has no end, and too few cells or half an exponent. A file that
     is neither UTF-8 nor UTF-16 is read as Shift-JIS or GB 18030 if its bytes go in pairs as theirs do, as Windows-1251
-    if its words are Cyrillic, else as Windows-1252.
+    if its words are Cyrillic, else as Windows-1252. With ``words``, a column of numbers is text if it holds one that
+    says less than its cell, such as 007 or 1E5.
 
     >>> Path("a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
     >>> [table] = read_csv(Path("a.csv"), "a.csv")
     >>> {key: values.tolist() for key, values in table.columns.items()}
     {'t': [0.0, 0.1], 'Fz': [1.5, 2.0], 'phase': ['free', 'touch']}
-
-    Args:
-        path: the file.
-        name: relative to the source.
-        words: a column of numbers is text if it holds one that says less than its cell, such as 007 or 1E5.
 
     Raises:
         InputError: not a regular file, too large, not text, a line of another number of cells, or text in a column of

@@ -56,17 +56,12 @@ def with_one_time(path: Path, columns: AnyMapping[str, NDArray[Any]]) -> dict[st
 
 
 def with_time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
-    """The mapping with the column of time and its unit, if a column can be one.
+    """The mapping, which names no time, with the column of time and its unit, if one of the free columns can be one.
 
     >>> table = Table("a.csv", {"simTime": np.arange(9) * 0.01, "Fz": np.ones(9)})
     >>> mapping = with_time(table, Mapping(), ["simTime", "Fz"])
     >>> mapping.time, mapping.time_unit
     ('simTime', 's')
-
-    Args:
-        table: as read.
-        mapping: names no time.
-        free: columns without another meaning.
     """
     if joint := next((name for name in free if JOINT in name and _is_joint(table, name)), ""):
         return replace(mapping, time=joint, time_unit="s")

@@ -32,7 +32,7 @@ def filled(column: NDArray[Any]) -> NDArray[np.bool_]:
 def with_values(
     table: Table, mapping: Mapping, rows: NDArray[Any]
 ) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
-    """The rows that are samples, their values ``[row, channel]``, and notes of what is left out at the end and between.
+    """Of a recording's rows those that are samples, their values ``[row, channel]``, and notes of what is left out.
 
     Rows without values are no samples where most are, where they are every second row, or where they hold what most
     samples lack.
@@ -44,14 +44,9 @@ def with_values(
     >>> rows, values, notes = with_values(Table("a.csv", columns), mapping, np.arange(5))
     >>> rows.tolist(), values[:, 0].tolist(), notes
     ([0, 2, 3, 4], [1.0, 2.0, nan, 3.0], ['between:1'])
-
-    Args:
-        table: of which the rows are.
-        mapping: of its columns.
-        rows: of a recording.
     """
     raw = np.stack([table.columns[channel.column][rows] for channel in mapping.channels], 1)
-    raw = without_stand_ins(raw, mapping)
+    raw = _without_stand_ins(raw, mapping)
     known = ~np.isnan(raw).all(1)
     held = int(np.flatnonzero(known).max(initial=-1)) + 1 or len(rows)
     notes = [f"padded:{len(rows) - held}"] if held < len(rows) else []
@@ -76,12 +71,8 @@ def _no_samples(
     return other & ~known
 
 
-def without_stand_ins(values: NDArray[Any], mapping: Mapping) -> NDArray[Any]:
-    """The values, NaN for those that a mapping calls missing.
-
-    >>> without_stand_ins(np.array([1.5, -9999.0]), Mapping(missing=(-9999.0,))).tolist()
-    [1.5, nan]
-    """
+def _without_stand_ins(values: NDArray[Any], mapping: Mapping) -> NDArray[Any]:
+    """The values, NaN for those that a mapping calls missing."""
     if not mapping.missing:
         return values
     missing = np.isclose(values[..., None], mapping.missing, rtol=1e-6, atol=0.0).any(-1)  # a float32 is near
@@ -97,7 +88,7 @@ def stand_ins(table: Table, mapping: Mapping) -> str:
     'Fz is -9999 in 1 sample, far from all others; if this means that values are missing, map it: missing = [-9999].'
     """
     for channel in mapping.channels:
-        values = without_stand_ins(table.columns[channel.column], mapping)
+        values = _without_stand_ins(table.columns[channel.column], mapping)
         if number := _stand_in(values[np.isfinite(values)]):
             samples = plural(int((values == number).sum()), "sample")
             why = f"far from all others; if this means that values are missing, map it: missing = [{text(number)}]."

@@ -74,15 +74,8 @@ def separated(tree: Tree, axis: int = 0, wrench: bool = False) -> tuple[str, dic
     """The path of the group whose groups are a recording each, and the arrays of each by their paths in it.
 
     Single values beside them, also in groups without signals, are of all, as are arrays as long as one of their own,
-    such as a time that all share.
-
-    Args:
-        tree: of arrays, or of what has a shape and a size.
-        axis: of arrays that is the time.
-        wrench: only groups with a wrench are recordings.
-
-    Returns:
-        path and arrays; None = there are no such groups.
+    such as a time that all share. ``axis`` of arrays is the time; with ``wrench``, each recording has one. None = there
+    are no such groups.
     """
     if not (recordings := recordings_in(tree, wrench)):
         return None

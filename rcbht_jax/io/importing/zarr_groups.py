@@ -50,7 +50,7 @@ def read_zarr(path: Path, name: str) -> Iterator[Table]:
     """
     zarr = require("zarr", "store")
     with reading(path, "Zarr"):
-        metadata = dict(_metadata(path))
+        metadata = _metadata(path)
         chosen, others = _arrays(path, metadata)
         check_declared(path, sum(_bytes(metadata[key]) for key in chosen), bytes_of(path))
         store = (
@@ -78,7 +78,7 @@ def _array(attribute: Any) -> NDArray[Any]:
         return np.asarray(None)
 
 
-def _metadata(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+def _metadata(path: Path) -> dict[str, dict[str, Any]]:
     """The metadata of every array and of the group itself, "", by its path in the group."""
     found: dict[str, dict[str, Any]] = {}
     for file, content in _files(path):
@@ -92,7 +92,7 @@ def _metadata(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
             found.setdefault(key, {}).update({"attributes": value} if kind == ".zattrs" else value)
         if len(found) > MAX_MEMBERS:
             raise InputError(f"{path} holds more than {MAX_MEMBERS} arrays; split it.")
-    yield from found.items()
+    return found
 
 
 def _files(path: Path) -> Iterator[tuple[str, bytes]]:
@@ -133,10 +133,8 @@ def _codecs(about: Mapping[str, Any]) -> set[str]:
             places += place
         elif isinstance(place, dict):
             found.add(str(place.get("id", place.get("name"))).removeprefix("numcodecs."))
-            inner = place.get("configuration")
-            places += (
-                [inner[key] for key in ("codecs", "index_codecs") if key in inner] if isinstance(inner, dict) else []
-            )
+            if isinstance(inner := place.get("configuration"), dict):
+                places += [inner.get("codecs"), inner.get("index_codecs")]
     return found
 
 
