@@ -25,12 +25,7 @@ _BLOCK = 2**20
 
 @contextmanager
 def unpacked_file(path: Path) -> Iterator[Path]:
-    """A file of a ROS 2 bag as its reader will see it: unpacked, in a temporary folder, if all of it is packed.
-
-    >>> with unpacked_file(Path("bag/bag_0.db3.zstd")) as path:  # doctest: +SKIP
-    ...     print(path.name)
-    bag_0.db3
-    """
+    """A file of a ROS 2 bag as its reader will see it: unpacked, in a temporary folder, if all of it is packed."""
     size, total = check_file(path, empty=True), 0
     with path.open("rb") as file, TemporaryDirectory() as folder:
         if file.read(len(ZSTD)) != ZSTD:
@@ -49,10 +44,7 @@ def unpacked_file(path: Path) -> Iterator[Path]:
 
 
 def take_packed(reader: Any) -> None:
-    """Let a reader of a bag leave it to the caller to unpack messages that are packed one by one.
-
-    >>> take_packed(reader)  # doctest: +SKIP
-    """
+    """Let a reader of a bag leave it to the caller to unpack messages that are packed one by one."""
     for one in (one.storage for one in reader.readers if hasattr(one, "storage")):
         if one.metadata.compression_mode == "message":
             one.metadata = one.metadata._replace(compression_mode=None)
@@ -73,10 +65,7 @@ def unpacked_message(data: bytes) -> bytes:
 
 
 def bound_chunks(reader: Any) -> None:
-    """Let the readers of ROS 1 bags unpack no chunk to more than ``MAX_CHUNK`` bytes; a larger one is an error there.
-
-    >>> bound_chunks(reader)  # doctest: +SKIP
-    """
+    """Let the readers of ROS 1 bags refuse a chunk that unpacks to more than ``MAX_CHUNK`` bytes."""
     table = {rosbag1.decompressors["bz2"]: unpack_bz2, rosbag1.decompressors["lz4"]: unpack_lz4}
     for one in reader.readers:
         for key, chunk in getattr(one, "chunks", {}).items():

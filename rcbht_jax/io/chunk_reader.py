@@ -160,7 +160,7 @@ def _verified(data: bytes) -> bytes:
 def _unpacked(data: bytes, chunks: Chunks) -> NDArray[Any]:
     """The numbers of a chunk; refused before memory is allocated for more than its shape."""
     packed, wanted = _verified(data), math.prod(chunks.chunk) * chunks.dtype.itemsize
-    size = unpacked_size(data[:_HEADER], len(packed), wanted)
+    size = _unpacked_size(data[:_HEADER], len(packed), wanted)
     if size != wanted:
         raise ValueError(f"a chunk declares {size} bytes unpacked; expected the {wanted} of its shape")
     out = np.empty(chunks.chunk, chunks.dtype)
@@ -196,19 +196,14 @@ class _Zstd(ZstdCodec):
     def _decode_sync(self, chunk_bytes: Buffer, chunk_spec: ArraySpec) -> Buffer:
         dtype = chunk_spec.dtype.to_native_dtype()
         most = None if dtype.kind in "TUO" else math.prod(chunk_spec.shape) * dtype.itemsize
-        unpacked_size(chunk_bytes[:_HEADER].to_bytes(), len(chunk_bytes), most)
+        _unpacked_size(chunk_bytes[:_HEADER].to_bytes(), len(chunk_bytes), most)
         return super()._decode_sync(chunk_bytes, chunk_spec)
 
 
-def unpacked_size(head: bytes, packed: int, most: int | None) -> int:
-    """Bytes to which a chunk unpacks.
+def _unpacked_size(head: bytes, packed: int, most: int | None) -> int:
+    """Bytes to which a chunk of ``packed`` bytes unpacks, by its first 18; ValueError: too many.
 
-    Args:
-        head: at least the first 18 bytes of the chunk. packed: all its bytes.
-        most: bytes that its shape has; None = a text, which may have any length.
-
-    Raises:
-        ValueError: too many for its shape, or for a measured signal.
+    Its shape has ``most`` bytes; None = a text, which may have any length.
     """
     limit = max(SMALL, MAX_RATIO * packed)
     limit = limit if most is None else min(limit, most)

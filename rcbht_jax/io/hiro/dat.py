@@ -41,9 +41,6 @@ class TimedTable:
 def read_table(path: Path, columns: int) -> Float64[np.ndarray, "row {columns}"]:
     """Read a table of finite numbers.
 
-    >>> read_table(Path("trial/R_Torques.dat"), 7).shape  # doctest: +SKIP
-    (2060, 7)
-
     Raises:
         InputError: the file is missing, larger than ``MAX_TEXT_BYTES``, empty, or has a line that is not exactly
             ``columns`` finite numbers.

@@ -51,7 +51,6 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     report.warnings += [(name, f"{why} {rate:.6g} replaces their stamps.") for name, rate in bursts]
     kept: list[Record] = []
     values: list[NDArray[np.float32]] = []
-    moves: list[list[str]] = []
     for record, clock in zip(records, clocks, strict=True):
         try:
             wrench, flags = _moved(record, clock, period)
@@ -61,16 +60,17 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
         record.notes.extend(flags)
         kept.append(record)
         values.append(wrench)
-        moves.append(flags)
     if not kept:
         raise InputError(f"{source} holds no usable recording.{report.first_reason}")
-    report.remarks += _remarks([record.notes for record in kept], moves, period) + still_axes(kept) + at_once(kept)
+    report.remarks += _remarks([note for record in kept for note in record.notes], period)
+    report.remarks += still_axes(kept) + at_once(kept)
     report.remarks += _interpolated(kept)
     report.imported = [record.name for record in kept]
     _words(kept)
     columns = _columns(kept, source, report)
+    marks = [(number, *interval) for number, record in enumerate(kept) for interval in record.intervals]
     recordings = Recordings.from_arrays(
-        values, axes=kept[0].axes, units=kept[0].units, annotations=_annotations(kept), **columns
+        values, axes=kept[0].axes, units=kept[0].units, annotations=Annotations.from_rows(marks), **columns
     )
     return replace(recordings, dt=period)  # exact: the reciprocal of a rate need not be
 
@@ -85,36 +85,34 @@ def _moved(record: Record, clock: conform.Clock, period: float) -> tuple[NDArray
     return wrench, flags
 
 
-def _remarks(notes: list[list[str]], moves: list[list[str]], period: float) -> list[str]:
-    """What was done to several recordings, from the notes of each; ``moves`` are those from moving it to the grid."""
-    found = []
-    if uneven := sum("uneven" in flags for flags in moves):
+def _remarks(notes: list[str], period: float) -> list[str]:
+    """What was done to several recordings, from the notes of all."""
+    found, counts = [], Counter(note.partition(":")[0] for note in notes)
+    if uneven := counts["uneven"]:
         were = plural(uneven, "recording was", "recordings were")
         found.append(f"{were} not sampled evenly and interpolated at {1 / period:.6g} Hz.")
-    if held := sum(note.startswith("held:") for each in notes for note in each):
+    if held := counts["held"]:
         found.append(f"{plural(held, 'log', 'logs')} held each value for several rows; the repeats were left out.")
-    gaps = [float(note.removeprefix("gap:")) for each in notes for note in each if note.startswith("gap:")]
+    gaps = [float(note.removeprefix("gap:")) for note in notes if note.startswith("gap:")]
     if gaps:
         have = plural(len(gaps), "recording has", "recordings have")
         found.append(
             f"{have} times without samples, the longest of {max(gaps):.3g} s; straight lines stand there, which words "
             "describe as if they were measured."
         )
-    if parts := sum(note.startswith("restarts:") for each in notes for note in each):
-        found.append(f"{plural(parts, 'recording is', 'recordings are')} from tables in which the time starts anew.")
-    if parts := sum(note.startswith("again:") for each in notes for note in each):
-        are = plural(parts, "recording is", "recordings are")
-        found.append(f"{are} from tables in which values of the group come again after others; each stretch is one.")
+    origins = {
+        "restarts": "tables in which the time starts anew.",
+        "again": "tables in which values of the group come again after others; each stretch is one.",
+    }
     for encoding, word in WORDS.items():
-        if coded := sum(encoding in each for each in notes):
-            were = plural(coded, "recording is", "recordings are")
-            found.append(
-                f"{were} from a file that is not UTF-8, read as {word}; if names are garbled, save it as UTF-8."
-            )
-    rates = Counter(f"{flag.partition(':')[2]} Hz" for flags in moves for flag in flags if flag.startswith("resampled"))
+        origins[encoding] = f"a file that is not UTF-8, read as {word}; if names are garbled, save it as UTF-8."
+    for note, where in origins.items():
+        if counts[note]:
+            found.append(f"{plural(counts[note], 'recording is', 'recordings are')} from {where}")
+    rates = Counter(f"{note.partition(':')[2]} Hz" for note in notes if note.startswith("resampled:"))
     if rates:
         listed = ", ".join(f"{rate} ({count})" for rate, count in rates.most_common(6))
-        filtered = sum("filtered" in flags for flags in moves)
+        filtered = counts["filtered"]
         low = f"; {filtered} of them low-passed before, at {0.4 / period:.4g} Hz" if filtered else ""
         were = plural(rates.total(), "recording was", "recordings were")
         found.append(f"{were} resampled to {1 / period:.6g} Hz, from {listed}{low}.")
@@ -139,11 +137,6 @@ def _words(records: list[Record]) -> None:
             label = str(record.columns.pop(name))
             if label and not any(track == name for track, *_ in record.intervals):
                 record.intervals.append((name, label, 0.0, record.end))
-
-
-def _annotations(records: list[Record]) -> Annotations:
-    rows = [(number, *interval) for number, record in enumerate(records) for interval in record.intervals]
-    return Annotations.from_rows(rows)
 
 
 def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[str, Any]:

@@ -119,6 +119,8 @@ def units_in(facts: Mapping[str, str | float], columns: Iterable[str]) -> tuple[
     stated: dict[str, list[str]] = {}
     taken = dict[str, str]()  # fact -> name of its columns; "" = none
     for key, fact in facts.items():
+        if "unit" not in key.lower():  # quick: many recordings may share many facts
+            continue
         texts, words = stated_units({"units": fact}), re.split("[./]", key)
         if len(words) > 1 and words[-2].lower() in UNITS:
             taken[key] = words[-1]

@@ -29,8 +29,6 @@ def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
     The header is that of the message, or of its first field that has one. Topics of texts become tracks of annotations:
     a text holds until the next one.
 
-    >>> list(read_bag_tables(Path("run.bag"), "run.bag"))  # doctest: +SKIP
-
     Args:
         path: ``.bag``, ``.mcap``, ``.db3`` or the folder of a ROS 2 bag.
         name: relative to the source.

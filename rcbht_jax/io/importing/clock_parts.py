@@ -90,14 +90,16 @@ def _with_rest(table: Table, bases: dict[str, str]) -> tuple[list[str], NDArray[
         head = match[1] if (match := _HEAD.fullmatch(base)) else "" if base in TIMES else None
         if head is None or values.dtype.kind != "f" or base_and_unit(name)[1] not in ("", "s"):
             continue
-        if not (np.isfinite(values) & (values == np.round(values))).all() or _forwards(values):
+        whole = (np.isfinite(values) & (values == np.round(values))).all()
+        grows = len(values) > 1 and (np.diff(values) > 0).mean() > 0.9  # each recording of a table may begin anew
+        if not whole or grows:
             continue
         finer = _rest(table, bases, head)
         if finer and finer[1] < 9:  # nanoseconds stay apart, where doubles hold them
             rest, digits = finer
-            whole = values + table.columns[rest] / 10.0**digits
-            if (np.diff(whole) >= 0).all():  # else they are parts of a minute
-                return [name, rest], whole
+            times = values + table.columns[rest] / 10.0**digits
+            if (np.diff(times) >= 0).all():  # else they are parts of a minute
+                return [name, rest], times
     return None
 
 
@@ -116,8 +118,3 @@ def _is(table: Table, name: str, form: re.Pattern[str]) -> bool:
     """Whether the first cell of a column of text has a form."""
     values = table.columns[name]
     return values.dtype.kind == "U" and len(values) > 0 and bool(form.fullmatch(str(values[0])))
-
-
-def _forwards(times: NDArray[Any]) -> bool:
-    """Whether nearly all steps go forwards, where each recording of a table may begin anew."""
-    return len(times) > 1 and bool((np.diff(times) > 0).mean() > 0.9)

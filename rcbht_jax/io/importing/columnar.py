@@ -43,35 +43,27 @@ def read_parquet(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares a table too large for it, or pyarrow is missing.
     """
-    with reading(path, "Parquet or Arrow"):
-        columns, rate, units, others = _columns(path)
-    yield Table(name, columns, rate, units, others=others)
-
-
-def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[str, str], tuple[str, ...]]:
-    """Columns that can be imported, the rate where the metadata state it, the unit of those that are times by type.
-
-    The last result are the names of columns of lists that are left out, since their lengths differ.
-    """
-    pa, table = require("pyarrow", "import"), _table(path)
-    rows = (table.schema.metadata or {}).get(b"dt_seconds")
-    while any(pa.types.is_struct(field.type) for field in table.schema):
-        table = table.flatten()
     columns: dict[str, NDArray[Any]] = {}
-    others = list[str]()
-    kinds = {field.name: kind for field in table.schema if (kind := _kind(pa, field.type))}
-    for name, kind in kinds.items():
-        column = table.column(name).combine_chunks()
-        if kind != "list":
-            columns[name] = _array(pa, column, kind)
-        elif (wide := _wide(column)) is not None and len(columns) + wide.shape[1] <= MAX_COLUMNS:
-            columns |= {f"{name}_{number}": wide[:, number] for number in range(wide.shape[1])}
-        else:
-            others.append(name)
-    if not columns or not len(next(iter(columns.values()))):
-        raise InputError(f"{path} has no rows of numbers or text.")
-    seconds = {name: "s" for name, kind in kinds.items() if kind == "time"}
-    return columns, 1 / float(rows) if rows and float(rows) > 0 else None, seconds, tuple(others)
+    others = list[str]()  # of lists of several lengths
+    with reading(path, "Parquet or Arrow"):
+        pa, table = require("pyarrow", "import"), _table(path)
+        step = float((table.schema.metadata or {}).get(b"dt_seconds") or 0)
+        while any(pa.types.is_struct(field.type) for field in table.schema):
+            table = table.flatten()
+        kinds = {field.name: kind for field in table.schema if (kind := _kind(pa, field.type))}
+        for key, kind in kinds.items():
+            column = table.column(key).combine_chunks()
+            if kind != "list":
+                columns[key] = _array(pa, column, kind)
+            elif (wide := _wide(column)) is not None and len(columns) + wide.shape[1] <= MAX_COLUMNS:
+                columns |= {f"{key}_{number}": wide[:, number] for number in range(wide.shape[1])}
+            else:
+                others.append(key)
+        if not columns or not len(next(iter(columns.values()))):
+            raise InputError(f"{path} has no rows of numbers or text.")
+        rate = 1 / step if step > 0 else None
+    units = {key: "s" for key, kind in kinds.items() if kind == "time"}
+    yield Table(name, columns, rate, units, others=tuple(others))
 
 
 def _table(path: Path) -> Any:
@@ -157,8 +149,6 @@ def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
     """A table per episode of a LeRobot data set of version 2 or 3: its frames; names and tasks as facts.
 
     Elements of a feature carry their names where ``meta/info.json`` lists them.
-
-    >>> list(read_lerobot(Path("pusht"), ""))  # doctest: +SKIP
 
     Raises:
         InputError: not such a data set, another version, or a file of it is damaged.

@@ -119,26 +119,6 @@ def _filled(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], lis
     return np.stack(filled, 1), [f"missing:{int(missing.any(1).sum())}"]
 
 
-def from_each_start(time: Float[np.ndarray, " sample"], most: int) -> list[NDArray[np.int64]]:
-    """The samples from each time at which that of a table begins again, each time about where it began first.
-
-    >>> [rows[0].item() for rows in from_each_start(np.tile(np.arange(20) * 0.01, 2), most=9)]
-    [0, 20]
-
-    Args:
-        time: s, of recordings one after the other, each of ``HELD`` samples or more; else all samples are one.
-        most: recordings; all samples are one if there are as many.
-    """
-    every = np.arange(len(time))
-    starts = np.flatnonzero(np.diff(time) < 0) + 1
-    if not 0 < len(starts) < most or not np.isfinite(time).all():
-        return [every]
-    bounds = np.concatenate([[0], starts, [len(time)]])
-    shortest = (time[bounds[1:] - 1] - time[bounds[:-1]]).min()
-    near = np.abs(time[starts] - time[0]) <= 0.1 * shortest
-    return np.split(every, starts) if near.all() and np.diff(bounds).min() >= HELD else [every]
-
-
 def runs(mask: Bool[np.ndarray, " sample"]) -> NDArray[np.int64]:
     """Lengths of the stretches where a mask holds.
 

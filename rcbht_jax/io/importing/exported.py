@@ -162,14 +162,12 @@ def _files(folder: Path, suffix: str, count: int) -> list[Path]:
 
 
 def _check_lengths(folder: Path, table: Columns, lengths: list[int]) -> None:
-    stated = table.get("samples", lengths)
-    wrong = [row for row, (one, other) in enumerate(zip(stated, lengths, strict=True)) if one != other]
-    if wrong:
-        row = wrong[0]
-        raise InputError(
-            f"{folder}: recording {row} has {plural(lengths[row], 'sample')}; the table of trials states "
-            f"{stated[row]}. A file was cut or changed: export again."
-        )
+    for row, (stated, length) in enumerate(zip(table.get("samples", lengths), lengths, strict=True)):
+        if stated != length:
+            raise InputError(
+                f"{folder}: recording {row} has {plural(length, 'sample')}; the table of trials states {stated}. "
+                "A file was cut or changed: export again."
+            )
 
 
 def _types(about: Mapping[str, Any]) -> dict[str, str]:

@@ -97,12 +97,9 @@ class Given:
     def __init__(
         self, intervals: Sequence[Interval], whole: tuple[float, float, float] | None = None, shared: bool = False
     ) -> None:
-        """Take the annotations.
+        """Take the annotations of a file, and of one with several recordings on one clock origin, end and period.
 
-        Args:
-            intervals: of the file.
-            whole: origin, end and period of the file, where it holds several recordings on one clock.
-            shared: the file holds several recordings, without one clock: the annotations are of none.
+        Where these have no clock in common, ``shared``, the annotations are of none.
         """
         self._whole, self._shared, self._intervals, self._doubts = whole, shared, list(intervals), list[str]()
         if whole and intervals:

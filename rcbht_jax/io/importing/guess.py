@@ -18,9 +18,9 @@ from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.cells import two_meanings
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.record import check_columns, rows_of_recordings
+from rcbht_jax.io.importing.rows import filled
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, grows, is_clock, is_stamp, unit_of_times, with_time
-from rcbht_jax.io.importing.topics import filled
 from rcbht_jax.io.importing.words import OUTCOMES, is_outcome
 from rcbht_jax.io.importing.words import text as as_text
 from rcbht_jax.types import STANDARD_COLUMNS
@@ -386,16 +386,13 @@ def _unit_of(table: Table, name: str, axis: str = "") -> str:
 
 def _table(table: Table, mapping: Mapping) -> list[Understood]:
     """A row per column of the table."""
-    roles: dict[str, Understood] = {}
-    for track in mapping.annotations:
-        roles[track.column] = Understood(track.column, f"annotations {track.track}")
-    for name, value in mapping.columns.items():
-        roles[value.column] = Understood(value.column, f"column {name}")
-    for channel in mapping.channels:
-        roles[channel.column] = Understood(channel.column, f"channel {channel.name or channel.column}", channel.unit)
-    roles[mapping.group] = Understood(mapping.group, "group: a recording for each value")
-    roles[mapping.nanoseconds] = Understood(mapping.nanoseconds, "nanoseconds of the time", "ns")
-    roles[mapping.time] = Understood(mapping.time, "time", mapping.time_unit)
-    if not mapping.time:
-        roles.pop("", None)
+    rows = [Understood(track.column, f"annotations {track.track}") for track in mapping.annotations]
+    rows += [Understood(value.column, f"column {name}") for name, value in mapping.columns.items()]
+    rows += [Understood(one.column, f"channel {one.name or one.column}", one.unit) for one in mapping.channels]
+    rows += [
+        Understood(mapping.group, "group: a recording for each value"),
+        Understood(mapping.nanoseconds, "nanoseconds of the time", "ns"),
+        Understood(mapping.time, "time", mapping.time_unit),
+    ]
+    roles = {row.column: row for row in rows if row.column}
     return [roles.get(name, Understood(name, "left out")) for name in table.columns]

@@ -53,10 +53,10 @@ from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Record, Row, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
+from rcbht_jax.io.importing.rows import stand_ins
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
-from rcbht_jax.io.importing.topics import stand_ins
 from rcbht_jax.io.importing.unpacked import plain_name
 from rcbht_jax.io.importing.words import text
 from rcbht_jax.io.importing.zarr_groups import read_zarr

@@ -116,11 +116,7 @@ class _Decoder:
         self._child: subprocess.Popen[bytes] | None = None
 
     def ask(self, path: Path, request: dict[str, Any], seconds: float) -> dict[str, Any]:
-        """The child's answer.
-
-        Raises:
-            InputError: it ended at this file.
-        """
+        """The child's answer; InputError: it ended at this file."""
         with self._lock:
             child = self._child = self._child or _begun()
             assert child.stdin

@@ -16,12 +16,12 @@ from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, parse_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.attributes import UNITS
-from rcbht_jax.io.importing.groups import MAX_GROUPS
 from rcbht_jax.io.importing.isolated import apart
 from rcbht_jax.io.importing.json_lines import Rows
 from rcbht_jax.io.importing.mapping import Track
 from rcbht_jax.io.importing.marks import intervals_of, is_intervals
 from rcbht_jax.io.importing.names import column_name, names_side, wrenches
+from rcbht_jax.io.importing.rows import MAX_GROUPS
 from rcbht_jax.io.importing.table import Interval, Table, scalars_of, tables_of, with_units
 from rcbht_jax.io.importing.trees import Tree, recordings_in
 from rcbht_jax.io.importing.unpacked import opened

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, parse_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.cells import texts
-from rcbht_jax.io.importing.groups import MAX_GROUPS
+from rcbht_jax.io.importing.rows import MAX_GROUPS
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import LETTERS, cut_off
 from rcbht_jax.io.importing.unpacked import opened

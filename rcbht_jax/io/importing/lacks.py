@@ -5,8 +5,8 @@ from __future__ import annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.importing.record import no_column
+from rcbht_jax.io.importing.rows import filled
 from rcbht_jax.io.importing.table import Table
-from rcbht_jax.io.importing.topics import filled
 from rcbht_jax.io.importing.words import OUTCOMES, text, words_of_numbers
 
 

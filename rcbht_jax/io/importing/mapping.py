@@ -203,22 +203,16 @@ def _toml(value: Any) -> str:
 
 def _mapping(content: dict[str, Any]) -> Mapping:
     parts = dict(content)
-    channels = tuple(_entry(Channel, row, "channels") for row in _rows(parts.pop("channels", []), "channels"))
-    tracks = tuple(_entry(Track, row, "annotations") for row in _rows(parts.pop("annotations", []), "annotations"))
+    for what, kind in (("channels", Channel), ("annotations", Track)):
+        if not isinstance(rows := parts.pop(what, []), list):
+            raise InputError(f"{what} is not a list; expected [[{what}]].")
+        parts[what] = tuple(_entry(kind, row, what) for row in rows)
     table = parts.pop("columns", {})
     if not isinstance(table, dict):
         raise InputError("columns is not a table; expected [columns.NAME].")
-    columns = {name: _entry(Value, row, f"columns.{name}") for name, row in table.items()}
-    whole: Mapping = _entry(
-        Mapping, parts | {"channels": channels, "annotations": tracks, "columns": columns}, "the mapping"
-    )
+    parts["columns"] = {name: _entry(Value, row, f"columns.{name}") for name, row in table.items()}
+    whole: Mapping = _entry(Mapping, parts, "the mapping")
     return whole
-
-
-def _rows(value: Any, what: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise InputError(f"{what} is not a list; expected [[{what}]].")
-    return value
 
 
 def _entry(kind: Any, row: Any, where: str) -> Any:

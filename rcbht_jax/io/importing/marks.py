@@ -61,10 +61,12 @@ def is_intervals(columns: Collection[str]) -> bool:
     >>> is_intervals(["t", "event", "length", "Fz"]), is_intervals(["file", "trial_type", "start", "end"])
     (False, False)
     """
-    fields, spans = _fields(columns), _fields(columns, ())
-    plain = {name.lower() for name in columns}
-    whole = {"label", "start"} <= set(spans) and not {"end", "duration"}.isdisjoint(spans)
-    events = {"label", "start"} <= set(fields) and "event" in plain and len(fields) == len(columns)
+    fields = _fields(columns)
+    if not {"label", "start"} <= set(fields):
+        return False
+    plain, spans = {name.lower() for name in columns}, _fields(columns, ())
+    whole = "start" in spans and not {"end", "duration"}.isdisjoint(spans)
+    events = "event" in plain and len(fields) == len(columns)
     return {"label", "start"} <= plain or events or (whole and not wrenches(columns))
 
 
@@ -311,17 +313,16 @@ def track_intervals(
         return list(read[path].get(place, read[path].get(ANY, ())))
     if track.starts:
         return _successive(beside(source, file, track.starts), track)
-    ends, ids = (_lines(beside(source, file, pattern)) for pattern in (track.ends, track.ids))
+    path = beside(source, file, track.ends)
+    ends, ids = _lines(path), _lines(beside(source, file, track.ids))
     if len(ends) != len(ids):
-        raise InputError(
-            f"{beside(source, file, track.ends)} has {plural(len(ends), 'end')} for {plural(len(ids), 'label')}."
-        )
+        raise InputError(f"{path} has {plural(len(ends), 'end')} for {plural(len(ids), 'label')}.")
     try:
         times = [0.0, *map(float, ends)]
         labels = [text(float(one)) if not one.isalpha() else one for one in ids]
         track = of_numbers(track)
     except ValueError:
-        raise InputError(f"{beside(source, file, track.ends)} holds a line that is not a number.") from None
+        raise InputError(f"{path} holds a line that is not a number.") from None
     words = [track.words.get(label, label) for label in labels]
     spans = zip(words, times[:-1], times[1:], strict=True)
     return [(track.track, label, start, end) for label, start, end in spans if label not in track.ignore]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.columns import decoded
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_BYTES, MAX_MEMBERS, check_declared, check_file
 from rcbht_jax.errors import InputError
@@ -75,11 +76,7 @@ def _unpacked(path: Path, head: bytes) -> int:
 
 
 def _flatten(key: str, value: NDArray[Any], into: dict[str, NDArray[Any]], depth: int = 0) -> None:
-    """Fields of structures and elements of cells as arrays alone: STRUCT.FIELD, STRUCT.NUMBER.FIELD, CELL.NUMBER.
-
-    Raises:
-        InputError: there are too many.
-    """
+    """Fields of structures and elements of cells as arrays alone: STRUCT.FIELD, STRUCT.NUMBER.FIELD, CELL.NUMBER."""
     if len(into) > MAX_MEMBERS:
         raise InputError(f"it holds more than {MAX_MEMBERS} arrays; split it.")
     if depth > 8:
@@ -87,8 +84,7 @@ def _flatten(key: str, value: NDArray[Any], into: dict[str, NDArray[Any]], depth
     names = value.dtype.names or ()
     kind_at = "_Class" if "_ObjectMetadata" in names else "s2"  # an object, as scipy shows it from 1.18 on and before
     if kind_at == "_Class" or names[:3] == ("s0", "s1", "s2"):
-        title, kind = (np.asarray(value.reshape(-1)[0][field]).item() for field in (names[0], kind_at))
-        title, kind = (text.decode() if isinstance(text, bytes) else str(text) for text in (title, kind))
+        title, kind = (str(decoded(np.asarray(value.reshape(-1)[0][field]).item())) for field in (names[0], kind_at))
         into[f"{key if key != 'None' else title} ({kind})"] = np.empty((), object)
     elif names:
         records = value.reshape(-1)

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.columns import SECONDS, TIMES, base_and_unit
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import conform, topics
+from rcbht_jax.io.importing import conform
 from rcbht_jax.io.importing.arms import column_of_arms
 from rcbht_jax.io.importing.clock import first_second, no_time, seconds_of
 from rcbht_jax.io.importing.given import Given
-from rcbht_jax.io.importing.groups import MAX_GROUPS, rows_of_groups
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check_bias
 from rcbht_jax.io.importing.names import column_name
+from rcbht_jax.io.importing.rows import filled, from_each_start, rows_of_groups, with_values
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.timing import unit_of_times
 from rcbht_jax.io.importing.words import OUTCOMES, is_outcome, of_numbers, text, words_of_numbers
@@ -117,7 +117,7 @@ def records(
                 if arm
             }
     elif (stamps := _readable_stamps(table, mapping, parts[""])) is not None:
-        several = conform.from_each_start(stamps, MAX_GROUPS)
+        several = from_each_start(stamps)
         if len(several) > 1:
             parts = {str(number): part for number, part in enumerate(several, 1)}
             table = replace(table, notes=(*table.notes, f"restarts:{len(parts) - 1}"))
@@ -145,7 +145,7 @@ def _given(table: Table, mapping: Mapping, parts: dict[str, NDArray[Any]]) -> Gi
     if not table.intervals or len(parts) == 1 or arms:
         return Given(table.intervals)
     try:
-        rows, _, _ = topics.with_values(table, mapping, np.sort(np.concatenate(list(parts.values()))))
+        rows, _, _ = with_values(table, mapping, np.sort(np.concatenate(list(parts.values()))))
         stamps = _stamps(table, mapping, rows)
     except InputError:  # which every recording says
         return Given(table.intervals, shared=True)
@@ -184,7 +184,7 @@ def rows_of_recordings(table: Table, mapping: Mapping) -> list[NDArray[Any]]:
     every = np.arange(len(next(iter(table.columns.values()))))
     numbers = mapping.time in table.columns and table.columns[mapping.time].dtype.kind != "U"
     stamps = _readable_stamps(table, mapping, every) if numbers else None
-    return [every] if stamps is None else conform.from_each_start(stamps, MAX_GROUPS)
+    return [every] if stamps is None else from_each_start(stamps)
 
 
 def _on_clock(table: Table, mapping: Mapping, rows: NDArray[Any], first: float) -> float:
@@ -241,7 +241,7 @@ def _record(
     table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: Row, known_stamps: NDArray[np.float64] | None
 ) -> Record:
     logged = rows
-    rows, raw, padded = topics.with_values(table, mapping, rows)
+    rows, raw, padded = with_values(table, mapping, rows)
     if known_stamps is not None and len(known_stamps) == len(rows):
         stamps = known_stamps  # to read texts again takes long
     else:
@@ -266,8 +266,8 @@ def _record(
         order = order[stamps[order] >= first]
         for track in tracks:
             column = table.columns[track.column]
-            if len(rows) < len(logged) and not topics.filled(column[rows]).any():
-                own = logged[topics.filled(column[logged])]
+            if len(rows) < len(logged) and not filled(column[rows]).any():
+                own = logged[filled(column[logged])]
                 intervals += _of_messages(track, _stamps(table, mapping, own) - first, column[own])
                 continue
             intervals += stretches(track, stamps[order] - first, column[rows][order])
@@ -330,7 +330,7 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
         column = table.columns[source.column][rows]
         words = words if column.dtype.kind == "U" else words_of_numbers(words)
         if source.last:
-            column = column[topics.filled(column)][-1:]
+            column = column[filled(column)][-1:]
         values = {text(value) for value in np.unique(column)} - {""}
         if len(values) > 1:
             return None

@@ -48,11 +48,6 @@ def sidecars_of(source: Path, items: Iterable[Item], others: Iterable[str]) -> S
 
     Numbers, texts and truth values of an object count, those of objects within it, and lists of objects that are
     annotations, with a label and a start. A document that is such a list is a table of annotations.
-
-    Args:
-        source: a folder; a file has no other files beside it.
-        items: the recordings.
-        others: names of the files that are none.
     """
     files: defaultdict[str, list[str]] = defaultdict(list)
     stems: defaultdict[tuple[str, str], list[str]] = defaultdict(list)  # of recordings by folder and stem

@@ -69,12 +69,8 @@ def tables_of(
     >>> list(table.columns), table.rate
     (['wrench_0', 'wrench_1'], 100.0)
 
-    Args:
-        path: the file.
-        name: relative to the source, with the part of the file.
-        arrays: by their names.
-        part: of the file that they are; "" = all of it.
-        shared: names of arrays of several parts, whose numbers separate none.
+    The name is relative to the source and ends with the ``part`` of the file, "" = all of it. Numbers in the names that
+    several parts have, ``shared``, separate none.
 
     Raises:
         InputError: no array has at least two rows, or there are too many columns.

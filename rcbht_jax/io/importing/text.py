@@ -113,13 +113,13 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
     if blank:
         return None
     file.seek(body)
+    lines = io.TextIOWrapper(file, "ascii", newline=None)
     try:
-        lines = io.TextIOWrapper(file, "ascii", newline=None)
         table = np.loadtxt(lines, delimiter=None if delimiter == " " else delimiter, comments=None, ndmin=2)
-        lines.detach()
     except (ValueError, UserWarning):
-        lines.detach()
         return None
+    finally:
+        lines.detach()
     if table.shape[1] != width or not len(table):
         return None
     return [np.ascontiguousarray(column) for column in table.T]

@@ -32,7 +32,7 @@ class Titles:
 
 
 def read_titles(file: BinaryIO, path: Path, encoding: str) -> Titles:
-    """The names of the columns of a table, and where its rows begin.
+    """The names of the columns of a table, which is at its beginning, and where its rows begin.
 
     Names may stand in several lines, as spreadsheets and data frames have them: ``Force,,`` above ``x,y,z``. A line of
     units may follow. Columns without a name are called c0, c1, ... by their place.
@@ -42,11 +42,6 @@ def read_titles(file: BinaryIO, path: Path, encoding: str) -> Titles:
     ...     titles = read_titles(file, Path("a.csv"), "utf-8")
     >>> titles.names
     ['t [s]', 'Force x [N]', 'Force y [N]']
-
-    Args:
-        file: at its beginning.
-        path: for messages.
-        encoding: of the text.
 
     Raises:
         InputError: the file is empty or no text, or has too many columns.
@@ -120,11 +115,7 @@ def _closed(file: BinaryIO, line: bytes) -> bytes:
 
 
 def _delimiter(head: bytes, below: bytes) -> str:
-    """The mark between the cells of a line, that of the next one if both have as many cells then: names have commas.
-
-    >>> _delimiter(b"t, s;Fz, N", b"0,5;1,5"), _delimiter(b"t,Fz", b"0.5,1.5")
-    (';', ',')
-    """
+    """The mark between the cells of a line, that of the next one if both have as many cells then: names have commas."""
     own, other = cells.delimiter_of(head), cells.delimiter_of(below)
     return other if 1 < len(cells.split(head, other)) == len(cells.split(below, other)) else own
 

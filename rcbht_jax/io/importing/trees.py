@@ -137,7 +137,7 @@ def _path(tree: Tree, wrench: bool) -> list[str] | None:
     """
     groups = _with_signals(_groups(tree))
     children = list(groups.values())
-    if len(children) > 1 and not _are_of_one_wrench(groups) and _are_recordings(tree, wrench):
+    if len(children) > 1 and not _are_of_one_wrench(groups) and _are_recordings(tree, groups, wrench):
         return []
     if len(children) == 1:
         key, below = f"{next(iter(groups))}/", _path(children[0], wrench)
@@ -158,8 +158,7 @@ def _are_of_one_wrench(groups: Mapping[str, Tree]) -> bool:
     return len({max((max(one.shape or (0,)) for _, one in leaves(group)), default=0) for group in groups.values()}) == 1
 
 
-def _are_recordings(tree: Tree, wrench: bool) -> bool:
-    groups = _with_signals(_groups(tree))
+def _are_recordings(tree: Tree, groups: Mapping[str, Tree], wrench: bool) -> bool:
     children = list(groups.values())
     if wrench or _one_wrench(children):
         return _one_wrench(children)

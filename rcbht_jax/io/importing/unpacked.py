@@ -35,17 +35,15 @@ def plain_name(name: str) -> str:
 
 @contextmanager
 def opened(path: Path, most: int = MAX_TEXT_BYTES) -> Iterator[BinaryIO]:
-    """The content of a file of text; what is unpacked lies in a temporary file.
+    """The content of a file of text, compressed if its name ends so; what is unpacked lies in a temporary file.
+
+    It may have ``most`` bytes, packed and unpacked.
 
     >>> with gzip.open("run.csv.gz", "wt") as packed:
     ...     _ = packed.write("t,Fz")
     >>> with opened(Path("run.csv.gz")) as file:
     ...     file.read()
     b't,Fz'
-
-    Args:
-        path: a file; if its name ends like a compressed one's, it is one.
-        most: bytes that it may have, packed and unpacked.
 
     Raises:
         InputError: not a regular file, too large, damaged, or it cannot be read.

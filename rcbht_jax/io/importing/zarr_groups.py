@@ -17,8 +17,8 @@ from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_MEMBERS, check_declare
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.attributes import scaled, stated_units, units_of
-from rcbht_jax.io.importing.groups import MAX_GROUPS
 from rcbht_jax.io.importing.isolated import apart, bytes_of
+from rcbht_jax.io.importing.rows import MAX_GROUPS
 from rcbht_jax.io.importing.table import Table, tables_of
 
 ENDS = "episode_ends"  # array of one past the last row of each recording

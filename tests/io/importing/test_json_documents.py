@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.importer import Imported, read_source
+from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.labels import AXES, UNITS
 
 COUNT = 120
@@ -210,3 +212,15 @@ def test_lists_of_true_and_false_are_words_as_in_rows(rows: bool, tmp_path: Path
     content = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)] if rows else columns
     marks = read(tmp_path, content).recordings.annotations
     assert (marks.tracks, marks.names().tolist()) == (("in_contact",), ["false", "true"])
+
+
+def test_facts_of_many_recordings_cost_little(tmp_path: Path) -> None:
+    """Each was parsed as a unit for each recording: 2,000 beside as many recordings took half a minute."""
+    path, spent = tmp_path / "runs.json", []
+    for count in (1, 500):
+        facts = {f"fact{number}": number for number in range(count)}
+        path.write_text(json.dumps({**facts, **{f"trial_{number}": lists(0, 20) for number in range(200)}}))
+        start = process_time()
+        list(read_json_document.__wrapped__(path, path.name))
+        spent.append(process_time() - start)
+    assert spent[1] < 3 * spent[0]
