@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -280,91 +279,6 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     short = [names.axis_name(name) or split_unit(name)[0] for name in rest]
     titles = short if len(set(short)) == len(rest) else rest
     return tuple(Channel(name, title, _unit_of(table, name)) for name, title in zip(rest, titles, strict=True))
-
-
-def more_wrenches(table: Table, mapping: Mapping) -> str:
-    """A remark on wrenches that are not imported; "" = there are none, or the mapping is not of a wrench."""
-    taken = {channel.column for channel in mapping.channels}
-    found = names.wrenches(name for name, values in table.columns.items() if values.dtype.kind != "U")
-    others = [wrench["Fx"] for wrench in found if not taken & set(wrench.values())]
-    own = next((wrench for wrench in found if taken & set(wrench.values())), {})
-    if not own or not others:
-        return ""
-    return (
-        f"{len(found)} wrenches were found, and that of {own['Fx']} was taken; to import that of {some(others)}, name "
-        "its channels with --map. If each is of an arm, list the words that differ there instead: arms = [..., ...]."
-    )
-
-
-def interleaved(table: Table, mapping: Mapping) -> str:
-    """A warning about a column of text that changes with nearly every sample, as names of sensors do; "" = none.
-
-    >>> columns = {"Fz": np.arange(8.0), "sensor": np.array(["left", "right"] * 4)}
-    >>> interleaved(Table("a.csv", columns), Mapping((Channel("Fz"),)))
-    'rows alternate between the values of sensor; if it names sensors, separate them with --group sensor.'
-    """
-    own = {mapping.time, mapping.group, mapping.columns.get("arm", Value()).column}
-    samples = np.isfinite(np.stack([table.columns[channel.column] for channel in mapping.channels], 1)).any(1)
-    for name, column in ((name, column[samples]) for name, column in table.columns.items() if name not in own):
-        if column.dtype.kind != "U" or 2 * (column[1:] != column[:-1]).sum() <= len(column):
-            continue
-        if 1 < len(_distinct(column)) <= len(column) / FEWEST and not are_dates(column) and not is_clock(column):
-            how = f"if it names sensors, separate them with --group {name}."
-            return f"rows alternate between the values of {name}; {how}"
-    return ""
-
-
-def nameless(table: Table, mapping: Mapping) -> str:
-    """A remark on channels that have only the numbers of columns without names; "" = they have names.
-
-    >>> nameless(Table("a.csv", {"c0": np.arange(4.0)}), Mapping((Channel("c0"),)))[:40]
-    'Columns have no names, so nothing says w'
-    """
-    columns = [channel.column for channel in mapping.channels]
-    if not columns or not all(re.fullmatch(r"(?:c|values_)\d+", column) for column in columns):
-        return ""
-    return (
-        "Columns have no names, so nothing says which are axes of a wrench: write the mapping with --write-map, give "
-        "its channels the names Fx ... Mz and their units, and import again with --map."
-    )
-
-
-def as_pose(table: Table, mapping: Mapping) -> str:
-    """A remark on columns that may be torques after those of forces, and are read as a position; "" = there are none.
-
-    >>> table = Table("a.csv", {name: np.zeros(2) for name in ("fx", "fy", "fz", "tx", "ty", "tz", "rx")})
-    >>> as_pose(table, Mapping(tuple(Channel(f"f{axis}", f"F{axis}") for axis in "xyz")))[:45]
-    'tx ... tz are read as a position, since rx fo'
-    """
-    columns = list(table.columns)
-    forces = next((channel.column for channel in mapping.channels if channel.name == "Fz"), "")
-    after = columns[columns.index(forces) + 1 :][:4] if forces and "Mx" not in mapping.axes else []
-    bases = "".join(split_unit(name)[0].lower()[-2:] for name in after)
-    if bases not in ("txtytzrx", "txtytzqx"):
-        return ""
-    how = f"if they are torques, say so in their names, such as {after[0]} [Nm], or in a map."
-    return f"{after[0]} ... {after[2]} are read as a position, since {after[3]} follows; {how}"
-
-
-def one_hot(table: Table) -> list[str]:
-    """A remark on each run of columns of 0 and 1 of which just one is 1 in every row: a label for each.
-
-    >>> columns = {"t": np.arange(4.0), "free": np.array([1.0, 1, 0, 0]), "push": np.array([0.0, 0, 1, 1])}
-    >>> one_hot(Table("a.csv", columns))[0][:57]
-    "'free', 'push' look like labels, of which one is 1 in eac"
-    """
-    flags = {name for name, one in table.columns.items() if one.dtype.kind != "U" and ((one == 0) | (one == 1)).all()}
-    found = []
-    for are_flags, run in groupby(table.columns, flags.__contains__):
-        listed = list(run)
-        if are_flags and len(listed) > 1 and (np.sum([table.columns[name] for name in listed], 0) == 1).all():
-            first = next((name for name in listed if 0 < table.columns[name].sum() < len(table.columns[name])), "")
-            how = (
-                f'[[annotations]] with track = "label", column = "{first}", words = {{"1" = "{first}"}}, ignore = ["0"]'
-            )
-            text = f"{some(listed)} look like labels, of which one is 1 in each row; a map reads each column by {how}."
-            found += [text] if first else []
-    return found
 
 
 def some(texts: Iterable[str]) -> str:

@@ -32,17 +32,7 @@ from rcbht_jax.io.importing.encodings import doubts
 from rcbht_jax.io.importing.exported import attrs_of_export, not_read, read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
 from rcbht_jax.io.importing.given import from_start, possible
-from rcbht_jax.io.importing.guess import (
-    Understood,
-    as_pose,
-    guess,
-    interleaved,
-    more_wrenches,
-    nameless,
-    one_hot,
-    some,
-    stated_words,
-)
+from rcbht_jax.io.importing.guess import Understood, guess, some, stated_words
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
 from rcbht_jax.io.importing.lacks import Lacks
@@ -52,8 +42,8 @@ from rcbht_jax.io.importing.matlab import read_matlab
 from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Record, Row, records
+from rcbht_jax.io.importing.remarks import doubts_on, remarks_on
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
-from rcbht_jax.io.importing.rows import stand_ins
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
@@ -286,17 +276,8 @@ def _understood(
 ) -> Iterator[tuple[Record, Meaning]]:
     """The recordings of a table, and the meaning of its columns."""
     mapping, _ = meaning = guess(table, base)
-    guessed = [] if base.channels else [remark(table, mapping) for remark in (more_wrenches, nameless, as_pose)]
-    hot = [] if base.channels or base.annotations else one_hot(table)
-    lost = {
-        "Arrays of another shape or kind were left out": table.others,
-        "Lines that are no samples were left out": table.lines,
-        "Words in columns of numbers were read as missing values": table.faults,
-    }
-    texts = [*guessed, *(f"{what}: {some(those)}." if those else "" for what, those in lost.items()), *hot]
-    report.remarks += [text for text in texts if text and text not in report.remarks]
-    doubts = interleaved(table, mapping), stand_ins(table, mapping)
-    report.warnings += [(table.name, doubt) for doubt in doubts if doubt]
+    report.remarks += [text for text in remarks_on(table, mapping, base) if text not in report.remarks]
+    report.warnings += [(table.name, doubt) for doubt in doubts_on(table, mapping)]
     for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)

@@ -1,4 +1,4 @@
-"""Rows of a table: which are samples, and which are of one recording; numbers in them that stand for missing values."""
+"""Rows of a table: which are samples, and which are of one recording."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
-from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
 from rcbht_jax.io.importing.mapping import Mapping
@@ -18,9 +17,6 @@ from rcbht_jax.io.importing.words import in_order, text
 
 MAX_GROUPS = 100_000
 Stamps = Callable[[], NDArray[np.float64] | None]  # of all rows, s; None = there are none that can be read
-_USUAL = (999.0, 9999.0, 99999.0, 999999.0, 32768.0)  # of either sign
-_HUGE = 1e15  # no sensor measures as much
-_FAR = 5  # times the largest other value
 
 
 def filled(column: NDArray[Any]) -> NDArray[np.bool_]:
@@ -50,7 +46,7 @@ def with_values(
     ([0, 2, 3, 4], [1.0, 2.0, nan, 3.0], ['between:1'])
     """
     raw = np.stack([table.columns[channel.column][rows] for channel in mapping.channels], 1)
-    raw = _without_stand_ins(raw, mapping)
+    raw = without_stand_ins(raw, mapping)
     known = ~np.isnan(raw).all(1)
     held = int(np.flatnonzero(known).max(initial=-1)) + 1 or len(rows)
     notes = [f"padded:{len(rows) - held}"] if held < len(rows) else []
@@ -75,39 +71,12 @@ def _no_samples(
     return other & ~known
 
 
-def _without_stand_ins(values: NDArray[Any], mapping: Mapping) -> NDArray[Any]:
+def without_stand_ins(values: NDArray[Any], mapping: Mapping) -> NDArray[Any]:
     """The values, NaN for those that a mapping calls missing."""
     if not mapping.missing:
         return values
     missing = np.isclose(values[..., None], mapping.missing, rtol=1e-6, atol=0.0).any(-1)  # a float32 is near
     return np.where(missing, np.nan, values)
-
-
-def stand_ins(table: Table, mapping: Mapping) -> str:
-    """A warning about a number in the channels that may stand for missing values; "" = there is none.
-
-    >>> from rcbht_jax.io.importing.mapping import Channel
-    >>> table = Table("a.csv", {"Fz": np.array([1.5, -9999.0, 2.5])})
-    >>> stand_ins(table, Mapping((Channel("Fz"),)))
-    'Fz is -9999 in 1 sample, far from all others; if this means that values are missing, map it: missing = [-9999].'
-    """
-    for channel in mapping.channels:
-        values = _without_stand_ins(table.columns[channel.column], mapping)
-        if number := _stand_in(values[np.isfinite(values)]):
-            samples = plural(int((values == number).sum()), "sample")
-            why = f"far from all others; if this means that values are missing, map it: missing = [{text(number)}]."
-            return f"{channel.column} is {text(number)} in {samples}, {why}"
-    return ""
-
-
-def _stand_in(values: NDArray[Any]) -> float:
-    """The number among finite values that may stand for missing ones; 0 = there is none."""
-    if not len(values):
-        return 0.0
-    number = float(values[np.abs(values).argmax()])
-    others = np.abs(values[values != number]).max(initial=0.0)
-    named = abs(number) in _USUAL or abs(number) >= _HUGE
-    return number if named and 0 < _FAR * others < abs(number) else 0.0
 
 
 def from_each_start(time: Float[np.ndarray, " sample"]) -> list[NDArray[np.int64]]:
