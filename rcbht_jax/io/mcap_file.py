@@ -49,16 +49,14 @@ class _Chunk(NamedTuple):
 def seal(path: Path) -> None:
     """Write the checksums of a complete MCAP file, which rosbags leaves out."""
     with path.open("rb+") as file:
-        places: list[tuple[int, int]] = []
         for kind, at, length in _records(path, file):
             if kind == CHUNK:
-                places.append((at + 24, zlib.crc32(_chunk(file, at, length).content)))
+                _patch(file, at + 24, zlib.crc32(_chunk(file, at, length).content))
             elif kind == DATA_END:
-                _patch(file, places)
-                _patch(file, [(at, _crc(file, 0, at - _HEAD))])
+                _patch(file, at, _crc(file, 0, at - _HEAD))
             elif kind == FOOTER:
                 (summary,) = _numbers(file, at, "<Q")
-                _patch(file, [(at + 16, _crc(file, summary or at - _HEAD, at + 16))])
+                _patch(file, at + 16, _crc(file, summary or at - _HEAD, at + 16))
 
 
 @contextmanager
@@ -356,8 +354,6 @@ def _crc(file: BinaryIO, start: int, stop: int) -> int:
     return crc
 
 
-def _patch(file: BinaryIO, places: list[tuple[int, int]]) -> None:
-    for at, number in places:
-        file.seek(at)
-        file.write(struct.pack("<I", number))
-    file.flush()
+def _patch(file: BinaryIO, at: int, number: int) -> None:
+    file.seek(at)
+    file.write(struct.pack("<I", number))

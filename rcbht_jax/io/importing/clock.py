@@ -114,12 +114,10 @@ def _amounts(texts: Sequence[str]) -> NDArray[np.float64] | None:
     if not _AMOUNT.match(texts[0]):
         return None
     found = [match.groups() for match in map(_AMOUNT.match, texts) if match]
-    units = [SECONDS.get(UNITS.get(unit.lower(), "")) for _, unit in found]
-    if len(found) < len(texts) or None in units:
+    units = [SECONDS.get(UNITS.get(unit.lower(), ""), 0.0) for _, unit in found]
+    if len(found) < len(texts) or 0.0 in units:
         return None
-    return np.array(
-        [float(number.replace(",", ".")) * (unit or 0) for (number, _), unit in zip(found, units, strict=True)]
-    )
+    return np.array([float(number.replace(",", ".")) for number, _ in found]) * units
 
 
 def _dated(texts: Sequence[str]) -> tuple[NDArray[Any], NDArray[Any]] | None:
@@ -134,10 +132,8 @@ def _dated(texts: Sequence[str]) -> tuple[NDArray[Any], NDArray[Any]] | None:
             return None
         texts = [f"{year}-{month}-{day}T{hour}:{minute}:{second}{rest}{zone}"
                  for year, _, month, day, hour, _, minute, second, rest, zone in found]  # fmt: skip
-    pairs = [_local(text) if ":" in text else (text, 0) for text in texts]
-    return np.array([local for local, _ in pairs], "datetime64[ns]"), np.array(
-        [offset for _, offset in pairs], np.int64
-    )
+    times, offsets = zip(*(_local(text) if ":" in text else (text, 0) for text in texts), strict=True)
+    return np.array(times, "datetime64[ns]"), np.array(offsets, np.int64)
 
 
 def _local(text: str) -> tuple[str, int]:

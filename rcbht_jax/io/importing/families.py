@@ -94,9 +94,7 @@ def numbered(head: str) -> str:
     return group_base(re.split(r"[./]", head.strip("_./ "))[-1]).removesuffix("s")
 
 
-def segments(
-    arrays: Arrays,
-) -> tuple[list[tuple[str, str, float, float]], dict[str, NDArray[Any]]]:
+def segments(arrays: Arrays) -> tuple[list[tuple[str, str, float, float]], dict[str, NDArray[Any]]]:
     """The intervals of groups such as ``segments/0/start``, and the arrays that are left.
 
     An interval is its track, label, start and end (NaN = unknown). Tracks have the names of the groups, without
