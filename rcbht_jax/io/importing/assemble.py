@@ -15,11 +15,11 @@ from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
 from rcbht_jax.io.importing.constants import at_once, still_axes
-from rcbht_jax.io.importing.encodings import WORDS
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.names import GROUPS, column_name
 from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.report import ImportReport
+from rcbht_jax.io.importing.unpacked import ENCODINGS
 from rcbht_jax.io.importing.words import OUTCOMES
 from rcbht_jax.io.importing.words import text as as_text
 from rcbht_jax.io.store import VARIABLES
@@ -104,7 +104,7 @@ def _remarks(notes: list[str], period: float) -> list[str]:
         "restarts": "tables in which the time starts anew.",
         "again": "tables in which values of the group come again after others; each stretch is one.",
     }
-    for encoding, word in WORDS.items():
+    for encoding, word in ENCODINGS.items():
         origins[encoding] = f"a file that is not UTF-8, read as {word}; if names are garbled, save it as UTF-8."
     for note, where in origins.items():
         if counts[note]:

@@ -45,11 +45,7 @@ class Clock:
 def tidy(
     time: Float[np.ndarray, " sample"], values: Float[np.ndarray, "sample axis"]
 ) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, "row axis"], list[str]]:
-    """Samples in order of time, each time once, without missing values; and notes.
-
-    Args:
-        time: s.
-        values: NaN = missing.
+    """Samples in order of time, s, each time once, and without missing values, NaN; and notes.
 
     Raises:
         InputError: a value is infinite, times are missing, run backwards or repeat with other values, fewer than two
@@ -234,16 +230,10 @@ def agrees(one: Clock, period: float) -> bool:
 def on_grid(
     time: Float[np.ndarray, " sample"], values: Float[np.ndarray, "sample axis"], source: Clock, period: float
 ) -> tuple[Float[np.ndarray, "row axis"], list[str]]:
-    """Samples on the steady grid that begins with the first one; and notes.
+    """Finite samples on the steady grid of a period, s, that begins with the first one; and notes.
 
     Evenly spaced samples of the same rate stay as they are. Those of a higher rate lose what the grid cannot hold in a
     filter without delay (Butterworth, forwards and backwards, 0.4 of the new rate), then they are interpolated.
-
-    Args:
-        time: s, increasing.
-        values: finite.
-        source: how they are spaced.
-        period: of the grid, s.
 
     Raises:
         InputError: the grid would have too many samples, or scipy is missing.

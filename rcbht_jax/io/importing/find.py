@@ -58,9 +58,8 @@ def kind_of(name: str, asked: str = "auto") -> str:
 def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
     """What to read of a source, sorted, and the names of other files in it.
 
-    Args:
-        source: a file, or a folder of files in any sub-folders; hidden ones are skipped.
-        kind: one of ``KINDS``; "auto" = by suffix.
+    A source is a file, or a folder of files in any sub-folders; hidden ones are skipped. ``kind`` is one of ``KINDS``;
+    "auto" = by suffix.
 
     Raises:
         InputError: the source is missing, or holds no file of that kind.

@@ -28,26 +28,23 @@ from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.cases import read_blocks, read_ts
 from rcbht_jax.io.importing.clock_parts import with_whole_times
 from rcbht_jax.io.importing.constants import constants_of, describe, without_properties
-from rcbht_jax.io.importing.encodings import doubts
 from rcbht_jax.io.importing.exported import attrs_of_export, not_read, read_export
 from rcbht_jax.io.importing.find import Item, chosen, find, is_export
 from rcbht_jax.io.importing.given import from_start, possible
-from rcbht_jax.io.importing.guess import Understood, guess, some, stated_words
+from rcbht_jax.io.importing.guess import Meaning, Understood, guess, merged, some, stated_words
 from rcbht_jax.io.importing.json_documents import read_json_document
 from rcbht_jax.io.importing.json_lines import read_json_lines
-from rcbht_jax.io.importing.lacks import Lacks
 from rcbht_jax.io.importing.long_form import widened
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value, check
 from rcbht_jax.io.importing.matlab import read_matlab
-from rcbht_jax.io.importing.merged import Meaning, merged
 from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Record, Row, records
-from rcbht_jax.io.importing.remarks import doubts_on, remarks_on
+from rcbht_jax.io.importing.remarks import Lacks, doubts_on, remarks_on
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.sidecars import Sidecars, sidecars_of
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
-from rcbht_jax.io.importing.unpacked import plain_name
+from rcbht_jax.io.importing.unpacked import doubts, plain_name
 from rcbht_jax.io.importing.words import text
 from rcbht_jax.io.importing.zarr_groups import read_zarr
 from rcbht_jax.types import Recordings

@@ -14,7 +14,6 @@ import numpy as np
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import check_inside, read_json
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.encodings import doubts
 from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import some
@@ -24,7 +23,7 @@ from rcbht_jax.io.importing.names import GROUPS, column_name, group_base
 from rcbht_jax.io.importing.record import Record, Row
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
-from rcbht_jax.io.importing.unpacked import opened
+from rcbht_jax.io.importing.unpacked import doubts, opened
 from rcbht_jax.io.importing.words import OUTCOMES, is_outcome, plain_number, text
 from rcbht_jax.types import STANDARD_COLUMNS
 

@@ -15,7 +15,6 @@ from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, read_bytes
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.clock import since_epoch
-from rcbht_jax.io.importing.encodings import doubts
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import some
 from rcbht_jax.io.importing.mapping import Mapping, Track
@@ -24,7 +23,7 @@ from rcbht_jax.io.importing.record import without_arm
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.io.importing.timing import unit_by_size
-from rcbht_jax.io.importing.unpacked import plain_name
+from rcbht_jax.io.importing.unpacked import doubts, plain_name
 from rcbht_jax.io.importing.words import of_numbers, plain_number, text
 
 Marks = dict[int, list[Interval]]  # of one file, by recording; ANY = of any

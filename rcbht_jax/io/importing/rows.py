@@ -101,7 +101,8 @@ def rows_of_groups(table: Table, name: str, stamps: Stamps | None) -> tuple[dict
     """The rows of every value of a column but the empty one, and how often a value comes again as a recording.
 
     Where a value comes again after others, as trials that every session counts anew, each stretch is a recording,
-    ``VALUE-1``, ``VALUE-2``, ..., if its time does not go on from the stretch before.
+    ``VALUE-1``, ``VALUE-2``, ..., if its time does not go on from the stretch before. ``stamps`` gives the times, which
+    are read only then; without it, all rows of a value are one recording.
 
     >>> trial = np.repeat([1.0, 2.0, 1.0, 2.0], 10)
     >>> table = Table("a.csv", {"t": np.tile(np.arange(10.0), 4), "trial": trial})
@@ -110,11 +111,6 @@ def rows_of_groups(table: Table, name: str, stamps: Stamps | None) -> tuple[dict
     ({'1-1': 0, '1-2': 20, '2-1': 10, '2-2': 30}, 2)
     >>> list(rows_of_groups(table, "trial", lambda: np.arange(40.0))[0])
     ['1-1', '1-2', '2-1', '2-2']
-
-    Args:
-        table: of several recordings.
-        name: of the column.
-        stamps: gives the times, which are read only if a value comes again; None = all rows of a value are one.
 
     Raises:
         InputError: the column has more values than files hold recordings.

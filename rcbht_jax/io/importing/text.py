@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import cells
-from rcbht_jax.io.importing.encodings import WORDS, encoding_of
 from rcbht_jax.io.importing.preamble import END_OF_HEADER, stated
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.timing import are_dates, with_one_time
 from rcbht_jax.io.importing.titles import Titles, read_titles
-from rcbht_jax.io.importing.unpacked import line_of, opened
+from rcbht_jax.io.importing.unpacked import ENCODINGS, encoding_of, line_of, opened
 from rcbht_jax.io.importing.words import text
 
 CHUNK = 20_000  # rows that are Python objects at a time
@@ -67,7 +66,7 @@ def read_csv(path: Path, name: str, words: bool = False) -> Iterator[Table]:
         read = fast or _slow(path, file, titles, between, encoding, faults, words)
     notes: tuple[str, ...] = (f"preamble:{len(titles.before)}",) if titles.before else ()
     notes += (f"lines:{between.count}",) if between.count else ()
-    notes += (encoding,) if encoding in WORDS else ()
+    notes += (encoding,) if encoding in ENCODINGS else ()
     pairs = zip(titles.names, read, strict=True)
     columns = {key: part for name, one in pairs for key, part in _elements(name, one).items()}
     if len(columns) > MAX_COLUMNS:
@@ -176,7 +175,7 @@ def _rows(
         except StopIteration:
             return
         except (csv.Error, UnicodeDecodeError) as error:
-            coded = f"it is neither UTF-8 nor {WORDS.get(encoding, 'UTF-16')}; save it as UTF-8"
+            coded = f"it is neither UTF-8 nor {ENCODINGS.get(encoding, 'UTF-16')}; save it as UTF-8"
             reason = coded if isinstance(error, UnicodeDecodeError) else str(error)
             raise InputError(f"{path}, line {number + 1} cannot be read: {reason}.") from None
         number += 1
