@@ -31,8 +31,8 @@ def remarks_on(table: Table, mapping: Mapping, base: Mapping) -> list[str]:
 
     >>> from rcbht_jax.io.importing.mapping import Channel
     >>> table = Table("a.csv", {"c0": np.arange(4.0)}, lines=("mean",))
-    >>> [remark[:44] for remark in remarks_on(table, Mapping((Channel("c0"),)), Mapping())]
-    ['Columns have no names, so nothing says which', 'Lines that are no samples were left out: 'mea']
+    >>> [remark[:40] for remark in remarks_on(table, Mapping((Channel("c0"),)), Mapping())]
+    ['Columns have no names, so nothing says w', 'Lines that are no samples were left out:']
     """
     guessed = [] if base.channels else [find(table, mapping) for find in (_more_wrenches, _nameless, _as_pose)]
     lost = {
