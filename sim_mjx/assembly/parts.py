@@ -105,6 +105,11 @@ def tab_place(index: int) -> tuple[float, float]:
     return aft, left
 
 
+def outward_of(index: int) -> float:
+    """1 where a hook points forward, as the front ones do, -1 where backward."""
+    return 1.0 if index < 2 else -1.0
+
+
 def add_male(spec: mujoco.MjSpec, arm: str, grip: Vector = (0.0, 0.0, 0.0)) -> None:
     """Hang the male part on the tool: four sliding tabs and four feet that meet the seat.
 
@@ -218,7 +223,8 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> F
         joint = model.joint(f"MOUNT_{name}")
         out["jnt_stiffness"][..., joint.id] = params.mount_stiffness[..., axis]
         out["dof_damping"][..., joint.dofadr[0]] = params.mount_damping[..., axis]
-    out["geom_pos"][..., model.geom("SEAT").id, :] = _seat(params)
+    seat = placed(-TAB_SPACING[0] / 2, 0.0, FOOT_HEIGHT - TIP_RADIUS - params.seat_depth - 0.004)
+    out["geom_pos"][..., model.geom("SEAT").id, :] = seat
     out["pair_friction"][..., :2] = np.asarray(params.friction)[..., None, None]
     feet = [model.pair(f"{arm}FOOT_{name}:SEAT").id for name in TABS]
     out["pair_solref"][..., feet, 0] = params.foot_contact[..., :1]
@@ -245,8 +251,7 @@ def _foot(index: int, params: PartParams) -> NDArray[np.float64]:
 
 def _boxes(index: int, params: PartParams) -> dict[str, NDArray[np.float64]]:
     """Places [..., 3] of a slot's lip and blocks in the mount's frame, whose origin is the front tips' first touch."""
-    aft, aside = tab_place(index)
-    outward = 1.0 if index < 2 else -1.0
+    (aft, aside), outward = tab_place(index), outward_of(index)
     overlap = params.hook_overlap[..., index]
     edge = aft + outward * (TIP_RADIUS - overlap)
     # the tips' lowest points touch the lips' edges at the mount's origin height
@@ -259,11 +264,6 @@ def _boxes(index: int, params: PartParams) -> dict[str, NDArray[np.float64]]:
         "BLOCK1": placed(aft, aside - reach, top - BLOCK[2] + gone),
         "BLOCK2": placed(aft, aside + reach, top - BLOCK[2] + gone),
     }
-
-
-def _seat(params: PartParams) -> NDArray[np.float64]:
-    top = FOOT_HEIGHT - TIP_RADIUS - params.seat_depth
-    return placed(-TAB_SPACING[0] / 2, 0.0, top - 0.004)
 
 
 def from_lips(
