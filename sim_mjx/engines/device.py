@@ -123,14 +123,7 @@ class Outcome:
 
 
 def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Rollouts:
-    """Simulate a batch of trials until all have ended, in single precision on JAX's default device.
-
-    Args:
-        scene: what is simulated.
-        params: batch of trials of the scene's program.
-        impl: "jax" or "warp".
-        progress: called with the number of control periods done since the last call, summed over trials.
-    """
+    """As :func:`sim_mjx.engines.simulate`, in single precision on JAX's default device; ``impl`` is "jax" or "warp"."""
     return to_host(run(scene, params, impl, progress=progress))
 
 

@@ -54,10 +54,8 @@ def simulate(
     """Simulate a batch of trials until all have ended.
 
     Args:
-        scene: what is simulated.
-        params: batch of trials of the scene's program.
+        scene, params, progress: as of :func:`sim_mjx.engines.simulate`.
         threads: default one for each core, at most ``THREADS``.
-        progress: called with the number of control periods done since the last call, summed over trials.
         watch: called after the physics of each control period of a thread's trials; see ``Watch``. Calls do not
             overlap; up to ``LANES`` trials are all in one thread and in step.
     """

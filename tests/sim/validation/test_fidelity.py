@@ -215,19 +215,8 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
     fidelity_session = fidelity.session
     monkeypatch.setattr(fidelity, "convergence", counted)
     monkeypatch.setattr(fidelity, "session", few)
-    words = [
-        "fidelity",
-        "-o",
-        str(out),
-        "--recorded",
-        str(hiro_store),
-        "--session",
-        "C",
-        "--trials",
-        "4",
-        "--max-seconds",
-        "0.3",
-    ]
+    options = "--session C --trials 4 --max-seconds 0.3"
+    words = f"fidelity -o {out} --recorded {hiro_store} {options}".split()
     assert main.main(words) == 130
     assert not (out / "report.json").exists()
     assert main.main(words) == 0
