@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from rcbht_jax.types import Array
-from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase, Range, Variation
+from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, FaultOf, Phase, Range, Variation
 from sim_mjx.assemblies.draw import COMMON_FAULTS, uniform, with_mount, with_own
 from sim_mjx.assemblies.fields import MALE, FieldWriter, ball, box, mark, touch
 from sim_mjx.assemblies.pressing import APPROACH, SEARCH, SEARCH_LEANING, PressTask, at_bottom, draw_task, press, rested
@@ -112,16 +112,6 @@ def is_in(local: Float[Array, "*mark 3"]) -> Bool[Array, "*mark"]:
     return (local[..., 2] < HIGHEST - DEPTH) & (abs(local[..., 0]) < 1e-3) & (abs(local[..., 1]) < 1e-3)
 
 
-def _tight(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """The peg is too thick for its hole."""
-    return with_own(trial, clearance=uniform(rng, spec.tight))
-
-
-def _rough(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """Peg and hole are rough: search and insertion take longer; a square peg may jam."""
-    return with_mount(trial, friction=uniform(rng, spec.jam))
-
-
 def _askew(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
     """The peg leans in the hand."""
     angle, lean = uniform(rng, (0.0, 2 * np.pi)), uniform(rng, spec.askew)
@@ -129,12 +119,16 @@ def _askew(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -
     return replace(trial, parts=replace(trial.parts, grip=grip))
 
 
-def _blocked(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """Something lies in the hole."""
-    return with_own(trial, floor=uniform(rng, spec.blocked))
-
-
-FAULTS = {**COMMON_FAULTS, "tight": _tight, "rough": _rough, "askew": _askew, "blocked": _blocked}
+FAULTS: dict[str, FaultOf] = {
+    **COMMON_FAULTS,
+    # the peg is too thick for its hole
+    "tight": lambda trial, spec, rng: with_own(trial, clearance=uniform(rng, spec.tight)),
+    # peg and hole are rough: search and insertion take longer; a square peg may jam
+    "rough": lambda trial, spec, rng: with_mount(trial, friction=uniform(rng, spec.jam)),
+    "askew": _askew,
+    # something lies in the hole
+    "blocked": lambda trial, spec, rng: with_own(trial, floor=uniform(rng, spec.blocked)),
+}
 
 
 def peg(name: str, sides: int, search: Phase, lean: float = 0.0) -> Assembly:

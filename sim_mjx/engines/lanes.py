@@ -83,7 +83,7 @@ class Lanes:
         layout, programs = device.layout_of(self.scene), _programs(jax.default_backend())
         lanes = -(-self.count // device.LANES) * device.LANES
         queue = _Queue(self.scene, iter(batches), ready, self.at_once)
-        if not queue.begun(lanes):
+        if not queue.fill(lanes, lambda: True):  # the first pool has a trial for each lane
             return
         most = lanes + (self.at_once if self.spare is None else self.spare)  # trials that there is room for at least
         pages, table, done = _Pages(), _Table(lanes), _Done(self.at_once)
@@ -269,19 +269,15 @@ class _Queue:
         """Trials of the pool that have not begun."""
         return len(self._trials) - self._next
 
-    def begun(self, lanes: int) -> bool:
-        """Fill the first pool, with one trial for each lane; whether there is any trial."""
-        return self._fill(lanes, lambda: True)
-
     def refilled(self, wait: bool) -> bool:
         """Refill the pool if it is empty, waiting for a batch or not; whether a trial is left in it."""
         if self.left:
             return True
         # always of the same size, so that one program is compiled
-        return (wait or self._rest is not None or self._ready()) and self._fill(self._size, self._ready)
+        return (wait or self._rest is not None or self._ready()) and self.fill(self._size, self._ready)
 
-    def _fill(self, size: int, ready: Callable[[], bool]) -> bool:
-        """Make a new pool of up to ``size`` trials, of one batch and of others as long as they are ``ready``."""
+    def fill(self, size: int, ready: Callable[[], bool]) -> bool:
+        """Make a pool of up to ``size`` trials, of one batch and of others that are ready; whether there is any."""
         pieces, self._trials, self._next = list[Any](), [], 0
         while len(self._trials) < size and (not pieces or self._rest or ready()):
             piece = self._piece(size)

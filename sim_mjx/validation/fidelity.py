@@ -171,8 +171,7 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
     }
     if recorded.placements:
         result["outcomes_as_recorded"] = [sessions.agreement(recorded, run), len(run.length)]
-    known = target.dynamics
-    result |= {"ring": _ring(events), "recorded_ring": None if known is None else _ring(known)}
+    result |= {"ring": _ring(events), "recorded_ring": _ring(target.dynamics)}
     result |= {"snaps": found, "recorded_snaps": target.snaps}
     simulated = sessions.profiles(run)
     result |= {"mated": len(simulated), "gate": {}, "holds": False}
@@ -183,7 +182,7 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
             recorded.gate,
             target.profiles,
             simulated,
-            None if known is None else (known, events),
+            (target.dynamics, events),
             snap_shares(target, found),
             float(np.abs(onset - target.onset).max()),
         )
