@@ -89,7 +89,12 @@ def get_scenario(name: str) -> Scenario:
     (('R', 'L'), ('approach', 'search', 'insertion', 'rest'))
     """
     if halves := _halves(name):
-        return _paired(*halves)
+        assembly, robot = halves
+        if assembly != SNAP:
+            return pair(named(assembly, ASSEMBLIES, Assembly, "assembly"), named(robot, ROBOTS, Robot, "robot"))
+        if robot != HIRO:
+            raise InputError(f"{SNAP} cannot use the robot {robot!r}; expected {HIRO!r}, or another assembly.")
+        name = DEFAULT
     constants = preset(name)
     if isinstance(constants, TwoArmPreset):
         return Scenario(constants, ARMS, two_arm, randomization_two_arm.sample_batch, TWO_ARM_PARAMETERS)
@@ -101,15 +106,6 @@ def _halves(name: str) -> tuple[str, ...]:
     """Assembly and robot of ASSEMBLY@ROBOT, () of another name; a path before the "@" may have one itself."""
     found = re.fullmatch(r"(.*?\.py:[^@]+|[^@]*)@(.*)", name)
     return found.groups() if found else ()
-
-
-def _paired(assembly: str, robot: str) -> Scenario:
-    """An assembly on a robot."""
-    if assembly == SNAP:
-        if robot != HIRO:
-            raise InputError(f"{SNAP} cannot use the robot {robot!r}; expected {HIRO!r}, or another assembly.")
-        return get_scenario(DEFAULT)
-    return pair(named(assembly, ASSEMBLIES, Assembly, "assembly"), named(robot, ROBOTS, Robot, "robot"))
 
 
 @cache

@@ -14,6 +14,7 @@ from sim_mjx.assemblies.draw import COMMON_FAULTS
 from sim_mjx.assemblies.fields import MALE, FieldWriter, ball, box, touch
 from sim_mjx.assemblies.pressing import APPROACH, PULL, REST, PressTask, at_bottom, draw_task, press
 from sim_mjx.assembly.hook import first_touch
+from sim_mjx.assembly.parts import placed
 
 HALF = (5e-3, 8e-3)  # m, of the clip, along and across the direction in which its hook bends
 CORNER = 1.5e-3  # m, radius
@@ -55,8 +56,7 @@ def _write(writer: FieldWriter, own: latch.LatchParts) -> None:
     clearance = np.asarray(own.clearance)[..., None]
     for name, axis, side in WALLS:
         writer.place(f"WALL_{name}", np.array(_wall(axis, side)) + side * clearance * np.eye(3)[axis])
-    up = np.array([0.0, 0.0, 1.0])
-    writer.place("SEAT", -(DEPTH + 0.002) * up + np.asarray(own.seat)[..., None] * up)
+    writer.place("SEAT", placed(0.0, 0.0, np.asarray(own.seat, float) - (DEPTH + 0.002)))
 
 
 def _draw(spec: latch.LatchVariation, rng: np.random.Generator) -> tuple[PressTask, latch.LatchParts]:

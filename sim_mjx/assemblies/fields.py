@@ -99,11 +99,7 @@ class FieldWriter:
             self._field("geom_friction")[..., touching, 0] = np.asarray(sliding)[..., None]
 
     def _row(self, kind: str, name: str) -> Any:
-        """An element of the compiled model.
-
-        Raises:
-            InputError: there is none of that name.
-        """
+        """An element of the compiled model."""
         try:
             return getattr(self._model, kind)(name)
         except KeyError as error:

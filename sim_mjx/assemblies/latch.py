@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import mujoco
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from rcbht_jax.types import Array
-from sim_mjx.assemblies.assembly import AssemblyTrial, FaultOf, Range, Variation
+from sim_mjx.assemblies.assembly import FaultOf, Range, Variation
 from sim_mjx.assemblies.draw import uniform, with_own
 from sim_mjx.assemblies.fields import MARK, FieldWriter, mark
 from sim_mjx.assembly.hook import ARMATURE, Hook, add_lip, add_tab, beam_stiffness, first_touch
@@ -93,29 +92,15 @@ def is_caught(local: Float[Array, "*mark 3"]) -> Bool[Array, "*mark"]:
     return (local[..., 2] < 0.0) & (local[..., 2] > -3e-3) & beneath
 
 
-def _broken(trial: AssemblyTrial, spec: Any, rng: np.random.Generator) -> AssemblyTrial:
-    """The hook's head has broken off."""
-    return with_own(trial, overlap=np.asarray(-1e-3))
-
-
-def _stiff(trial: AssemblyTrial, spec: LatchVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """The hook does not bend, as if its slot were filled."""
-    return with_own(trial, stiffness=trial.parts.own.stiffness * uniform(rng, spec.stiff))
-
-
-def _worn(trial: AssemblyTrial, spec: LatchVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """The hook's edge is worn off: it snaps, but does not hold.
-
-    Where the guides have more play than what is left of the edge, it may slip by beside the lip, which is no pass.
-    """
-    return with_own(trial, overlap=uniform(rng, spec.worn))
-
-
-def _chip(trial: AssemblyTrial, spec: LatchVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """Something lies on the seat."""
-    return with_own(trial, seat=uniform(rng, spec.chip))
-
-
 FAULTS: dict[str, FaultOf] = {
-    "broken-hook": _broken, "stiff-hook": _stiff, "worn-hook": _worn, "chip": _chip,
-}  # fmt: skip
+    # the hook's head has broken off
+    "broken-hook": lambda trial, spec, rng: with_own(trial, overlap=np.asarray(-1e-3)),
+    # the hook does not bend, as if its slot were filled
+    "stiff-hook": lambda trial, spec, rng: with_own(
+        trial, stiffness=trial.parts.own.stiffness * uniform(rng, spec.stiff)
+    ),
+    # the hook's edge is worn off: it snaps, but does not hold, or slips by beside the lip, which is no pass
+    "worn-hook": lambda trial, spec, rng: with_own(trial, overlap=uniform(rng, spec.worn)),
+    # something lies on the seat
+    "chip": lambda trial, spec, rng: with_own(trial, seat=uniform(rng, spec.chip)),
+}

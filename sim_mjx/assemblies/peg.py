@@ -7,7 +7,6 @@ and a floor. A round peg has six spheres per ring in a hole of six walls, a squa
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,20 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from rcbht_jax.types import Array
-from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase, Range, Variation
+from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, FaultOf, Phase, Range, Variation
 from sim_mjx.assemblies.draw import COMMON_FAULTS, uniform, with_mount, with_own
-from sim_mjx.assemblies.fields import FEMALE, MALE, FieldWriter, ball, box, mark, touch
-from sim_mjx.assemblies.pressing import (
-    APPROACH,
-    SEARCH,
-    PressTask,
-    at_bottom,
-    draw_task,
-    found,
-    press,
-    rested,
-    search_leaning,
-)  # fmt: skip
+from sim_mjx.assemblies.fields import MALE, FieldWriter, ball, box, mark, touch
+from sim_mjx.assemblies.pressing import APPROACH, SEARCH, SEARCH_LEANING, PressTask, at_bottom, draw_task, press, rested
+from sim_mjx.assembly.parts import placed
 
 RADIUS, EDGE = 8e-3, 1.5e-3  # m, of the peg, and of its rounded edge
 GUIDE = 13e-3  # m, of the upper ring above the tip
@@ -63,7 +53,7 @@ class PegVariation(Variation):
 def _ring(sides: int) -> list[tuple[float, float]]:
     """Where the spheres of a ring are, as shares of the distance from the axis to a wall."""
     if sides == 4:
-        return [(x, y) for x, y in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))]
+        return [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)]
     angles = 2 * np.pi * np.arange(sides) / sides
     return [(float(np.cos(angle)), float(np.sin(angle))) for angle in angles]
 
@@ -75,51 +65,41 @@ def _walls(sides: int, index: int) -> list[int]:
     return [(index + step) % sides for step in (-1, 0, 1)]
 
 
-def _male(sides: int) -> Callable[[mujoco.MjSpec, mujoco.MjsBody], None]:
-    def add(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        for index, (x, y) in enumerate(_ring(sides)):
-            out = RADIUS - EDGE
-            ball(body, f"EDGE_{index}", (x * out, y * out, EDGE), EDGE)
-            ball(body, f"GUIDE_{index}", (x * out, y * out, GUIDE), EDGE)
-        kind = mujoco.mjtGeom.mjGEOM_BOX if sides == 4 else mujoco.mjtGeom.mjGEOM_CYLINDER
-        size = (RADIUS, RADIUS, 0.02) if sides == 4 else (RADIUS, 0.02, 0.0)
-        body.add_geom(name="PEG", type=kind, size=size, pos=(0.0, 0.0, 0.02 + EDGE), mass=0.05, contype=0,
-                      conaffinity=0, group=2, rgba=MALE)  # fmt: skip
-        mark(body, "PEG_TIP")
-
-    return add
+def _male(sides: int, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+    for index, (x, y) in enumerate(_ring(sides)):
+        out = RADIUS - EDGE
+        ball(body, f"EDGE_{index}", (x * out, y * out, EDGE), EDGE)
+        ball(body, f"GUIDE_{index}", (x * out, y * out, GUIDE), EDGE)
+    kind = mujoco.mjtGeom.mjGEOM_BOX if sides == 4 else mujoco.mjtGeom.mjGEOM_CYLINDER
+    size = (RADIUS, RADIUS, 0.02) if sides == 4 else (RADIUS, 0.02, 0.0)
+    body.add_geom(name="PEG", type=kind, size=size, pos=(0.0, 0.0, 0.02 + EDGE), mass=0.05, contype=0,
+                  conaffinity=0, group=2, rgba=MALE)  # fmt: skip
+    mark(body, "PEG_TIP")
 
 
-def _female(sides: int) -> Callable[[mujoco.MjSpec, mujoco.MjsBody], None]:
-    def add(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        for wall in range(sides):
-            angle = 2 * np.pi * wall / sides
-            far = RADIUS + WALL
-            box(body, f"WALL_{wall}", (far * np.cos(angle), far * np.sin(angle), -DEPTH / 2), (WALL, WALL, DEPTH / 2),
-                angle)  # fmt: skip
-        box(body, "FLOOR", (0.0, 0.0, -DEPTH - 0.002), (0.03, 0.03, 0.002), rgba=FEMALE)
-        mark(body, "HOLE")
-        for index in range(sides):
-            for wall in _walls(sides, index):
-                touch(spec, f"EDGE_{index}", f"WALL_{wall}")
-                if sides == 4 or wall == index:
-                    touch(spec, f"GUIDE_{index}", f"WALL_{wall}")
-            touch(spec, f"EDGE_{index}", "FLOOR")
-
-    return add
+def _female(sides: int, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+    far = RADIUS + WALL
+    for wall in range(sides):
+        angle = 2 * np.pi * wall / sides
+        place = (far * np.cos(angle), far * np.sin(angle), -DEPTH / 2)
+        box(body, f"WALL_{wall}", place, (WALL, WALL, DEPTH / 2), angle)
+    box(body, "FLOOR", (0.0, 0.0, -DEPTH - 0.002), (0.03, 0.03, 0.002))
+    mark(body, "HOLE")
+    for index in range(sides):
+        for wall in _walls(sides, index):
+            touch(spec, f"EDGE_{index}", f"WALL_{wall}")
+            if sides == 4 or wall == index:
+                touch(spec, f"GUIDE_{index}", f"WALL_{wall}")
+        touch(spec, f"EDGE_{index}", "FLOOR")
 
 
-def _write(sides: int) -> Callable[[FieldWriter, PegParts], None]:
-    def write(writer: FieldWriter, own: PegParts) -> None:
-        clearance = np.asarray(own.clearance)
-        far, height = RADIUS + WALL + clearance, np.full_like(clearance, -DEPTH / 2)
-        for wall in range(sides):
-            angle = 2 * np.pi * wall / sides
-            writer.place(f"WALL_{wall}", np.stack([far * np.cos(angle), far * np.sin(angle), height], -1))
-        nothing = np.zeros_like(clearance)
-        writer.place("FLOOR", np.stack([nothing, nothing, own.floor - DEPTH - 0.002], -1))
-
-    return write
+def _write(sides: int, writer: FieldWriter, own: PegParts) -> None:
+    clearance = np.asarray(own.clearance)
+    far = RADIUS + WALL + clearance
+    for wall in range(sides):
+        angle = 2 * np.pi * wall / sides
+        writer.place(f"WALL_{wall}", placed(far * np.cos(angle), far * np.sin(angle), -DEPTH / 2))
+    writer.place("FLOOR", placed(0.0, 0.0, own.floor - DEPTH - 0.002))
 
 
 def _draw(lean: float, spec: PegVariation, rng: np.random.Generator) -> tuple[PressTask, PegParts]:
@@ -132,16 +112,6 @@ def is_in(local: Float[Array, "*mark 3"]) -> Bool[Array, "*mark"]:
     return (local[..., 2] < HIGHEST - DEPTH) & (abs(local[..., 0]) < 1e-3) & (abs(local[..., 1]) < 1e-3)
 
 
-def _tight(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """The peg is too thick for its hole."""
-    return with_own(trial, clearance=uniform(rng, spec.tight))
-
-
-def _rough(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """Peg and hole are rough: search and insertion take longer; a square peg may jam."""
-    return with_mount(trial, friction=uniform(rng, spec.jam))
-
-
 def _askew(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
     """The peg leans in the hand."""
     angle, lean = uniform(rng, (0.0, 2 * np.pi)), uniform(rng, spec.askew)
@@ -149,12 +119,16 @@ def _askew(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -
     return replace(trial, parts=replace(trial.parts, grip=grip))
 
 
-def _blocked(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """Something lies in the hole."""
-    return with_own(trial, floor=uniform(rng, spec.blocked))
-
-
-FAULTS = {**COMMON_FAULTS, "tight": _tight, "rough": _rough, "askew": _askew, "blocked": _blocked}
+FAULTS: dict[str, FaultOf] = {
+    **COMMON_FAULTS,
+    # the peg is too thick for its hole
+    "tight": lambda trial, spec, rng: with_own(trial, clearance=uniform(rng, spec.tight)),
+    # peg and hole are rough: search and insertion take longer; a square peg may jam
+    "rough": lambda trial, spec, rng: with_mount(trial, friction=uniform(rng, spec.jam)),
+    "askew": _askew,
+    # something lies in the hole
+    "blocked": lambda trial, spec, rng: with_own(trial, floor=uniform(rng, spec.blocked)),
+}
 
 
 def peg(name: str, sides: int, search: Phase, lean: float = 0.0) -> Assembly:
@@ -167,10 +141,10 @@ def peg(name: str, sides: int, search: Phase, lean: float = 0.0) -> Assembly:
     """
     phases = (APPROACH, search, Phase("insertion", press, at_bottom), Phase("rest", press, rested))
     return Assembly(
-        name, _male(sides), _female(sides), _write(sides), phases, partial(_draw, lean), (("PEG_TIP", "HOLE"),), is_in,
-        FAULTS, PegVariation, timeout=14.0, reach=0.12, start=0.015,
+        name, partial(_male, sides), partial(_female, sides), partial(_write, sides), phases, partial(_draw, lean),
+        (("PEG_TIP", "HOLE"),), is_in, FAULTS, PegVariation, timeout=14.0, reach=0.12, start=0.015,
     )  # fmt: skip
 
 
 ROUND = peg("peg-in-hole", 6, SEARCH)
-SQUARE = peg("square-peg", 4, Phase("search", search_leaning, found), lean=0.03)
+SQUARE = peg("square-peg", 4, SEARCH_LEANING, lean=0.03)

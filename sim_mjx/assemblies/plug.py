@@ -17,6 +17,7 @@ from sim_mjx.assemblies.draw import COMMON_FAULTS
 from sim_mjx.assemblies.fields import MALE, FieldWriter, ball, box, touch
 from sim_mjx.assemblies.pressing import APPROACH, PULL, REST, SEARCH, PressTask, at_bottom, draw_task, press
 from sim_mjx.assembly.hook import first_touch
+from sim_mjx.assembly.parts import placed
 
 PIN, APART, SHAFT = 2.5e-3, 10e-3, 8e-3  # m: radius, from the middle to a pin's axis, shaft's sphere above the end
 LEAD = 7e-3  # m, of the pins into the socket when the hook meets its lip
@@ -71,10 +72,10 @@ def _female(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
 
 def _write(writer: FieldWriter, own: latch.LatchParts) -> None:
     latch.write(writer, own)
-    clearance, up = np.asarray(own.clearance)[..., None], np.array([0.0, 0.0, 1.0])
+    clearance = np.asarray(own.clearance)[..., None]
     for name, (place, _, outward) in WALLS.items():
         writer.place(f"WALL_{name}", np.array(place) + clearance * np.array(outward))
-    writer.place("FLOOR", -(DEPTH + 0.002) * up + np.asarray(own.seat)[..., None] * up)
+    writer.place("FLOOR", placed(0.0, 0.0, np.asarray(own.seat, float) - (DEPTH + 0.002)))
 
 
 def _draw(spec: PlugVariation, rng: np.random.Generator) -> tuple[PressTask, latch.LatchParts]:

@@ -79,14 +79,17 @@ def touched(sense: Sense, task: PressTask) -> Bool[Array, ""]:
 
 def search(sense: Sense, task: PressTask) -> Twist:
     """Move along a spiral, pressing down, compliant in no other direction."""
-    pressed = admittance(sense, upward(task.press), task.gain) * jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    return pressed + spiral(sense, task.pitch, task.search_speed) + keep_turn(sense)
+    return _pressed_along(sense, task) + keep_turn(sense)
 
 
 def search_leaning(sense: Sense, task: PressTask) -> Twist:
     """As :func:`search`, with the hand leaning in a direction that rotates once per second; see :func:`tilt`."""
+    return _pressed_along(sense, task) + tilt(sense, task.lean, 1.0)
+
+
+def _pressed_along(sense: Sense, task: PressTask) -> Twist:
     pressed = admittance(sense, upward(task.press), task.gain) * jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    return pressed + spiral(sense, task.pitch, task.search_speed) + tilt(sense, task.lean, 1.0)
+    return pressed + spiral(sense, task.pitch, task.search_speed)
 
 
 def found(sense: Sense, task: PressTask) -> Bool[Array, ""]:
@@ -125,4 +128,5 @@ def rested(sense: Sense, task: PressTask) -> Bool[Array, ""]:
 
 
 APPROACH, SEARCH = Phase("approach", approach, touched), Phase("search", search, found)
+SEARCH_LEANING = Phase("search", search_leaning, found)
 PULL, REST = Phase("pull", pull, pulled), Phase("rest", let_go, rested)

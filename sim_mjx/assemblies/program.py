@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Float, Int
 
 from rcbht_jax.types import Array
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial
@@ -15,10 +16,11 @@ from sim_mjx.assembly import sensor
 from sim_mjx.assembly.controllers import Wrench
 from sim_mjx.assembly.rollout import LogRow, Program
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorState
-from sim_mjx.assembly.task import CONTROL_PERIOD, periods
+from sim_mjx.assembly.task import CONTROL_PERIOD, periods, starts
 from sim_mjx.controllers import Sense, resolved_rates
 from sim_mjx.robots.chain import Angles, Rotation, SerialChain, Vector, pose, rotation_vector, times
 
+HOME, TIMEOUT = attrgetter("home"), attrgetter("timeout")  # the same objects for all programs, which are compared
 UPRIGHT = np.diag([1.0, -1.0, -1.0]).astype(np.float32)  # the wrist's axes in the world, its z axis pointing down
 
 
@@ -46,7 +48,7 @@ class Controller:
     def program(self) -> Program:
         """The functions that engines call."""
         ended = len(self.assembly.phases)
-        return Program(self.begin, self.control, _home, _timeout, ended, onsets)
+        return Program(self.begin, self.control, HOME, TIMEOUT, ended, starts)
 
     def begin(self, params: AssemblyTrial, raw: Wrench) -> Loop:
         """State before the first period; ``raw`` is the first sensor reading, wrist frame."""
@@ -81,10 +83,8 @@ class Controller:
         return after, between, LogRow(wrench, joints, loop.phase)
 
     def _tip(self, params: AssemblyTrial, joints: Angles) -> tuple[Vector, Vector]:
-        """Place of the tip from the mouth's assumed place, m, and the hand's turn from upright, rad.
-
-        How the part sits in the hand is unknown to a controller.
-        """
+        """Place of the tip from the mouth's assumed place, m, and the hand's turn from upright, rad."""
+        # how the part sits in the hand is unknown to a controller
         place, rotation = pose(self.chain, joints)
         turn = rotation_vector(times(rotation, jnp.asarray(UPRIGHT).T))
         return place - self.mouth - params.hand, turn
@@ -100,20 +100,3 @@ class Controller:
 
 def _seconds(ticks: Int[Array, ""], like: Array) -> Float[Array, ""]:
     return ticks.astype(like.dtype) * CONTROL_PERIOD
-
-
-def _home(params: AssemblyTrial) -> Array:
-    return params.home
-
-
-def _timeout(params: AssemblyTrial) -> Array:
-    return params.timeout
-
-
-def onsets(entered: Int[np.ndarray, "*batch phase"]) -> Float64[np.ndarray, "*batch phase"]:
-    """Starts of the phases in seconds; NaN for a phase never reached.
-
-    Args:
-        entered: control periods at which the phases began, -1 = never.
-    """
-    return np.where(entered >= 0, entered * CONTROL_PERIOD, np.nan)

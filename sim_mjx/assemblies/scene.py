@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache, partial
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,8 +16,8 @@ from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, Parts
 from sim_mjx.assemblies.fields import FieldWriter
 from sim_mjx.assemblies.program import UPRIGHT, Controller
-from sim_mjx.assembly.parts import MOUNT, MOUNT_MASS, Fields, add_mount
-from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, set_solver, with_tabs
+from sim_mjx.assembly.parts import MOUNT, MOUNT_MASS, Fields, add_mount, placed
+from sim_mjx.assembly.scene import Scene, compiled, set_solver
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.own_code import own_code
 from sim_mjx.robots.chain import serial_chain
@@ -27,46 +29,33 @@ SEARCH_STEPS, STEP, CLOSE = 500, 0.2, 1e-6  # of the search for home; most rad p
 HOLD, HELD = 80, 1e-3  # control periods in which the tip must stay at home; m
 
 
-def scene(
-    assembly: Assembly,
-    robot: Robot,
-    substeps: int = 0,
-    iterations: int = ITERATIONS,
-    ls_iterations: int = LS_ITERATIONS,
-) -> Scene:
+def scene(assembly: Assembly, robot: Robot, substeps: int = 0, **solver: Any) -> Scene:
     """The scene of an assembly on an arm.
 
     Args:
         assembly: the parts and their controller. robot: the arm.
         substeps: physics steps per control period of 5 ms; 0 = the assembly's own.
-        iterations: of the constraint solver. ls_iterations: of its line search.
+        solver: settings of ``sim_mjx.assembly.scene.set_solver``.
 
     Raises:
         InputError: MuJoCo cannot make a model of robot and parts, or a mark is missing.
-    """  # fmt: skip
+    """
     steps = substeps or assembly.substeps
     spec, _ = _compiled(assembly, robot)
-    set_solver(spec, steps, iterations, ls_iterations)
+    set_solver(spec, steps, **solver)
     for name in (name for pair in assembly.marks for name in pair):
         if spec.geom(name) is None:
             raise InputError(f"The assembly has no geom {name!r}, which its marks name.")
+    program, fields = controller(assembly, robot).program(), partial(_fields, assembly, np.asarray(robot.place))
     with _compiling(assembly, robot):
-        model, tips, marks, places = with_tabs(spec, assembly.marks)
+        made = compiled(spec, program, robot.joints, (FORCE,), assembly.marks, fields, steps)
     # MuJoCo would skip place and turn of a geom compiled in its body's frame, which a trial may change
-    model.geom_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-    joints = np.array([model.joint(name).qposadr[0] for name in robot.joints], np.int32)
-    forces = np.array([model.sensor(FORCE).adr[0]], np.int32)
-    program = controller(assembly, robot).program()
-    write = partial(_fields, model, assembly, np.asarray(robot.place))
-    return Scene(model, program, joints, forces, tips, marks, places, write, steps, assembly.seated, 0.0)
+    made.model.geom_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    return replace(made, seated=assembly.seated, past=0.0)
 
 
 def _compiled(assembly: Assembly, robot: Robot) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """The scene's elements, and the model that they make.
-
-    Raises:
-        InputError: MuJoCo cannot make a model of robot and parts, or the parts have actuators.
-    """
+    """The scene's elements, and the model that they make."""
     with _compiling(assembly, robot):
         spec = _elements(assembly, robot)
         model = spec.compile()
@@ -101,12 +90,11 @@ def _elements(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
     return spec
 
 
-def _fields(model: mujoco.MjModel, assembly: Assembly, place: Float64[np.ndarray, " 3"], parts: Parts) -> Fields:
+def _fields(assembly: Assembly, place: Float64[np.ndarray, " 3"], model: mujoco.MjModel, parts: Parts) -> Fields:
     mount = parts.mount
     writer = FieldWriter(model, np.shape(mount.turn))
     half = np.asarray(mount.turn) / 2
-    nothing = np.zeros_like(half)
-    writer.body(MOUNT, place + mount.position, np.stack([np.cos(half), nothing, nothing, np.sin(half)], -1))
+    writer.body(MOUNT, place + mount.position, placed(np.cos(half), 0.0, 0.0, np.sin(half)))
     grip = np.asarray(parts.grip)
     writer.body(MALE, np.broadcast_to(writer.nominal("body_pos", "body", MALE), grip.shape), _held(grip))
     for axis, name in enumerate("XYZ"):

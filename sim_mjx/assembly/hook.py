@@ -151,9 +151,8 @@ def lip_boxes(hook: Hook) -> dict[str, Box]:
     for name, angle, up in (("LEAD", hook.lead_angle, 1.0), ("BACK", hook.retention_angle, -1.0)):
         along = np.array([np.sin(angle), 0.0, up * np.cos(angle)])
         normal = np.array([-np.cos(angle), 0.0, up * np.sin(angle)])
-        depth = (
-            DEPTH if hook.blunt else hook.edge / (2 * np.sin(angle))
-        )  # a thicker one would stand out on the other side
+        # a thicker one would stand out on the other side
+        depth = DEPTH if hook.blunt else hook.edge / (2 * np.sin(angle))
         corner = np.array([0.0, 0.0, hook.edge if up > 0 else 0.0])
         turn, matrix = np.zeros(4), np.stack([along, np.cross(normal, along), normal], axis=1)
         mujoco.mju_mat2Quat(turn, matrix.ravel())

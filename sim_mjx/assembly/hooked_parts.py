@@ -85,7 +85,7 @@ def add_female(spec: mujoco.MjSpec, arm: str) -> None:
     parts.add_female(spec, arm)
     mount = spec.body("MOUNT")
     for index, name in enumerate(TABS):
-        place, outward = (*tab_place(index), -DEEPEST), _outward(index)
+        place, outward = (*tab_place(index), -DEEPEST), parts.outward_of(index)
         parts.add_box(mount, f"BACK_{name}", (1e-3, 1e-3, 1e-3), place)
         parts.add_box(mount, f"EDGE_{name}", (1e-4, 1e-4, 1e-4), place)
         spec.geom(f"EDGE_{name}").quat = facing(outward)
@@ -107,7 +107,7 @@ def model_fields(model: mujoco.MjModel, params: HookedParams, arm: str = "R") ->
         geoms |= {f"{arm}TIP_{name}": _tip(index, params), f"{arm}STOP_{name}": _stop(index, params)}
         for geom, place in geoms.items():
             out["geom_pos"][..., model.geom(geom).id, :] = place
-        out["geom_pos"][..., model.geom(f"{arm}FOOT_{name}").id, 2] -= _outward(index) * params.foot_reach
+        out["geom_pos"][..., model.geom(f"{arm}FOOT_{name}").id, 2] -= parts.outward_of(index) * params.foot_reach
         least, lip = params.lip_impedance[..., index], model.pair(f"{arm}TIP_{name}:LIP_{name}").id
         # under load a third of the compliance is left, as in the nominal hook
         out["pair_solimp"][..., lip, :2] = placed(least, 1 - (1 - least) / 3)
@@ -136,27 +136,22 @@ def _turned(params: HookedParams) -> NDArray[np.float64]:
     return placed(cos * level, cos * x - sin * y, cos * y + sin * x, sin * level)
 
 
-def _outward(index: int) -> float:
-    """1 where the hook points forward, as the front ones do, -1 where backward."""
-    return 1.0 if index < 2 else -1.0
-
-
 def _tip(index: int, params: HookedParams) -> NDArray[np.float64]:
     """Place of a tip [..., 3] in its tab's frame, x up the hand and z backwards."""
-    return placed(params.tab_cut[..., index] - ROOT, 0.0, _outward(index) * params.hook_wear[..., index])
+    return placed(params.tab_cut[..., index] - ROOT, 0.0, parts.outward_of(index) * params.hook_wear[..., index])
 
 
 def _stop(index: int, params: HookedParams) -> NDArray[np.float64]:
     """Place [..., 3] in the wrist's frame of the stop that holds the hand once a hook is beneath its lip."""
     aft, left = tab_place(index)
     behind = params.hook_overlap[..., index] + params.stop_play + STOP_RADIUS - HOOK.tip_radius
-    back = -TAB_SPACING[0] / 2 - aft + _outward(index) * behind
+    back = -TAB_SPACING[0] / 2 - aft + parts.outward_of(index) * behind
     return placed(TIP_HEIGHT + STOP_HEIGHT + params.tab_cut[..., index], left, back)
 
 
 def _boxes(index: int, params: HookedParams) -> dict[str, NDArray[np.float64]]:
     """Places [..., 3] of a slot's boxes in the mount's frame, whose origin is the front tips' first touch."""
-    (aft, aside), outward = tab_place(index), _outward(index)
+    (aft, aside), outward = tab_place(index), parts.outward_of(index)
     overlap = params.hook_overlap[..., index]
     edge = aft + outward * (HOOK.tip_radius - overlap)
     # the centre of a whole tip is at the mount's origin height when it meets the lead-in

@@ -11,7 +11,6 @@ centre of pressure, which visits the four corners.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
@@ -81,21 +80,17 @@ def check(params: PartParams) -> None:
         InputError: a value is not finite or out of its range.
     """
     values = {field.name: np.asarray(getattr(params, field.name)) for field in fields(params)}
-    _each(values, np.isfinite, "holds a value that is not a finite number")
-    _each({name: values[name] for name in params.positive}, lambda numbers: numbers > 0, "must be positive")
-    if (np.asarray(params.hook_overlap) >= params.widest).any():
+    for name, one in values.items():
+        if not np.isfinite(one).all():
+            raise InputError(f"The part's {name} holds a value that is not a finite number.")
+    for name in params.positive:
+        if not (values[name] > 0).all():
+            raise InputError(f"The part's {name} must be positive.")
+    if (values["hook_overlap"] >= params.widest).any():
         largest = 1e3 * float(np.max(params.hook_overlap))
         raise InputError(
             f"The part's hook_overlap is {largest:g} mm; its tab passes a lip of less than {params.widest * 1e3:g} mm."
         )
-
-
-def _each(values: dict[str, NDArray[Any]], holds: Callable[[NDArray[Any]], NDArray[np.bool_]], complaint: str) -> None:
-    """Raise an error for the first wrong field; all are tested at once, because every trial is checked."""
-    if holds(np.concatenate([one.ravel() for one in values.values()])).all():
-        return
-    name = next(name for name, one in values.items() if not holds(one).all())
-    raise InputError(f"The part's {name} {complaint}.")
 
 
 def tab_place(index: int) -> tuple[float, float]:
@@ -103,6 +98,11 @@ def tab_place(index: int) -> tuple[float, float]:
     aft = -TAB_SPACING[0] if index >= 2 else 0.0
     left = TAB_SPACING[1] / 2 * (1 if index % 2 else -1)
     return aft, left
+
+
+def outward_of(index: int) -> float:
+    """1 where a hook points forward, as the front ones do, -1 where backward."""
+    return 1.0 if index < 2 else -1.0
 
 
 def add_male(spec: mujoco.MjSpec, arm: str, grip: Vector = (0.0, 0.0, 0.0)) -> None:
@@ -218,7 +218,8 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> F
         joint = model.joint(f"MOUNT_{name}")
         out["jnt_stiffness"][..., joint.id] = params.mount_stiffness[..., axis]
         out["dof_damping"][..., joint.dofadr[0]] = params.mount_damping[..., axis]
-    out["geom_pos"][..., model.geom("SEAT").id, :] = _seat(params)
+    seat = placed(-TAB_SPACING[0] / 2, 0.0, FOOT_HEIGHT - TIP_RADIUS - params.seat_depth - 0.004)
+    out["geom_pos"][..., model.geom("SEAT").id, :] = seat
     out["pair_friction"][..., :2] = np.asarray(params.friction)[..., None, None]
     feet = [model.pair(f"{arm}FOOT_{name}:SEAT").id for name in TABS]
     out["pair_solref"][..., feet, 0] = params.foot_contact[..., :1]
@@ -245,8 +246,7 @@ def _foot(index: int, params: PartParams) -> NDArray[np.float64]:
 
 def _boxes(index: int, params: PartParams) -> dict[str, NDArray[np.float64]]:
     """Places [..., 3] of a slot's lip and blocks in the mount's frame, whose origin is the front tips' first touch."""
-    aft, aside = tab_place(index)
-    outward = 1.0 if index < 2 else -1.0
+    (aft, aside), outward = tab_place(index), outward_of(index)
     overlap = params.hook_overlap[..., index]
     edge = aft + outward * (TIP_RADIUS - overlap)
     # the tips' lowest points touch the lips' edges at the mount's origin height
@@ -259,11 +259,6 @@ def _boxes(index: int, params: PartParams) -> dict[str, NDArray[np.float64]]:
         "BLOCK1": placed(aft, aside - reach, top - BLOCK[2] + gone),
         "BLOCK2": placed(aft, aside + reach, top - BLOCK[2] + gone),
     }
-
-
-def _seat(params: PartParams) -> NDArray[np.float64]:
-    top = FOOT_HEIGHT - TIP_RADIUS - params.seat_depth
-    return placed(-TAB_SPACING[0] / 2, 0.0, top - 0.004)
 
 
 def from_lips(

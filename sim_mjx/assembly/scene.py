@@ -18,7 +18,6 @@ from sim_mjx.assembly.robot import new_robot
 from sim_mjx.assembly.rollout import ONE_ARM, Program
 from sim_mjx.assembly.task import CONTROL_PERIOD
 
-Ids = Int32[np.ndarray, " tab"]
 SUBSTEPS = 2  # physics steps per control period
 HOOK_SUBSTEPS = 8  # hooks let go within milliseconds: with 4, half the step moves the fall by 4 N at the median
 ITERATIONS, LS_ITERATIONS = 30, 20  # the wrench is only right when the solver has converged; 10 was not enough
@@ -50,59 +49,55 @@ class Scene:
         return np.searchsorted(self.model.jnt_qposadr, self.joints)
 
 
-def one_arm(
-    substeps: int = SUBSTEPS,
-    iterations: int = ITERATIONS,
-    ls_iterations: int = LS_ITERATIONS,
-    impratio: float = IMPRATIO,
-) -> Scene:
+def one_arm(substeps: int = SUBSTEPS, **solver: Any) -> Scene:
     """Right arm, male part in the hand, female part on its mount.
 
     Args:
         substeps: physics steps per control period of 5 ms.
-        iterations: of the constraint solver. ls_iterations: of its line search.
-        impratio: MuJoCo's ratio of frictional to normal impedance; the larger, the slower a resting contact
-            creeps under a tangential force.
+        solver: settings of :func:`set_solver`.
     """
     spec = new_robot(("R",))
     parts.add_male(spec, "R")
     parts.add_female(spec, "R")
-    set_solver(spec, substeps, iterations, ls_iterations, impratio)
-    return _compiled(spec, "LIP_", parts.model_fields, substeps)
+    set_solver(spec, substeps, **solver)
+    return compiled_arms(spec, ONE_ARM, "R", "LIP", parts.model_fields, substeps)
 
 
-def hooked(
-    substeps: int = HOOK_SUBSTEPS,
-    iterations: int = ITERATIONS,
-    ls_iterations: int = LS_ITERATIONS,
-    impratio: float = IMPRATIO,
-) -> Scene:
+def hooked(substeps: int = HOOK_SUBSTEPS, **solver: Any) -> Scene:
     """The same with hooks that catch; arguments of :func:`one_arm`."""
     spec = new_robot(("R",))
     hooked_parts.add_male(spec, "R")
     hooked_parts.add_female(spec, "R")
-    set_solver(spec, substeps, iterations, ls_iterations, impratio)
-    scene = _compiled(spec, "EDGE_", hooked_parts.model_fields, substeps)
+    set_solver(spec, substeps, **solver)
+    scene = compiled_arms(spec, ONE_ARM, "R", "EDGE", hooked_parts.model_fields, substeps)
     return replace(scene, seated=hooked_parts.caught, past=0.0)
 
 
-def _compiled(spec: mujoco.MjSpec, lips: str, fields: Callable[..., Fields], substeps: int) -> Scene:
-    """The scene of one arm; ``lips`` begins the names of the geoms that mark the lips."""
-    model, tips, marks, places = with_tabs(spec, [(f"RTIP_{tab}", f"{lips}{tab}") for tab in parts.TABS])
-    joints = np.array([model.joint(f"RARM_JOINT{i}").qposadr[0] for i in range(6)], np.int32)
-    forces = np.array([model.sensor("RARM_FORCE").adr[0]], np.int32)
-    return Scene(model, ONE_ARM, joints, forces, tips, marks, places, partial(fields, model), substeps)
+def compiled_arms(
+    spec: mujoco.MjSpec, program: Program, arms: Sequence[str], lips: str, fields: Callable[..., Fields], substeps: int
+) -> Scene:
+    """The scene of HIRO's arms; ``lips`` begins the names of the geoms that mark the lips; see :func:`compiled`."""
+    joints, forces = [f"{arm}ARM_JOINT{i}" for arm in arms for i in range(6)], [f"{arm}ARM_FORCE" for arm in arms]
+    pairs = [(f"RTIP_{tab}", f"{lips}_{tab}") for tab in parts.TABS]
+    return compiled(spec, program, joints, forces, pairs, fields, substeps)
 
 
-def with_tabs(spec: mujoco.MjSpec, pairs: Sequence[tuple[str, str]]) -> tuple[mujoco.MjModel, Ids, Ids, Ids]:
-    """The compiled model, with sensors of the tips' places.
+def compiled(
+    spec: mujoco.MjSpec,
+    program: Program,
+    joints: Sequence[str],
+    forces: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    fields: Callable[..., Fields],
+    substeps: int,
+) -> Scene:
+    """A scene of elements by their names, with sensors of the tips' places.
 
     Args:
-        spec: of the scene.
-        pairs: names of the geoms of tip and lip of each tab.
-
-    Returns:
-        the model, and as in :class:`Scene` the tips, the lips and the addresses of the tips' places.
+        spec: of the scene. program: what runs between its physics steps.
+        joints: of the robot. forces: force sensors of the wrists.
+        pairs: geoms of tip and lip of each tab.
+        fields: of the model, by model and parts. substeps: physics steps per control period.
     """
     geom = mujoco.mjtObj.mjOBJ_GEOM
     for number, (tip, lip) in enumerate(pairs):
@@ -111,15 +106,32 @@ def with_tabs(spec: mujoco.MjSpec, pairs: Sequence[tuple[str, str]]) -> tuple[mu
             refname=lip,
         )  # fmt: skip
     model = spec.compile()
-    tips, lips = (np.array([model.geom(pair[i]).id for pair in pairs], np.int32) for i in (0, 1))
-    places = np.array([model.sensor(f"PLACE_{number}").adr[0] for number in range(len(pairs))], np.int32)
-    return model, tips, lips, places
+    numbers = (
+        [model.joint(name).qposadr[0] for name in joints],
+        [model.sensor(name).adr[0] for name in forces],
+        *([model.geom(name).id for name in names] for names in zip(*pairs, strict=True)),
+        [model.sensor(f"PLACE_{number}").adr[0] for number in range(len(pairs))],
+    )
+    angles, sensors, tips, lips, places = (np.array(one, np.int32) for one in numbers)
+    return Scene(model, program, angles, sensors, tips, lips, places, partial(fields, model), substeps)
 
 
 def set_solver(
-    spec: mujoco.MjSpec, substeps: int, iterations: int, ls_iterations: int, impratio: float = IMPRATIO
+    spec: mujoco.MjSpec,
+    substeps: int,
+    iterations: int = ITERATIONS,
+    ls_iterations: int = LS_ITERATIONS,
+    impratio: float = IMPRATIO,
 ) -> None:
-    """Time step and solver of every scene; arguments as of :func:`one_arm`."""
+    """Time step and solver of every scene.
+
+    Args:
+        spec: of the scene.
+        substeps: physics steps per control period of 5 ms.
+        iterations: of the constraint solver. ls_iterations: of its line search.
+        impratio: MuJoCo's ratio of frictional to normal impedance; the larger, the slower a resting contact
+            creeps under a tangential force.
+    """
     spec.option.timestep = CONTROL_PERIOD / substeps
     spec.option.iterations, spec.option.ls_iterations = iterations, ls_iterations
     spec.option.impratio = impratio

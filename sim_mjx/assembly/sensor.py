@@ -74,7 +74,7 @@ def required(field: str, values: Any) -> str:
 
 def begin(params: SensorParams, first: Wrench) -> SensorState:
     """State after the first raw reading, wrist frame, about the wrist point."""
-    first = jnp.concatenate([first[:3], first[3:] - jnp.cross(params.reference, first[:3])])
+    first = _about_reference(params, first)
     return SensorState(jnp.zeros_like(first), jnp.broadcast_to(first, (LONGEST_DELAY, 6)), first)
 
 
@@ -112,9 +112,12 @@ def read_exactly(
 
 
 def _remembered(params: SensorParams, state: SensorState, raw: Wrench) -> Float[Array, "delay 6"]:
-    """The buffer with a new reading, whose moment is about the sensor's reference."""
-    moment = raw[3:] - jnp.cross(params.reference, raw[:3])
-    return jnp.concatenate([jnp.concatenate([raw[:3], moment])[None], state.buffer[:-1]])
+    """The buffer with a new reading."""
+    return jnp.concatenate([_about_reference(params, raw)[None], state.buffer[:-1]])
+
+
+def _about_reference(params: SensorParams, raw: Wrench) -> Wrench:
+    return jnp.concatenate([raw[:3], raw[3:] - jnp.cross(params.reference, raw[:3])])
 
 
 def _filtered(

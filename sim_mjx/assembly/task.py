@@ -149,10 +149,18 @@ def _command(params: TaskParams, state: TaskState, phase: Array, wrench: Array, 
 
 
 def onsets(entered: Int[np.ndarray, "*batch phase"]) -> Float64[np.ndarray, "*batch 4"]:
-    """Start of approach, rotation, insertion and mating in seconds; NaN for a state never reached.
+    """Start of approach, rotation, insertion and mating in seconds, of which pre-mating is a part of insertion.
 
     Args:
-        entered: control periods, of the final state, on the host, -1 = never; pre-mating counts as insertion.
+        entered: as of :func:`starts`.
     """
-    marks = entered[..., [APPROACH, ROTATION, INSERTION, MATING]].astype(np.float64)
-    return np.where(marks >= 0, marks * CONTROL_PERIOD, np.nan)
+    return starts(entered[..., [APPROACH, ROTATION, INSERTION, MATING]])
+
+
+def starts(entered: Int[np.ndarray, "*batch phase"]) -> Float64[np.ndarray, "*batch phase"]:
+    """Starts of phases in seconds; NaN for a phase never reached.
+
+    Args:
+        entered: control periods at which the phases began, on the host, -1 = never.
+    """
+    return np.where(entered >= 0, entered * CONTROL_PERIOD, np.nan)

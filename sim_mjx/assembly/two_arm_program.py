@@ -75,18 +75,7 @@ def begin(params: TwoArmParams, raw: Float[Array, " 12"]) -> TwoArmLoop:
 def control(
     params: TwoArmParams, loop: TwoArmLoop, joints: Float[Array, " 12"], raw: Float[Array, " 12"]
 ) -> tuple[TwoArmLoop, Float[Array, "2 12"], LogRow]:
-    """One control period.
-
-    Args:
-        params: one trial.
-        loop: before.
-        joints: measured angles, rad, right and left.
-        raw: force and moment of the parts on the hands, right and left, each in its wrist's frame.
-
-    Returns:
-        the loop after it, the two servo references between which the next physics steps interpolate, and the log
-        row, with wrenches in the wrists' frames.
-    """
+    """One control period; see :func:`sim_mjx.assembly.rollout.control`. Wrenches are logged in the wrists' frames."""
     noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (13,), raw.dtype)
     identity = jnp.eye(3, dtype=raw.dtype)
     # the recorded rigid contact chatters, on both wrists at once; ours is elastic and does not

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from sim_mjx.assembly import parts
 from sim_mjx.assembly.parts import Fields, PartParams
 from sim_mjx.assembly.robot import new_robot
-from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, SUBSTEPS, Scene, set_solver, with_tabs
+from sim_mjx.assembly.scene import SUBSTEPS, Scene, compiled_arms, set_solver
 from sim_mjx.assembly.two_arm_program import TWO_ARM
 
 ARMS = ("R", "L")
@@ -26,24 +26,13 @@ mujoco.mju_mat2Quat(UNROLLED, TURN.ravel())
 mujoco.mju_mulQuat(ROLLED, UNROLLED, np.array([0.0, 0.0, 0.0, 1.0]))
 
 
-def two_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iterations: int = LS_ITERATIONS) -> Scene:
-    """Both arms, male part in the right hand, female part in the left.
-
-    Args:
-        substeps: physics steps per control period of 5 ms.
-        iterations: of the constraint solver. ls_iterations: of its line search.
-    """
+def two_arm(substeps: int = SUBSTEPS, **solver: Any) -> Scene:
+    """Both arms, male part in the right hand, female part in the left; arguments of ``scene.one_arm``."""
     spec = new_robot(ARMS)
     parts.add_male(spec, "R", GRIP)
     parts.add_female(spec, "R", spec.body("LARM_TOOL"), FIRST_TOUCH, UNROLLED)
-    set_solver(spec, substeps, iterations, ls_iterations)
-    model, tips, lips, places = with_tabs(spec, [(f"RTIP_{tab}", f"LIP_{tab}") for tab in parts.TABS])
-    joints = [model.joint(f"{arm}ARM_JOINT{i}").qposadr[0] for arm in ARMS for i in range(6)]
-    forces = [model.sensor(f"{arm}ARM_FORCE").adr[0] for arm in ARMS]
-    return Scene(
-        model, TWO_ARM, np.array(joints, np.int32), np.array(forces, np.int32), tips, lips, places,
-        partial(model_fields, model), substeps,
-    )  # fmt: skip
+    set_solver(spec, substeps, **solver)
+    return compiled_arms(spec, TWO_ARM, ARMS, "LIP", model_fields, substeps)
 
 
 def model_fields(model: mujoco.MjModel, params: PartParams) -> Fields:

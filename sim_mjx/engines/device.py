@@ -123,14 +123,7 @@ class Outcome:
 
 
 def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Rollouts:
-    """Simulate a batch of trials until all have ended, in single precision on JAX's default device.
-
-    Args:
-        scene: what is simulated.
-        params: batch of trials of the scene's program.
-        impl: "jax" or "warp".
-        progress: called with the number of control periods done since the last call, summed over trials.
-    """
+    """As :func:`sim_mjx.engines.simulate`, in single precision on JAX's default device; ``impl`` is "jax" or "warp"."""
     return to_host(run(scene, params, impl, progress=progress))
 
 
@@ -218,7 +211,8 @@ def most_contacts(model: mujoco.MjModel) -> tuple[int, int]:
     >>> most_contacts(mujoco.MjModel.from_xml_string("<mujoco/>"))
     (0, 0)
     """
-    touching = [(pair, int(model.pair_dim[row])) for row, pair in enumerate(_named_pairs(model))] + _other_pairs(model)
+    pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+    touching = [*zip(pairs, model.pair_dim.tolist(), strict=True), *_other_pairs(model)]
     elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     contacts = rows = 0
     for pair, dim in touching:
@@ -228,10 +222,6 @@ def most_contacts(model: mujoco.MjModel) -> tuple[int, int]:
     rows += int(model.jnt_limited.sum() + model.tendon_limited.sum())
     rows += int((model.dof_frictionloss > 0).sum() + (model.tendon_frictionloss > 0).sum())
     return contacts, rows + sum(EQUALITY_ROWS.get(mujoco.mjtEq(kind), 1) for kind in model.eq_type)
-
-
-def _named_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    return list(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True))
 
 
 def _other_pairs(model: mujoco.MjModel) -> list[tuple[tuple[int, int], int]]:
@@ -284,11 +274,7 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
 
 
 def _substeps(layout: Layout, fixed: Fixed, body: Any, ctrl: Callable[[Array], Array]) -> tuple[Any, Array]:
-    """The physics steps of a control period; sensors are read in the last one.
-
-    Returns:
-        the bodies after it, and which tabs were past their lips at its beginning [trial, tab].
-    """
+    """The bodies after a control period, sensors read in its last step, and tabs past their lips at its beginning."""
     shares = jnp.arange(1, layout.substeps + 1, dtype=jnp.float32) / layout.substeps
     if fixed.model.impl == mjx.Impl.JAX:  # a second kind of step would take another minute to compile
         moved, past = jax.lax.scan(lambda at, share: _step(layout, fixed, at, ctrl(share)), body, shares)

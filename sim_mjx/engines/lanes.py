@@ -83,7 +83,7 @@ class Lanes:
         layout, programs = device.layout_of(self.scene), _programs(jax.default_backend())
         lanes = -(-self.count // device.LANES) * device.LANES
         queue = _Queue(self.scene, iter(batches), ready, self.at_once)
-        if not queue.begun(lanes):
+        if not queue.fill(lanes, lambda: True):  # the first pool has a trial for each lane
             return
         most = lanes + (self.at_once if self.spare is None else self.spare)  # trials that there is room for at least
         pages, table, done = _Pages(), _Table(lanes), _Done(self.at_once)
@@ -109,7 +109,7 @@ class Lanes:
                 state, log = programs.stretch(layout, fixed, state)
                 if pages.count < most * queue.blocks:
                     pages.grow(most * queue.blocks)
-                    logs = _empty(log, pages.count) if logs is None else _longer(logs, pages.count)
+                    logs = _with_room(logs, log, pages.count)
                 assert logs is not None
                 logs = programs.write(logs, log, table.turn(pages, queue.blocks))
                 # explicit: the only copy to the host
@@ -233,14 +233,11 @@ class _Done:
         self._ended.setdefault(one.trial[0], []).append(one)
 
     def take(self, sizes: dict[Hashable, int], short: bool, last: bool) -> list[_Ended]:
-        """Up to ``at_once`` trials to take out, of complete batches.
-
-        There are none while fewer than ``at_once`` are complete, unless room is ``short`` or these are the ``last``.
-        If room is short and no batch is complete, they are those of the fullest batch.
-        """
+        """Up to ``at_once`` trials to take out, of complete batches, or if room is short of the fullest one."""
         complete = [key for key, ended in self._ended.items() if len(ended) == sizes[key]]
         if not complete and short and self._ended:
             complete = [max(self._ended, key=lambda key: len(self._ended[key]))]
+        # none while fewer than ``at_once`` are complete
         if not short and not last and sum(len(self._ended[key]) for key in complete) < self._at_once:
             return []
         ready = list[_Ended]()
@@ -272,22 +269,15 @@ class _Queue:
         """Trials of the pool that have not begun."""
         return len(self._trials) - self._next
 
-    def begun(self, lanes: int) -> bool:
-        """Fill the first pool, with one trial for each lane; whether there is any trial."""
-        return self._fill(lanes, lambda: True)
-
-    def refilled(self, wait: bool = True) -> bool:
-        """Refill the pool if it is empty; whether a trial is left in it.
-
-        The pool always has the same size, so that one program is compiled. It takes the batches that are available
-        without waiting, and waits for one if ``wait``.
-        """
+    def refilled(self, wait: bool) -> bool:
+        """Refill the pool if it is empty, waiting for a batch or not; whether a trial is left in it."""
         if self.left:
             return True
-        return (wait or self._rest is not None or self._ready()) and self._fill(self._size, self._ready)
+        # always of the same size, so that one program is compiled
+        return (wait or self._rest is not None or self._ready()) and self.fill(self._size, self._ready)
 
-    def _fill(self, size: int, ready: Callable[[], bool]) -> bool:
-        """Make a new pool of up to ``size`` trials, of one batch and of others as long as they are ``ready``."""
+    def fill(self, size: int, ready: Callable[[], bool]) -> bool:
+        """Make a pool of up to ``size`` trials, of one batch and of others that are ready; whether there is any."""
         pieces, self._trials, self._next = list[Any](), [], 0
         while len(self._trials) < size and (not pieces or self._rest or ready()):
             piece = self._piece(size)
@@ -369,12 +359,10 @@ def _ended(program: Program, log: Log) -> tuple[Array, Array]:
     return log.phase[-1] == program.ended, (log.phase < program.ended).sum(0, dtype=jnp.int32)
 
 
-def _empty(log: Log, pages: int) -> Log:
-    return jax.tree.map(lambda leaf: jnp.zeros((pages, device.STRETCH, *leaf.shape[2:]), leaf.dtype), log)
-
-
-def _longer(logs: Log, pages: int) -> Log:
-    """The logs with room for longer trials."""
+def _with_room(logs: Log | None, log: Log, pages: int) -> Log:
+    """The logs, none before the first stretch, with room for so many pages like those of a stretch."""
+    if logs is None:
+        logs = jax.tree.map(lambda leaf: jnp.zeros((0, device.STRETCH, *leaf.shape[2:]), leaf.dtype), log)
     return jax.tree.map(lambda leaf: jnp.pad(leaf, [(0, pages - len(leaf)), *[(0, 0)] * (leaf.ndim - 1)]), logs)
 
 

@@ -14,15 +14,14 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int, Int32
+from jaxtyping import Bool, Float64, Int
 from mujoco import rollout as mj_rollout
 from numpy.typing import NDArray
 
@@ -55,10 +54,8 @@ def simulate(
     """Simulate a batch of trials until all have ended.
 
     Args:
-        scene: what is simulated.
-        params: batch of trials of the scene's program.
+        scene, params, progress: as of :func:`sim_mjx.engines.simulate`.
         threads: default one for each core, at most ``THREADS``.
-        progress: called with the number of control periods done since the last call, summed over trials.
         watch: called after the physics of each control period of a thread's trials; see ``Watch``. Calls do not
             overlap; up to ``LANES`` trials are all in one thread and in step.
     """
@@ -74,29 +71,23 @@ def simulate(
     return _gathered([run for runs in done for run in runs], scene.program)
 
 
-@dataclass(frozen=True)
-class _Run:
+class _Run(NamedTuple):
     """One trial as it was logged, up to and including the period in which it had ended."""
 
     trial: int
-    wrench: Float32[np.ndarray, "time reading"]
-    joints: Float32[np.ndarray, "time joint"]
-    phase: Int32[np.ndarray, " time"]
-    past: Bool[np.ndarray, "time tab"]
+    columns: list[NDArray[Any]]  # wrench, joints, phase, past [period, ...]
 
 
 def _gathered(runs: list[_Run], program: Program) -> Rollouts:
     """Trials in their order, padded to the longest."""
     runs = sorted(runs, key=lambda run: run.trial)
-    periods = max(len(run.phase) for run in runs)
-    wrench = np.zeros((len(runs), periods, runs[0].wrench.shape[1]), np.float32)
-    joints = np.zeros((len(runs), periods, runs[0].joints.shape[1]), np.float32)
-    phase = np.full((len(runs), periods), program.ended, np.int32)
-    past = np.zeros((len(runs), periods, runs[0].past.shape[1]), np.bool_)
-    for row, run in enumerate(runs):
-        for whole, own in ((wrench, run.wrench), (joints, run.joints), (phase, run.phase), (past, run.past)):
-            whole[row, : len(own)] = own
-    return collect(wrench, joints, phase, past, program)
+    periods, whole = max(len(run.columns[0]) for run in runs), []
+    for column, blank in enumerate((0, 0, program.ended, False)):
+        own = [run.columns[column] for run in runs]
+        whole.append(np.full((len(runs), periods, *own[0].shape[1:]), blank, own[0].dtype))
+        for row, rows in enumerate(own):
+            whole[-1][row, : len(rows)] = rows
+    return collect(whole[0], whole[1], whole[2], whole[3], program)
 
 
 class _Job:
@@ -190,7 +181,7 @@ class _Lanes:
             mujoco.mj_setState(self.models[lane], self.data, self.state[lane], STATE)
             mujoco.mj_kinematics(self.models[lane], self.data)
             logs[-1][-1] = seated_tabs(self.job.scene, self.data)  # no step has followed
-            out.append(_Run(int(self.trial[lane]), *logs))
+            out.append(_Run(int(self.trial[lane]), logs))
             self.trial[lane] = -1
         return out
 

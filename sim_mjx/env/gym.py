@@ -42,11 +42,7 @@ class _WithoutPictures:
     """What both kinds of environments have in common."""
 
     def render(self) -> NoReturn:
-        """Refused: there are no pictures.
-
-        Raises:
-            InputError: always.
-        """
+        """Refused with an InputError: there are no pictures."""
         raise InputError('Environments draw no pictures; "rcbht view" shows trials of a store.')
 
 
@@ -208,11 +204,7 @@ def _final(obs: Floats, infos: dict[str, Any], ended: Bools) -> dict[str, Any]:
 
 
 def _mode(mode: Any) -> Any:
-    """Gymnasium's mode, or its name.
-
-    Raises:
-        InputError: there is no such mode.
-    """
+    """Gymnasium's mode, which may be given by its name."""
     try:
         return AutoresetMode(mode)
     except ValueError as error:
@@ -221,11 +213,7 @@ def _mode(mode: Any) -> Any:
 
 
 def _mask(options: dict[str, Any] | None, count: int) -> Bools | None:
-    """Where a reset begins an episode; None = everywhere.
-
-    Raises:
-        InputError: it is no array of bool [count], or true nowhere.
-    """
+    """Where a reset begins an episode; None = everywhere."""
     if not options or options.get("reset_mask") is None:
         return None
     mask = np.asarray(options["reset_mask"])
@@ -235,11 +223,7 @@ def _mask(options: dict[str, Any] | None, count: int) -> Bools | None:
 
 
 def _keys(seed: Seeds, present: Any) -> Any:
-    """The keys of environments ``[num_envs]``, of one seed or of one each; None in a list = the present one.
-
-    Raises:
-        InputError: a negative seed, none at all, or another number of seeds.
-    """
+    """The keys of environments ``[num_envs]``, of one seed or of one each; None in a list = the present one."""
     if not isinstance(seed, Sequence | np.ndarray):
         return jax.random.split(_key(seed), len(present))
     if len(seed) != len(present):
@@ -248,11 +232,7 @@ def _keys(seed: Seeds, present: Any) -> Any:
 
 
 def _key(seed: Any) -> Any:
-    """The key of a seed of any size, whose lowest 32 bits JAX would take alone.
-
-    Raises:
-        InputError: it is negative or no whole number.
-    """
+    """The key of a seed of any size, whose lowest 32 bits JAX would take alone."""
     if not whole(seed, 0):
         raise InputError(f"seed is {seed!r}; expected a whole number, zero or more.")
     rest, low = divmod(int(seed), 2**32)

@@ -90,11 +90,7 @@ class MjxPhysics:
         return (data if isinstance(body, mjx.Data) else device.body_of(data)), glance
 
     def enter(self, body: Body) -> Any:
-        if self.model.impl == mjx.Impl.JAX:
-            return body
-        return self.empty.replace(
-            qpos=body.qpos, qvel=body.qvel, qacc_warmstart=body.qacc_warmstart, sensordata=body.sensordata
-        )
+        return body if self.model.impl == mjx.Impl.JAX else self.empty.replace(**vars(body))
 
     def leave(self, body: Any) -> Body:
         return device.body_of(body) if isinstance(body, mjx.Data) else body

@@ -121,39 +121,32 @@ def _joined(group: list[tuple[str, float]]) -> str:
 
 
 def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Drawing, Drawing]:
-    """Draw arms and parts at one moment: one arm from the robot's right, two from above."""
+    """Draw arms and parts at one moment: one arm from the robot's right, two from above.
+
+    Of an assembly other than the camera's, the whole arm, and the parts cut open, both from the side.
+    """
     index = min(round(seconds / replay.dt), len(replay.qpos) - 1)
+    one = replay.of_parts or all(not replay.model.body(i).name.startswith("LARM") for i in range(replay.model.nbody))
     if replay.of_parts:
-        return _parts_and_arm(pair, replay, index)
-    one = all(not replay.model.body(i).name.startswith("LARM") for i in range(replay.model.nbody))
+        options: list[dict[str, Any]] = [{"marks": replay.marks}, {"marks": replay.marks, "cut_at": "MOUNT"}]
+    else:
+        options = [{"missing": replay.missing}] * 2
     view = SIDE if one else ABOVE
-    far, close = (Drawing(ax, replay.model, view, missing=replay.missing) for ax in pair)
-    for drawing in (far, close):
+    drawings = [Drawing(ax, replay.model, view, **each) for ax, each in zip(pair, options, strict=True)]
+    for ax, drawing in zip(pair, drawings, strict=True):
         drawing.show(replay.qpos[index], replay.past[index])
+        ax.set(xticks=[], yticks=[])
+    far, close = drawings
     x, y = far.place("MOUNT")
-    _look_at(pair[0], *((0.16, y + 0.22, 0.27) if one else (0.2, 0.0, 0.33)))
-    _look_for(pair[1], close.tips(), *((x - 0.02, y + 0.018, 0.034) if one else (x - 0.02, y - 0.015, 0.035)))
-    for ax in pair:
-        ax.set(xticks=[], yticks=[])
-        for spine in ax.spines.values():
-            spine.set_color("0.75")
+    if replay.of_parts:
+        _look_for(pair[0], far.arm(), x / 2, y + 0.25, 0.42)
+        _look_for(pair[1], close.tips(), x, y + 0.021, 0.042)
+    else:
+        for ax in pair:
+            ax.spines[:].set_color("0.75")
+        _look_at(pair[0], *((0.16, y + 0.22, 0.27) if one else (0.2, 0.0, 0.33)))
+        _look_for(pair[1], close.tips(), *((x - 0.02, y + 0.018, 0.034) if one else (x - 0.02, y - 0.015, 0.035)))
     return far, close
-
-
-def _parts_and_arm(pair: tuple[Axes, Axes], replay: Replay, index: int) -> tuple[Drawing, Drawing]:
-    """Any assembly: the whole arm, and the parts cut open, both from the side."""
-    whole, cut = (
-        Drawing(ax, replay.model, SIDE, cut_at, marks=replay.marks)
-        for ax, cut_at in zip(pair, ("", "MOUNT"), strict=True)
-    )
-    for drawing in (whole, cut):
-        drawing.show(replay.qpos[index], replay.past[index])
-    x, y = cut.place("MOUNT")
-    _look_for(pair[0], whole.arm(), x / 2, y + 0.25, 0.42)
-    _look_for(pair[1], cut.tips(), x, y + 0.021, 0.042)
-    for ax in pair:
-        ax.set(xticks=[], yticks=[])
-    return whole, cut
 
 
 def _look_for(ax: Axes, places: Float64[np.ndarray, "place 2"], x: float, y: float, half: float) -> None:
@@ -181,16 +174,13 @@ def trial_tabs(ax: Axes, replay: Replay) -> None:
         style = TAB_STYLES[tab] if tab < len(TAB_STYLES) else "dotted"
         label = f"{name} (missing)" if gone else name
         ax.plot(times, height, color=color, linestyle=style, linewidth=1.8, label=label)
-    if replay.of_parts:
-        ax.set_ylabel("part above\nits socket, mm", fontsize=11)
-        _legend(ax, 4, 0.7)
-        return
-    ax.axhline(0, color=SEATED, linewidth=1.2)
-    ax.annotate("below the lip\n(past: sprung back)", (0.005, 0), (0, -4), xycoords=ax.get_yaxis_transform(),
-                textcoords="offset points", va="top", color=SEATED, fontsize=9)  # fmt: skip
-    ax.set(ylim=(-5, 12))
-    ax.set_ylabel("tips above\ntheir lips, mm", fontsize=11)
     _legend(ax, 4, 0.7)
+    ax.set_ylabel("part above\nits socket, mm" if replay.of_parts else "tips above\ntheir lips, mm", fontsize=11)
+    if not replay.of_parts:
+        ax.axhline(0, color=SEATED, linewidth=1.2)
+        ax.annotate("below the lip\n(past: sprung back)", (0.005, 0), (0, -4), xycoords=ax.get_yaxis_transform(),
+                    textcoords="offset points", va="top", color=SEATED, fontsize=9)  # fmt: skip
+        ax.set(ylim=(-5, 12))
 
 
 def _legend(ax: Axes, columns: int, top: float) -> None:

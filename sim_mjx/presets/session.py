@@ -18,10 +18,6 @@ Range = tuple[float, float]  # lowest and highest
 Plane = Float64[np.ndarray, "2 3"]
 
 
-def _x_and_y() -> Plane:
-    return np.eye(3)[:2]
-
-
 @dataclass(frozen=True, kw_only=True)
 class GateLimits:
     """Limits within which a simulation of a session is faithful; see ``sim_mjx.validation.gate``."""
@@ -50,8 +46,9 @@ class SessionPreset:
     mating_begins: float  # s, median of the recordings
     impratio: float = IMPRATIO  # of the scene; see ``sim_mjx.assembly.scene.one_arm``
     real: bool = True  # recorded on the robot, whose servos lag and sensor drifts; False = in OpenHRP
-    across: Plane = field(default_factory=_x_and_y)  # world directions of the part's x and y
-    turns: Plane = field(default_factory=_x_and_y)  # roll, pitch, yaw per radian of the hand's turn and of its tilt
+    across: Plane = field(default_factory=lambda: np.eye(3)[:2])  # world directions of the part's x and y
+    # roll, pitch, yaw per radian of the hand's turn and of its tilt
+    turns: Plane = field(default_factory=lambda: np.eye(3)[:2])
 
     # The recordings.
     recorded_as: str = ""  # session in the imported store

@@ -62,13 +62,10 @@ def apply_overrides(group: Group, prefix: str, physical: Physical) -> Group:
     """
     check(physical)
     for name, value in physical:
-        owner, attribute, where = _place(name)
-        if owner != prefix:
-            continue
-        array = _present(group, owner, attribute)
-        _check_place(name, array, where)
-        array[where] = round(value) if array.dtype.kind in "iu" else value
-        group = replace(group, **{attribute: array})
+        if name.startswith(f"{prefix}."):
+            attribute, array, where = element(group, name)
+            array[where] = round(value) if array.dtype.kind in "iu" else value
+            group = replace(group, **{attribute: array})
     return group
 
 
@@ -79,39 +76,30 @@ def value(parts: PartParams, sensor: SensorParams, name: str) -> float:
         InputError: unknown name.
     """
     check(((name, 1.0),))
-    owner, attribute, where = _place(name)
-    array = _present(parts if owner == "parts" else sensor, owner, attribute)
-    _check_place(name, array, where)
+    _, array, where = element(parts if name.startswith("parts.") else sensor, name)
     return float(np.mean(array[where]))
 
 
-def _present(group: PartParams | SensorParams, owner: str, attribute: str) -> np.ndarray:
-    """A parameter of one trial.
+def element(group: PartParams | SensorParams, name: str) -> tuple[str, np.ndarray, Any]:
+    """Field of a checked name, a copy of its values in one trial, and the index of what the name covers.
 
     Raises:
-        InputError: the preset has none.
+        InputError: these parts, or this sensor, have no such parameter or element.
     """
-    present = getattr(group, attribute, None)
-    if present is None:
+    match = NAME.fullmatch(name)
+    assert match is not None
+    owner, attribute, first, end = match.groups()
+    if (present := getattr(group, attribute, None)) is None:
         which = "parts of this preset have" if owner == "parts" else "sensor of this preset has"
         those = "those with hooks do" if owner == "parts" else "that of rigid-openhrp does"
         raise InputError(f"The {which} no {attribute}: only {those}.")
-    return np.array(present)
-
-
-def _place(name: str) -> tuple[str, str, Any]:
-    """Owner, field and index of a checked name."""
-    match = NAME.fullmatch(name)
-    assert match is not None
-    if match[3] is None:
-        return match[1], match[2], ...
-    first = int(match[3])
-    return match[1], match[2], slice(first, int(match[4]) if match[4] else first + 1)
-
-
-def _check_place(name: str, array: np.ndarray, where: Any) -> None:
-    if where is not ... and (array.ndim != 1 or not where.start < where.stop <= len(array)):
+    array = np.array(present)
+    if first is None:
+        return attribute, array, ...
+    where = slice(int(first), int(end or int(first) + 1))
+    if array.ndim != 1 or not where.start < where.stop <= len(array):
         raise InputError(f"The physical parameter {name} does not exist; there are {array.size} elements.")
+    return attribute, array, where
 
 
 def write(path: Path, values: Mapping[str, float], about: Mapping[str, Any]) -> None:

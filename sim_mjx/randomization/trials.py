@@ -389,10 +389,6 @@ def _early_stop(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.ra
 
 
 FAULTS: dict[str, Callable[[_Faulty, int, DomainRandomization, np.random.Generator], None]] = {
-    "pose": _pose,
-    "jamming": _jamming,
-    "wedging": _wedging,
-    "missing-tab": _missing_tab,
-    "moved-part": _moved_part,
+    "pose": _pose, "jamming": _jamming, "wedging": _wedging, "missing-tab": _missing_tab, "moved-part": _moved_part,
     "early-stop": _early_stop,
-}
+}  # fmt: skip

@@ -29,21 +29,10 @@ MOMENT_DRIFT: Range = (-0.003, 0.003)  # Nm, likewise
 def sample_batch(
     preset: TwoArmPreset, seed: int, indices: Sequence[int], spec: DomainRandomization
 ) -> tuple[TwoArmParams, list[Fault]]:
-    """Two-arm trials.
+    """Two-arm trials; arguments and errors of ``trials.sample_batch``.
 
-    Args:
-        preset: nominal values.
-        seed: of the whole set, 0 to 2^64 - 1.
-        indices: of the trials within the set, >= 0.
-        spec: the distributions; the sensors are OpenHRP's, whose noise and tare do not vary. Physical parameters of
-            the sensor are those of both wrists.
-
-    Returns:
-        their parameters ``[trial, ...]`` and their faults, whose deviation is the right hand's from the part, x forward
-        and y up.
-
-    Raises:
-        InputError: negative seed or index, or impossible distributions.
+    The sensors are OpenHRP's, whose noise and tare do not vary; physical parameters of the sensor are those of both
+    wrists. A fault's deviation is the right hand's from the part, x forward and y up.
     """
     trials.check(spec)
     spans = [spec.goal, spec.goal, spec.gain, spec.gain]

@@ -50,10 +50,7 @@ def serial_chain(model: mujoco.MjModel, site: str) -> SerialChain:
     if number < 0:
         raise InputError(f"The model has no site {site!r}, which must mark the wrist's frame.")
     turn, shift = _matrix(model.site_quat[number]), model.site_pos[number].copy()
-    turns: list[Array] = []
-    shifts: list[Array] = []
-    axes: list[Array] = []
-    zeros: list[Array] = []
+    hinges: list[tuple[Array, ...]] = []  # from the wrist inwards
     body = model.site_bodyid[number]
     while body:
         first = model.body_jntadr[body]
@@ -61,18 +58,15 @@ def serial_chain(model: mujoco.MjModel, site: str) -> SerialChain:
             if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
                 raise InputError(f"The joint {model.joint(joint).name!r} is no hinge; an arm has hinges only.")
             anchor = model.jnt_pos[joint]
-            turns.insert(0, turn)
-            shifts.insert(0, shift - anchor)
-            axes.insert(0, model.jnt_axis[joint].copy())
-            zeros.insert(0, model.qpos0[model.jnt_qposadr[joint]])
+            hinges.append((turn, shift - anchor, model.jnt_axis[joint], model.qpos0[model.jnt_qposadr[joint]]))
             turn, shift = np.eye(3), anchor.copy()
         here = _matrix(model.body_quat[body])
         turn, shift = here @ turn, here @ shift + model.body_pos[body]
         body = model.body_parentid[body]
-    if not axes:
+    if not hinges:
         raise InputError(f"No joint moves the site {site!r}.")
-    stacked = np.stack([turn, *turns]), np.stack([shift, *shifts]), np.stack(axes), np.array(zeros)
-    return SerialChain(*(array.astype(np.float32) for array in stacked))
+    turns, shifts, axes, zeros = zip(*reversed(hinges), strict=True)
+    return SerialChain(*(np.array(one, np.float32) for one in ([turn, *turns], [shift, *shifts], axes, zeros)))
 
 
 def _matrix(quat: Float64[np.ndarray, " 4"]) -> Float64[np.ndarray, "3 3"]:

@@ -76,7 +76,7 @@ class Robot:
 def from_mjcf(
     path: str | Path, *, site: str, home: Sequence[float], place: Vector, name: str = "", tool_mass: float = 0.4
 ) -> Robot:
-    """A robot from an MJCF file; its actuators, sensors, contacts and options are not used.
+    """A robot from an MJCF file; its actuators, limits of their forces, sensors, contacts and options are not used.
 
     Args:
         path: the file.
@@ -173,6 +173,7 @@ def equipped(robot: Robot) -> mujoco.MjSpec:
         body.gravcomp = 1.0
     for joint in map(spec.joint, robot.joints):
         joint.stiffness[:] = joint.springdamper[:] = joint.frictionloss = 0.0
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # of motors that are not used
     inertias, across = _at_home(robot)
     for tendon in itertools.compress(spec.tendons, across):
         tendon.stiffness[:] = tendon.frictionloss = 0.0

@@ -19,14 +19,13 @@ from jaxtyping import Float, Float64, Int
 
 from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Array
-from sim_mjx.assemblies.program import onsets
 from sim_mjx.assembly import sensor
 from sim_mjx.assembly.controllers import Joints, Wrench
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.rollout import LogRow, Program
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.sensor import SensorParams, SensorState
-from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD, starts
 
 HEAVIER = 1e3  # factor on the arm's own inertia and the servos' stiffness
 DRIVEN, ENDED = 0, 1  # phases
@@ -68,15 +67,9 @@ def control(
     return DrivenState(loop.tick + 1, read), params.path[rows], LogRow(wrench, joints, phase)
 
 
-def _home(params: DrivenParams) -> Array:
-    return params.path[..., 0, :]
-
-
-def _timeout(params: DrivenParams) -> Array:
-    return params.periods * CONTROL_PERIOD
-
-
-PROGRAM = Program(begin, control, _home, _timeout, ENDED, onsets)
+PROGRAM = Program(
+    begin, control, lambda params: params.path[..., 0, :], lambda params: params.periods * CONTROL_PERIOD, ENDED, starts
+)
 
 
 def driven(scene: Scene, heavier: float = HEAVIER) -> Scene:

@@ -41,10 +41,9 @@ Poses = Float64[np.ndarray, "sample 6"]  # joint angles, rad; or place and roll,
 OTHER_POSE = ("ERROR-14", "20120426")
 
 
-def _trials(session: SessionPreset, count: int, seed: int, longest: float | None) -> TrialParams:
+def _trials(session: SessionPreset, count: int, seed: int, longest: float) -> TrialParams:
     """Randomised trials with and without faults."""
-    spec = DomainRandomization(longest=longest)
-    return sample_batch(session, seed, range(count), spec)[0]
+    return sample_batch(session, seed, range(count), DomainRandomization(longest=longest))[0]
 
 
 def convergence(session: SessionPreset, trials: int = 16, seed: int = 0, longest: float = 13.0) -> dict[str, Any]:
@@ -114,11 +113,12 @@ def kinematics(folder: Path) -> dict[str, Any]:
 def _approach(trial: Path, session: SessionPreset) -> tuple[Poses, Poses] | None:
     """Joint angles and tool poses before contact; None where a file or the mark is missing."""
     paths = [data_file(trial, "R", kind) for kind in ("Angles", "CartPos", "State")]
-    if None in paths:
+    found = [path for path in paths if path is not None]
+    if len(found) < len(paths):
         return None
     try:
-        angles, pose = (dat.read_timed(path, "joint angles") for path in paths[:2] if path is not None)
-        marks = dat.read_state_times(paths[2]) if paths[2] is not None else np.zeros(0)
+        angles, pose = (dat.read_timed(path, "joint angles") for path in found[:2])
+        marks = dat.read_state_times(found[2])
     except InputError:
         return None
     if len(marks) < 2:
@@ -171,8 +171,7 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
     }
     if recorded.placements:
         result["outcomes_as_recorded"] = [sessions.agreement(recorded, run), len(run.length)]
-    known = target.dynamics
-    result |= {"ring": _ring(events), "recorded_ring": None if known is None else _ring(known)}
+    result |= {"ring": _ring(events), "recorded_ring": _ring(target.dynamics)}
     result |= {"snaps": found, "recorded_snaps": target.snaps}
     simulated = sessions.profiles(run)
     result |= {"mated": len(simulated), "gate": {}, "holds": False}
@@ -183,7 +182,7 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
             recorded.gate,
             target.profiles,
             simulated,
-            None if known is None else (known, events),
+            (target.dynamics, events),
             snap_shares(target, found),
             float(np.abs(onset - target.onset).max()),
         )

@@ -101,9 +101,11 @@ def native_speed() -> float:
     scenario = get_scenario("B")
     scene = scenario.scene()
     params, _ = scenario.draw_batch(0, range(TRIALS), scenario.spec(longest=0.25))
-    periods = [0]
-    trials = _rate(lambda: periods.__setitem__(0, int(engines.simulate(scene, params).length.sum())))
-    return trials * periods[0] * scene.substeps
+    engines.simulate(scene, params)  # which compiles
+    periods, start = 0, time.perf_counter()
+    while (seconds := time.perf_counter() - start) < SECONDS:
+        periods += int(engines.simulate(scene, params).length.sum())
+    return periods * scene.substeps / seconds
 
 
 def check_store(path: Path) -> StoreHealth:
@@ -136,7 +138,11 @@ def check_store(path: Path) -> StoreHealth:
             InputError(f"{path} lacks the metadata of {names} among those it has collected: xarray misses them.")
         )
     if (folder := shards.folder_of(path)).is_dir():
-        notes.append(f"{folder} {_state(folder)}")
+        notes.append(
+            f"{folder} is of a simulation that goes on, or was interrupted."
+            if shards.has_plan(folder)
+            else f"{folder} is a leftover, not of a simulation that goes on or can be resumed; it may be deleted."
+        )
     if difference:
         notes.append(difference)
     known = {name: how for name, how in tracks.items() if how is not None}
@@ -147,23 +153,12 @@ def check_store(path: Path) -> StoreHealth:
     return StoreHealth(count, sentences, notes, repairable, known, intact, unknown, uncollected)
 
 
-def _state(folder: Path) -> str:
-    """What a work folder beside a store is, as the end of a sentence."""
-    if shards.has_plan(folder):
-        return "is of a simulation that goes on, or was interrupted."
-    return "is a leftover, not of a simulation that goes on or can be resumed; it may be deleted."
-
-
 def _damaged_tracks(
     path: Path, job: SynthesisConfig | None, same: bool, damage: list[InputError]
 ) -> dict[str, dict[str, Any] | None]:
     """Label tracks that are damaged, or missing though the job makes them, and how they are made; None = not known.
 
-    Args:
-        path: of the store.
-        job: that made the store.
-        same: the installed code makes what the job made.
-        damage: gets the error of each.
+    ``damage`` gets the error of each; ``same`` says whether the installed code makes what the job made.
     """
     found = dict[str, dict[str, Any] | None]()
     names = _read(partial(list_tracks, path), damage) or []
@@ -317,16 +312,6 @@ def _read(part: Callable[[], Any], damage: list[InputError]) -> Any:
 def _add(error: InputError, damage: list[InputError]) -> None:
     if str(error) not in map(str, damage):  # several readers may meet the same
         damage.append(error)
-
-
-def _rate(call: Callable[[], Any]) -> float:
-    """Calls per second, after one that compiles."""
-    call()
-    count, start = 0, time.perf_counter()
-    while (seconds := time.perf_counter() - start) < SECONDS:
-        call()
-        count += 1
-    return count / seconds
 
 
 def _version(name: str) -> str | None:

@@ -121,13 +121,10 @@ def simulated(path: Path, recordings: Recordings, row: int) -> Replay:
     past, height = tab_states(scene, model, qpos)
     columns = slice(6 * scenario.arms.index(str(recordings.arm[row])), None)
     how = _difference(run.wrench[0, : run.length[0], columns][:, :6], recordings, row)
-    gone = np.flatnonzero(params.parts.missing) if scenario.recorded else ()
-    missing = tuple(parts.TABS[tab] for tab in gone)
-    return Replay(model, qpos, recordings.dt, past, height, how, _names(scenario, scene), missing)
-
-
-def _names(scenario: Scenario, scene: Scene) -> tuple[str, ...]:
-    return parts.TABS if scenario.recorded else tuple(scene.model.geom(i).name for i in scene.tips)
+    if not scenario.recorded:
+        return Replay(model, qpos, recordings.dt, past, height, how, tuple(model.geom(i).name for i in scene.tips))
+    missing = tuple(parts.TABS[tab] for tab in np.flatnonzero(params.parts.missing))
+    return Replay(model, qpos, recordings.dt, past, height, how, missing=missing)
 
 
 def stored_trial(path: Path, row: int) -> tuple[Scenario, Any]:

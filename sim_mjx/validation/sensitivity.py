@@ -90,11 +90,10 @@ def moved(parts: PartParams, name: str, by: float) -> PartParams:
     >>> (moved(parts, "parts.mount_stiffness[2]", 5.0).mount_stiffness - parts.mount_stiffness).tolist()
     [0.0, 0.0, 5.0]
     """
-    zero, covered = (overrides.apply_overrides(parts, "parts", ((name, end),)) for end in (0.0, 1.0))
-    attribute = name.removeprefix("parts.").partition("[")[0]
-    before = np.array(getattr(parts, attribute), np.float64)
-    mask = np.asarray(getattr(covered, attribute)) - np.asarray(getattr(zero, attribute))
-    return replace(parts, **{attribute: before + by * mask})
+    overrides.check(((name, by),))
+    attribute, values, where = overrides.element(parts, name)
+    values[where] += by
+    return replace(parts, **{attribute: values})
 
 
 def wrench_and_derivatives(

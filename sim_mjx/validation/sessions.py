@@ -121,7 +121,7 @@ class Target:
     session: SessionPreset
     profiles: Profiles
     onset: Float64[np.ndarray, " 3"]  # s, median start of rotation, insertion (harmonised) and mating
-    dynamics: Dynamics | None  # first impact and ringing
+    dynamics: Dynamics  # first impact and ringing
     snaps: dict[str, Any] | None  # in the unfiltered force of seated trials; see snaps.summary
 
 

@@ -145,10 +145,7 @@ def _wasserstein(a: Floats, b: Floats) -> Floats:
 
 
 def _warping(a: Floats, b: Floats) -> Floats:
-    """Time-warping distance of profiles [..., k] within the band, divided by k: [...].
-
-    Runs over the anti-diagonals of the cost matrix, all profiles at once.
-    """
+    """Time-warping distance of profiles [..., k] within the band, divided by k: [...]; all profiles at once."""
     size = a.shape[-1]
     cost = np.abs(a[..., :, None] - b[..., None, :])
     total = np.full((*cost.shape[:-2], size + 1, size + 1), np.inf)

@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from rcbht_jax.types import Array
-from sim_mjx.assemblies.program import onsets
 from sim_mjx.assembly.rollout import LogRow, Program
 from sim_mjx.assembly.scene import Scene
-from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD, starts
 
 ENDED = 2
 XML = f"""
@@ -62,7 +61,7 @@ def plunger() -> Scene:
     one = np.array([0], np.int32)
     tips = np.array([model.geom("tip").id], np.int32)
     lips = np.array([model.geom("floor").id], np.int32)
-    program = Program(_begin, _control, lambda params: params.home, lambda params: params.timeout, ENDED, onsets)
+    program = Program(_begin, _control, lambda params: params.home, lambda params: params.timeout, ENDED, starts)
     places = np.array([6], np.int32)
     return Scene(model, program, one, one, tips, lips, places, _fields, 1, _beneath)
 

@@ -141,17 +141,19 @@ class Kept:
 """
 
 
+def write_arm(folder: Path, who: str) -> None:
+    folder.mkdir(exist_ok=True)
+    (folder / "arm.py").write_text(MADE_OF_COMMON)
+    (folder / "common.py").write_text(COMMON.format(who))
+
+
 def test_neighbours_of_one_name_are_kept_apart(tmp_path: Path) -> None:
-    for who in ("first", "second"):
-        (tmp_path / who).mkdir()
-        (tmp_path / who / "arm.py").write_text(MADE_OF_COMMON)
-        (tmp_path / who / "common.py").write_text(COMMON.format(who))
-    assert [get_scenario(f"clip@{tmp_path}/{who}/arm.py:ARM").robot for who in ("first", "second")] == [
-        "first",
-        "second",
-    ]
+    both = ("first", "second")
+    for who in both:
+        write_arm(tmp_path / who, who)
+    assert tuple(get_scenario(f"clip@{tmp_path}/{who}/arm.py:ARM").robot for who in both) == both
     assert "common" not in sys.modules
-    for who in ("first", "second"):  # each class finds the module in which it was made
+    for who in both:  # each class finds the module in which it was made
         kept = run_file(f"{tmp_path}/{who}/arm.py").module.KEPT
         assert get_type_hints(type(kept)) == {"size": int}
         assert who == sys.modules[type(kept).__module__].WHO
@@ -160,8 +162,7 @@ def test_neighbours_of_one_name_are_kept_apart(tmp_path: Path) -> None:
 def test_a_neighbour_that_was_imported_before_is_left_to_its_importer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "arm.py").write_text(MADE_OF_COMMON)
-    (tmp_path / "common.py").write_text(COMMON.format("file"))
+    write_arm(tmp_path, "file")
     earlier = ModuleType("common")
     earlier.__file__ = str(tmp_path / "common.py")
     monkeypatch.setitem(sys.modules, "common", earlier)
@@ -191,9 +192,7 @@ def test_the_manifest_covers_what_a_file_imports_from_its_folder(tmp_path: Path)
 
 def test_a_relative_path_counts_from_the_present_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for who in ("first", "second"):
-        (tmp_path / who).mkdir()
-        (tmp_path / who / "arm.py").write_text(MADE_OF_COMMON)
-        (tmp_path / who / "common.py").write_text(COMMON.format(who))
+        write_arm(tmp_path / who, who)
         monkeypatch.chdir(tmp_path / who)
         assert get_scenario("clip@arm.py:ARM").robot == who
         assert run_file("arm.py") is run_file(str(tmp_path / who / "arm.py"))

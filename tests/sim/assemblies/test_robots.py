@@ -154,6 +154,17 @@ def test_springs_and_friction_of_an_arm_do_not_bend_its_servos(spring: str, tmp_
     assert bent == ["arm/finger"]  # which no servo moves
 
 
+def test_limits_of_a_files_motors_do_not_weaken_the_servos(tmp_path: Path) -> None:
+    path = tmp_path / "mine.xml"
+    path.write_text(ARM.replace("<joint", '<joint actuatorfrcrange="-1 1"'))
+    model = equipped(from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))).compile()
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.0
+    mujoco.mj_forward(model, data)
+    assert abs(data.actuator_force).min() > 1.0
+    np.testing.assert_array_equal(data.qfrc_actuator[:4], data.actuator_force)
+
+
 @pytest.mark.parametrize(
     "end",
     [

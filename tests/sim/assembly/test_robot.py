@@ -65,20 +65,19 @@ def test_rotor_inertia_seen_through_the_gears() -> None:
 
 @pytest.mark.parametrize("arm", ["R", "L"])
 def test_sensor_carries_the_tool_and_nothing_else(arm: str) -> None:
-    tool = robot.Tool()
     model = robot.new_robot((arm,)).compile()
     data = mujoco.MjData(model)
     data.qpos[:] = home() if arm == "R" else home() * hiro.MIRROR
     data.ctrl[:] = data.qpos
     mujoco.mj_step(model, data, nstep=500)
     turn = data.site(f"{arm}ARM_FT").xmat.reshape(3, 3)
-    weight = np.array([0.0, 0.0, tool.mass * 9.81])
-    com = np.array(tool.com) * [1, 1 if arm == "R" else -1, 1]
+    weight = np.array([0.0, 0.0, robot.TOOL_MASS * 9.81])
+    com = np.array(robot.TOOL_COM) * [1, 1 if arm == "R" else -1, 1]
     np.testing.assert_allclose(turn @ data.sensor(f"{arm}ARM_FORCE").data, weight, atol=1e-6)
     np.testing.assert_allclose(turn @ data.sensor(f"{arm}ARM_TORQUE").data, np.cross(turn @ com, weight), atol=1e-6)
     # Under the servos hangs the tool alone: gravity is on, but the arm carries itself.
     linear, angular = kinematics.jacobian(data.qpos.copy(), arm)
-    sag = -(linear.T @ weight + angular.T @ np.cross(turn @ com, weight)) / robot.Servo().kp
+    sag = -(linear.T @ weight + angular.T @ np.cross(turn @ com, weight)) / robot.KP
     np.testing.assert_allclose(data.qpos - data.ctrl, sag, atol=1e-8)
 
 

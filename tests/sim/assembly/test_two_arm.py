@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -32,6 +32,7 @@ from sim_mjx.randomization.two_arm import REPEATED
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
+from sim_mjx.validation.sessions import part_of
 from sim_mjx.validation.solver_convergence import certify
 from tests.support.trees import assert_trees_equal
 
@@ -50,11 +51,7 @@ def whole() -> dict[str, Rollouts]:
     """Two whole trials of each preset, simulated as one batch."""
     batches = [trials(name) for name in TWO_ARM]
     run = native.simulate(SCENE, jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches))
-    return {name: part(run, slice(2 * i, 2 * i + 2)) for i, name in enumerate(TWO_ARM)}
-
-
-def part(run: Rollouts, rows: slice) -> Rollouts:
-    return Rollouts(**{field.name: getattr(run, field.name)[rows] for field in fields(Rollouts)})
+    return {name: part_of(run, slice(2 * i, 2 * i + 2)) for i, name in enumerate(TWO_ARM)}
 
 
 @pytest.fixture(scope="module")

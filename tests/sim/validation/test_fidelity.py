@@ -30,6 +30,7 @@ from sim_mjx.synthesis import plan
 from sim_mjx.validation import dynamics, fidelity, gate, sessions, signature, snaps
 
 SAMPLES = 400
+QUIET = dynamics.Dynamics(np.zeros(0), None)
 SOLVER = {
     "step": {"force": 3.0, "moment": 0.1}, "limits": {"force": 0.05, "moment": 0.005}, "trials": 4, "touched": 4,
     "holds": False,
@@ -78,7 +79,7 @@ def test_profiles_leave_out_what_never_mated() -> None:
 
 def test_the_loss_is_least_for_the_session_itself() -> None:
     run = run_of(0)
-    own = sessions.Target(preset("B"), sessions.profiles(run), np.array([0.2, 0.4, 0.7]), None, None)
+    own = sessions.Target(preset("B"), sessions.profiles(run), np.array([0.2, 0.4, 0.7]), QUIET, None)
     itself = sessions.loss(own, run, outcomes=False)
     assert itself == pytest.approx(0.0, abs=0.15)
     assert sessions.loss(own, run_of(1), outcomes=False) > itself + 0.2
@@ -94,7 +95,7 @@ def test_the_loss_is_least_for_the_session_itself() -> None:
 def test_missing_snaps_are_a_loss() -> None:
     snap = snaps.Snap(8.0, 17.0, 11.0)
     target = sessions.Target(
-        preset("B"), np.zeros((1, 4, 100, 6)), np.zeros(3), None, snaps.summary([[snap], [snap], [snap], []])
+        preset("B"), np.zeros((1, 4, 100, 6)), np.zeros(3), QUIET, snaps.summary([[snap], [snap], [snap], []])
     )
     assert sessions.missing_snaps(target, snaps.summary([[], []])) == 0.75
     assert sessions.missing_snaps(target, snaps.summary([[snap], []])) == 0.25
@@ -215,19 +216,8 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
     fidelity_session = fidelity.session
     monkeypatch.setattr(fidelity, "convergence", counted)
     monkeypatch.setattr(fidelity, "session", few)
-    words = [
-        "fidelity",
-        "-o",
-        str(out),
-        "--recorded",
-        str(hiro_store),
-        "--session",
-        "C",
-        "--trials",
-        "4",
-        "--max-seconds",
-        "0.3",
-    ]
+    options = "--session C --trials 4 --max-seconds 0.3"
+    words = f"fidelity -o {out} --recorded {hiro_store} {options}".split()
     assert main.main(words) == 130
     assert not (out / "report.json").exists()
     assert main.main(words) == 0
