@@ -28,8 +28,8 @@ with needs_extra("learn"):
 Ints = NDArray[np.integer[Any]]
 Rows = NDArray[np.int64]
 Matrix = NDArray[np.floating[Any]]
-Prediction = tuple[NDArray[np.int64], dict[str, Any]]
-Estimator = Callable[[NDArray[np.int64], NDArray[np.int64], int], Prediction]
+Prediction = tuple[Rows, dict[str, Any]]
+Estimator = Callable[[Rows, Rows, int], Prediction]
 
 _TREES = 50
 _SEEDS_APART = 1000
@@ -65,15 +65,18 @@ def nested_svm(
                 "finite values."
             )
 
-    def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
+    def predict(train: Rows, test: Rows, seed: int) -> Prediction:
         units = groups[train] if trials is None else trials[train]
         apart = inner_groups(y[train], groups[train], units)
         some = some_items(y[train], apart, units, seed)
         chosen_on = {name: x[train[some]] for name, x in doubles.items()}
         spec = select(chosen_on, y[train[some]], apart[some], grid, seed, weights)
         weight = (weights or {}).get(spec.features)
-        learn = _of_many if len(train) > LARGEST else _of_few
-        predicted = learn(doubles[spec.features], y, train, test, spec, weight)
+        x = doubles[spec.features]
+        if len(train) > LARGEST:
+            predicted = _of_many(x, y, train, test, spec, weight)
+        else:
+            predicted = predictions(x, y, train, test, spec, [spec.cost], weight)[0]
         if progress:
             progress(1)
         return predicted, asdict(spec)
@@ -81,12 +84,8 @@ def nested_svm(
     return predict
 
 
-def _of_few(x: Matrix, y: Ints, train: Rows, test: Rows, spec: SvmSpec, weight: Weight) -> NDArray[np.int64]:
-    return predictions(x, y, train, test, spec, [spec.cost], weight)[0]
-
-
 def _of_many(x: Matrix, y: Ints, train: Rows, test: Rows, spec: SvmSpec, weight: Weight) -> NDArray[np.int64]:
-    """As for few, but for rounding; without the kernel matrix of all items, which would take gigabytes."""
+    """As ``predictions``, but for rounding; without the kernel matrix of all items, which would take gigabytes."""
     classes, code = np.unique(y[train], return_inverse=True)
     machine = fit(x[train], code, classes.astype(str).tolist(), spec, weight)
     return classes[machine.predict_index(x[test])].astype(np.int64)
@@ -95,7 +94,7 @@ def _of_many(x: Matrix, y: Ints, train: Rows, test: Rows, spec: SvmSpec, weight:
 def forest(x: Matrix, y: Ints) -> Estimator:
     """Estimator: a random forest on ``[item, feature]``, the baseline for a few numbers such as durations."""
 
-    def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
+    def predict(train: Rows, test: Rows, seed: int) -> Prediction:
         trees = RandomForestClassifier(_TREES, random_state=seed).fit(x[train], y[train])
         return trees.predict(x[test]).astype(np.int64), {}
 
@@ -105,7 +104,7 @@ def forest(x: Matrix, y: Ints) -> Estimator:
 def majority(y: Ints) -> Estimator:
     """Estimator: always the most frequent class of the training rows."""
 
-    def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
+    def predict(train: Rows, test: Rows, seed: int) -> Prediction:
         return np.full(len(test), np.bincount(y[train]).argmax(), np.int64), {}
 
     return predict
@@ -228,6 +227,13 @@ class HoldoutScore:
     chosen: dict[str, Any]
     confusion: Int[np.ndarray, "true predicted"]
 
+    @staticmethod
+    def of(run: CrossValidation, trials: int) -> HoldoutScore:
+        """The only split of a run, which tests so many trials."""
+        score = float(run.accuracy[0, 0])
+        low, high = metrics.wilson(score * trials, trials)
+        return HoldoutScore(score, float(run.balanced_accuracy[0, 0]), low, high, run.chosen[0][0], run.confusion)
+
     def summary(self) -> dict[str, Any]:
         """The accuracy with its interval, and the balanced accuracy."""
         return {
@@ -246,16 +252,4 @@ def holdout_score(estimator: Estimator, y: Ints, groups: NDArray[Any], split: Sp
         split: training and test rows.
         seed: of the estimator.
     """
-    train, test = split
-    predicted, choice = estimator(train, test, 1000 * seed % _SEEDS)
-    y_true, classes = y[test], int(y.max()) + 1
-    score, trials = metrics.accuracy(y_true, predicted), len(np.unique(groups[test]))
-    low, high = metrics.wilson(score * trials, trials)
-    return HoldoutScore(
-        accuracy=score,
-        balanced_accuracy=metrics.balanced_accuracy(y_true, predicted),
-        low=low,
-        high=high,
-        chosen=choice,
-        confusion=metrics.confusion(y_true, predicted, classes),
-    )
+    return HoldoutScore.of(cross_validate(estimator, y, [[split]], seed), len(np.unique(groups[split[1]])))
