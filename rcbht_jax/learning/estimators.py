@@ -232,14 +232,7 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
     """Classifier of recordings: wrench -> labels -> features -> support vector machine.
 
     Args:
-        rate: see :class:`WrenchFeatures`, as are the next seven.
-        window: samples per straight-line fit.
-        thresholds: gradient thresholds.
-        features: which features.
-        config: other options of the encoder.
-        rule: ``"paper"`` or ``"fit"``.
-        tolerance: of the fit rule.
-        layout: order of the dimensions.
+        rate, window, thresholds, features, config, rule, tolerance, layout: as of :class:`WrenchFeatures`.
         classifier: of feature matrices; None = ``SvmClassifier()``.
 
     Attributes:

@@ -83,7 +83,7 @@ def test_changes_are_hidden_where_most_recordings_have_constant_labels_alone(ste
     label = np.where(np.arange(4) < constant, Primitive.CONS, Primitive.BPOS)[:, None, None]
     labels = LabelTrack(label, label * 0, label * 0 + 400, label * 0, *[label * 0.0] * 4)
     recordings = Recordings.from_arrays(wrench, RATE, axes=("grip",))
-    assert hidden_changes(recordings, labels, 5, Primitive.CONS).tolist() == [hidden]
+    assert hidden_changes(recordings, labels, 5).tolist() == [hidden]
 
 
 def test_units_and_other_axes_do_not_matter() -> None:
