@@ -20,6 +20,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+import rcbht_jax
 from rcbht_jax._util import checkpoint as files
 from rcbht_jax._util import cma
 from rcbht_jax._util.devices import in_turn
@@ -356,7 +357,8 @@ def _made_by(
     plain: dict[str, Any] = asdict(options)
     base = options.space.base
     plain["space"]["base"] = checked_limits(config, base).tolist()
-    made = {"data": data.fingerprint(), "encoder": asdict(config), "options": plain}
+    version = rcbht_jax.__version__  # of the encoder and the scores
+    made = {"data": data.fingerprint(), "encoder": asdict(config), "options": plain, "version": version}
     return made if rest is None else made | {"rest": content_hash([np.asarray(x) for x in vars(rest).values()])}
 
 

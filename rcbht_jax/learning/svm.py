@@ -25,7 +25,7 @@ from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.class_groups import Split as Split
-from rcbht_jax.learning.class_groups import TooFewTrials, fewest_groups, groups_of_classes, training_all
+from rcbht_jax.learning.class_groups import TooFewTrials, check_seed, fewest_groups, groups_of_classes, training_all
 from rcbht_jax.learning.scaling import Scale, fit_scale
 
 KERNELS = ("linear", "poly", "rbf")
@@ -276,7 +276,8 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         group: what a group is called where there are too few.
 
     Raises:
-        InputError: too few groups of a class, or the splitter divides a group, has an empty side, or is none.
+        InputError: too few groups of a class, no such seed, or the splitter divides a group, has an empty side, or is
+            none.
     """
     with needs_extra("learn"):
         from sklearn.model_selection import StratifiedGroupKFold
@@ -291,6 +292,7 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         if any(np.intersect1d(number[train], number[test]).size for train, test in splits):
             raise InputError(f"{folds} puts items of one trial on both sides; use one for groups, such as GroupKFold.")
         return splits
+    check_seed(seed)
     fewest = fewest_groups(y, groups)
     if folds < 2 or fewest < folds:
         if fewest < 2:

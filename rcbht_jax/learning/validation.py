@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.class_groups import LARGEST, inner_groups, some_items
+from rcbht_jax.learning.class_groups import LARGEST, SEEDS, inner_groups, some_items
 from rcbht_jax.learning.svm import Grid, Split, SvmSpec, Weight, fit, grouped_folds, predictions, select
 
 with needs_extra("learn"):
@@ -33,7 +33,6 @@ Estimator = Callable[[Rows, Rows, int], Prediction]
 
 _TREES = 50
 _SEEDS_APART = 1000
-_SEEDS = 2**32  # that scikit-learn takes
 
 
 def nested_svm(
@@ -177,7 +176,7 @@ def repeat_seeds(seed: int, repeats: int) -> range:
     """
     if repeats > _SEEDS_APART:
         raise InputError(f"There are {repeats} repeats; expected at most {_SEEDS_APART}.")
-    first = _SEEDS_APART * seed % (_SEEDS - _SEEDS_APART)
+    first = _SEEDS_APART * seed % (SEEDS - _SEEDS_APART)
     return range(first, first + repeats)
 
 
@@ -202,7 +201,7 @@ def cross_validate(estimator: Estimator, y: Ints, splits: Sequence[Sequence[Spli
     table = np.zeros((classes, classes), np.int64)
     for repeat, folds in enumerate(splits):
         for number, (train, test) in enumerate(folds):
-            predicted, choice = estimator(train, test, (1000 * (seed + repeat) + number) % _SEEDS)
+            predicted, choice = estimator(train, test, (1000 * (seed + repeat) + number) % SEEDS)
             plain[repeat, number] = metrics.accuracy(y[test], predicted)
             balanced[repeat, number] = metrics.balanced_accuracy(y[test], predicted)
             table += metrics.confusion(y[test], predicted, classes)
