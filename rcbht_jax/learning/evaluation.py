@@ -240,11 +240,9 @@ def _folds(
 
 def _folds_used(protocol: EvaluationProtocol, folds: list[list[Split]], splitter: Any) -> dict[str, Any]:
     """Folds and repeats for the result; None where sessions or a splitter take their place."""
-    if protocol.train_on:
-        return {"folds": None, "repeats": None}
-    if splitter is not None:
-        return {"folds": None, "repeats": None, "splitter": repr(splitter)}
-    return {"folds": len(folds[0])}
+    if not protocol.train_on and splitter is None:
+        return {"folds": len(folds[0])}
+    return {"folds": None, "repeats": None} | ({} if protocol.train_on else {"splitter": repr(splitter)})
 
 
 def _untrained(items: LabelledIntervals, splits: Sequence[Split]) -> tuple[str, ...]:
