@@ -20,14 +20,12 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.class_groups import LARGEST, SEEDS, inner_groups, some_items
-from rcbht_jax.learning.svm import Grid, Split, SvmSpec, Weight, fit, grouped_folds, predictions, select
+from rcbht_jax.learning.svm import Grid, Ints, Matrix, Split, SvmSpec, Weight, fit, grouped_folds, predictions, select
 
 with needs_extra("learn"):
     from sklearn.ensemble import RandomForestClassifier
 
-Ints = NDArray[np.integer[Any]]
 Rows = NDArray[np.int64]
-Matrix = NDArray[np.floating[Any]]
 Prediction = tuple[Rows, dict[str, Any]]
 Estimator = Callable[[Rows, Rows, int], Prediction]
 
