@@ -181,7 +181,7 @@ def test_interrupted_search_resumes_to_the_same_result(made, tmp_path):
             search(made, CONFIG, SMALL, checkpoint=damaged)
     older = tmp_path / "older.json"
     older.write_text(json.dumps({**kept, "made_by": {**kept["made_by"], "version": "0.1"}}))
-    with pytest.raises(InputError, match=r'version "0\.1", not'):
+    with pytest.raises(InputError, match=r'version "0\.1", not "'):
         search(made, CONFIG, SMALL, checkpoint=older)
     with pytest.raises(InputError, match="other data or options"):
         search(made.take(np.array([0, 1, 2])), CONFIG, SMALL, checkpoint=checkpoint)
