@@ -19,7 +19,7 @@ from experiments._lib.tasks import failure_types, states
 from experiments._lib.thresholds import trained_thresholds
 from rcbht_jax.calibration import contextual
 from rcbht_jax.calibration.dataset import calibration_data
-from rcbht_jax.calibration.nested import CalibratedSvm, CandidateBank, Choose, fixed
+from rcbht_jax.calibration.nested import CandidateBank, Choose, calibrated_svm, fixed
 from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -102,7 +102,7 @@ def compare(store: Recordings, benchmark: Benchmark, count: int, repeats: int = 
     for name, choose in methods(recordings, items, config, count).items():
         for title, features in (("words", WORDS), ("words, duration and offset", FULL)):
             start = time.perf_counter()
-            learner = CalibratedSvm(recordings, items, config, choose, GRID, features).learner()
+            learner = calibrated_svm(recordings, items, config, choose, GRID, features)
             scores = accuracies(benchmark, learner, items, repeats)
             result.setdefault(name, {})[title] = scores
             print(name, "|", title, "|", scores, f"{time.perf_counter() - start:.0f} s", flush=True)

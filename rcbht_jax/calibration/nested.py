@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cache
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +23,6 @@ from rcbht_jax.learning.tasks import LabelledIntervals, extract_features
 from rcbht_jax.learning.validation import Estimator, Prediction, nested_svm
 from rcbht_jax.types import Recordings
 
-Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 # (training recordings as rows of the calibration data, seed) -> thresholds [n, 6, 4], of which inner folds choose one
 Choose = Callable[[Rows, int], GradientThresholds]
@@ -68,11 +68,17 @@ class CandidateBank:
         return lambda rows, seed: GradientThresholds(limits[self.rank(rows, objective)[:top]])
 
 
-@dataclass
-class CalibratedSvm:
+def calibrated_svm(
+    recordings: Recordings,
+    items: LabelledIntervals,
+    config: EncoderConfig,
+    choose: Choose,
+    grid: Grid,
+    spec: FeatureSpec,
+) -> Estimator:
     """Estimator: chooses thresholds on its training trials, encodes all trials with them, trains and selects an SVM.
 
-    Attributes:
+    Args:
         recordings: the data set.
         items: sentences of one arm.
         config: static configuration of the encoder.
@@ -80,41 +86,27 @@ class CalibratedSvm:
         grid: hyper-parameters of the SVM; they are selected together with one of the thresholds.
         spec: features of the labels.
     """
+    (spans,) = items.intervals
+    order = list(dict.fromkeys(spans.recording.tolist()))
+    rows, place = np.unique(spans.recording, return_inverse=True)
+    wrench, length = recordings.wrench[rows], recordings.length[rows]
+    local = replace(items, intervals=(replace(spans, recording=place),), recordings=len(rows))
 
-    recordings: Recordings
-    items: LabelledIntervals
-    config: EncoderConfig
-    choose: Choose
-    grid: Grid
-    spec: FeatureSpec
-    _cache: dict[bytes, Features] = field(default_factory=dict, init=False, repr=False)
+    @cache  # folds often choose the same thresholds, and encoding is the longest part
+    def features(limits: bytes) -> Features:
+        thresholds = GradientThresholds(np.frombuffer(limits).reshape(6, 4))
+        return extract_features(encode_batch(config, thresholds, wrench, length), local, spec)
 
-    def learner(self) -> Estimator:
-        """For :func:`rcbht_jax.learning.validation.cross_validate`."""
-        return self._learn
-
-    def _learn(self, train: Rows, test: Rows, seed: int) -> Prediction:
-        (spans,) = self.items.intervals
-        order = list(dict.fromkeys(spans.recording.tolist()))
-        rows = np.array(sorted({order.index(r) for r in spans.recording[train].tolist()}), np.int64)
-        limits = np.asarray(self.choose(rows, seed).limits)
-        features = {str(k): self._features(one) for k, one in enumerate(limits)}
-        matrices = {name: x.values for name, x in features.items()}
-        weights = {name: x.weights(self.spec) for name, x in features.items()}
-        learn = nested_svm(matrices, self.items.y, self.items.trial, self.grid, weights)
-        predicted, chosen = learn(train, test, seed)
+    def predict(train: Rows, test: Rows, seed: int) -> Prediction:
+        mine = np.array(sorted({order.index(r) for r in spans.recording[train].tolist()}), np.int64)
+        limits = np.asarray(choose(mine, seed).limits, np.float64)
+        described = {str(k): features(one.tobytes()) for k, one in enumerate(limits)}
+        matrices = {name: x.values for name, x in described.items()}
+        weights = {name: x.weights(spec) for name, x in described.items()}
+        predicted, chosen = nested_svm(matrices, items.y, items.trial, grid, weights)(train, test, seed)
         return predicted, {**chosen, "limits": limits[int(chosen["features"])].tolist()}
 
-    def _features(self, limits: Floats) -> Features:
-        key = limits.tobytes()
-        if key not in self._cache:
-            (spans,) = self.items.intervals
-            rows, place = np.unique(spans.recording, return_inverse=True)
-            wrench, length = self.recordings.wrench[rows], self.recordings.length[rows]
-            tracks = encode_batch(self.config, GradientThresholds(limits), wrench, length)
-            local = replace(self.items, intervals=(replace(spans, recording=place),), recordings=len(rows))
-            self._cache[key] = extract_features(tracks, local, self.spec)
-        return self._cache[key]
+    return predict
 
 
 def fixed(thresholds: Thresholds) -> Choose:

@@ -79,16 +79,10 @@ def shares(times: Int[Array, "*sentences 6 25"]) -> Float[Array, "*sentences 150
 
 
 @partial(jax.jit, static_argnames=("classes",))
-def score_block(
+def _block_scores(
     times: Int[Array, "candidate recording sentence 6 25"], y: Int[Array, "recording sentence"], *, classes: int
 ) -> Float[Array, "candidate score"]:
-    """All scores of a few candidates, float32 in the order of SCORES.
-
-    Args:
-        times: int32, samples.
-        y: int32, index of the class.
-        classes: number of classes.
-    """
+    """Scores of a few candidates."""
     target = jax.nn.one_hot(y.reshape(-1), classes)
 
     def one(candidate: Array) -> Array:
@@ -103,9 +97,15 @@ def score_block(
 def scores(
     times: Int[Array, "candidate recording sentence 6 25"], y: Int[Array, "recording sentence"], classes: int
 ) -> Float[np.ndarray, "candidate score"]:
-    """:func:`score_block` for any number of candidates; a candidate's scores do not depend on the others."""
+    """All scores, float32 in the order of SCORES; those of a candidate do not depend on the others.
+
+    Args:
+        times: int32, samples.
+        y: int32, index of the class.
+        classes: number of classes.
+    """
     y_true = jax.device_put(y)
-    blocks = [score_block(block, y_true, classes=classes) for block in _blocks(times)]
+    blocks = [_block_scores(block, y_true, classes=classes) for block in _blocks(times)]
     return np.concatenate(jax.device_get(blocks))[: len(times)]
 
 

@@ -23,6 +23,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.rules import config_of
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
 from rcbht_jax.errors import InputError
+from rcbht_jax.labels import Primitive
 from rcbht_jax.types import Array, LabelTrack, Recordings
 
 BLOCK = 0.5  # s, over which rest and movement are separated
@@ -254,27 +255,24 @@ def rest_not_constant(
     return other.sum((0, 1)) / np.maximum(rest.sum((0, 1)), 1)
 
 
-def hidden_changes(
-    recordings: Recordings, primitive: LabelTrack, window: int, constant: int
-) -> Bool[np.ndarray, " axis"]:
+def hidden_changes(recordings: Recordings, primitive: LabelTrack, window: int) -> Bool[np.ndarray, " axis"]:
     """Which axes change far more than their noise, although all their labels are constant in most such recordings.
 
     Args:
         recordings: what was labelled.
         primitive: labels ``[recording, axis, slot]``.
         window: samples per window.
-        constant: code of the constant label.
 
     Example:
         >>> rng = np.random.default_rng(0)
         >>> ramp = np.linspace(0, [9.0, 0.0], 400) + 0.1 * rng.normal(size=(400, 2))
         >>> code = np.full((1, 2, 1), 7)
         >>> labels = LabelTrack(code, code * 0, code * 0 + 400, code * 0, *[code * 0.0] * 4)
-        >>> hidden_changes(Recordings.from_arrays([ramp], 100, axes=("Fz", "Fx")), labels, 5, 7).tolist()
+        >>> hidden_changes(Recordings.from_arrays([ramp], 100, axes=("Fz", "Fx")), labels, 5).tolist()
         [True, False]
     """
     label = np.asarray(primitive.label)
-    still = ((label == 0) | (label == constant)).all(2)
+    still = ((label == 0) | (label == Primitive.CONS)).all(2)
     changes = np.zeros((len(recordings), len(recordings.axes)), bool)
     for row, (wrench, samples) in enumerate(zip(recordings.wrench, recordings.length.tolist(), strict=True)):
         if (count := samples // window) > 1:

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+import rcbht_jax
 from rcbht_jax._util import checkpoint as files
 from rcbht_jax._util import cma
 from rcbht_jax._util.devices import in_turn
@@ -228,58 +229,56 @@ def _chunk(backend: str, data: CalibrationData) -> int:
     return min(_TOGETHER[backend][0], 1 << max(0, (_MOST[backend] // bytes_each).bit_length() - 1))
 
 
+@dataclass
 class _Run:
     """Numbered evaluations, whose scores come from the checkpoint where it has them."""
 
-    def __init__(
-        self,
-        data: CalibrationData,
-        config: AnyConfig,
-        options: SearchOptions,
-        stored: ScoreCheckpoint,
-        chunk: int | None,
-        devices: Sequence[jax.Device] | None,
-        rest: RestSlopes | RestRuns | None,
-    ):
-        self.devices, self.rest = devices, rest
-        self.data, self.config, self.options, self.stored, self.chunk = data, config, options, stored, chunk
-        self.weights = options.objective.weights()
-        self.number = 0
-        self.history: list[tuple[int, float, float]] = []
-        self.start = time.perf_counter()
+    data: CalibrationData
+    config: AnyConfig
+    options: SearchOptions
+    stored: ScoreCheckpoint
+    chunk: int | None
+    devices: Sequence[jax.Device] | None
+    rest: RestSlopes | RestRuns | None
+    progress: Callable[[int], None] | None
+    number: int = 0
+    history: list[tuple[int, float, float]] = field(default_factory=list)
+    start: float = field(default_factory=time.perf_counter)
 
-    def __call__(self, points: Floats, trials: float, progress: Callable[[int], None] | None) -> Scores:
-        rows = np.arange(len(self.data))
-        if trials < 1:
-            shuffled = np.random.default_rng(self.options.seed).permutation(len(rows))
-            rows = np.sort(shuffled[: max(2, round(trials * len(rows)))])
-            if len(np.unique(jax.device_get(self.data.y)[rows])) < 2:
-                raise InputError(
-                    f"The {len(rows)} trials of the rung {trials:g} have a single class, by which nothing can be "
-                    "chosen; use a larger rung, or another seed."
-                )
-        first = self.number
-        known = self.stored.read(first, len(points))
+    def __call__(self, points: Floats, trials: float = 1.0) -> tuple[Scores, Floats]:
+        """Scores and objectives of points, on a fraction of the trials."""
+        known = self.stored.read(self.number, len(points))
         done = len(known)
-
-        def keep(_: int, new: Scores) -> None:
-            self.stored.write(new)
-            if progress is not None:
-                progress(len(new))
-
-        if progress is not None and done:
-            progress(done)
+        if self.progress is not None and done:
+            self.progress(done)
         if done < len(points):
-            part = self.data if trials == 1 else self.data.take(rows)
+            part = self.data if trials == 1 else self.data.take(self._rows(trials))
             candidates = self.options.space.thresholds(points[done:])
-            new = score_candidates(part, self.config, candidates, chunk=self.chunk, devices=self.devices, progress=keep)
+            new = score_candidates(
+                part, self.config, candidates, chunk=self.chunk, devices=self.devices, progress=self._keep
+            )
             known = np.concatenate([known, new])
         self.number += len(points)
-        return known
+        return known, self._values(known, points)
 
-    def values(self, scores: Scores, points: Floats) -> Floats:
+    def _rows(self, trials: float) -> NDArray[np.int64]:
+        shuffled = np.random.default_rng(self.options.seed).permutation(len(self.data))
+        rows = np.sort(shuffled[: max(2, round(trials * len(shuffled)))])
+        if len(np.unique(jax.device_get(self.data.y)[rows])) < 2:
+            raise InputError(
+                f"The {len(rows)} trials of the rung {trials:g} have a single class, by which nothing can be "
+                "chosen; use a larger rung, or another seed."
+            )
+        return rows
+
+    def _keep(self, _: int, new: Scores) -> None:
+        self.stored.write(new)
+        if self.progress is not None:
+            self.progress(len(new))
+
+    def _values(self, scores: Scores, points: Floats) -> Floats:
         """Weighted sum less the penalty, rounded so that ties do not depend on the last bit of a device."""
-        value = scores.astype(np.float64) @ self.weights
+        value = scores.astype(np.float64) @ self.options.objective.weights()
         if self.rest is not None:
             value = value - self.rest.penalty(self.options.space.thresholds(points))
         return np.asarray(value.round(6))
@@ -321,11 +320,10 @@ def search(
     if len(np.unique(jax.device_get(data.y))) < 2:
         raise InputError("Thresholds can only be searched on sentences of at least two classes.")
     made_by = None if checkpoint is None else _made_by(data, config, options, rest)
-    run = _Run(data, config, options, ScoreCheckpoint(checkpoint, made_by), chunk, devices, rest)
+    run = _Run(data, config, options, ScoreCheckpoint(checkpoint, made_by), chunk, devices, rest, progress)
     points = options.points()
     for rung in options.rungs:
-        scores = run(points, rung, progress)
-        values = run.values(scores, points)
+        scores, values = run(points, rung)
         if rung < 1:
             survivors = np.sort(np.argsort(-values, kind="stable")[: max(1, int(len(points) * options.keep))])
             points = points[np.union1d([0], survivors)]  # the base stays, for comparison
@@ -335,8 +333,7 @@ def search(
     state = cma.CubeCma(cma.start(best[0], options.sigma))
     for _ in range(options.generations):
         points = state.sample(options.population, options.seed)
-        scores = run(points, 1.0, progress)
-        values = run.values(scores, points)
+        scores, values = run(points)
         state = state.update(points, values)
         index = int(values.argmax())
         if values[index] > best[2]:
@@ -360,7 +357,8 @@ def _made_by(
     plain: dict[str, Any] = asdict(options)
     base = options.space.base
     plain["space"]["base"] = checked_limits(config, base).tolist()
-    made = {"data": data.fingerprint(), "encoder": asdict(config), "options": plain}
+    version = rcbht_jax.__version__  # of the encoder and the scores
+    made = {"data": data.fingerprint(), "encoder": asdict(config), "options": plain, "version": version}
     return made if rest is None else made | {"rest": content_hash([np.asarray(x) for x in vars(rest).values()])}
 
 

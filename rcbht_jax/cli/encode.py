@@ -267,9 +267,8 @@ class _Run:
 def _hidden(recordings: Recordings, tracks: LabelTracks, window: int) -> list[str]:
     """The axes that change, although all their labels are constant in most recordings."""
     from rcbht_jax.calibration.rest import hidden_changes
-    from rcbht_jax.labels import Primitive
 
-    hidden = hidden_changes(recordings, tracks.primitive, window, Primitive.CONS)
+    hidden = hidden_changes(recordings, tracks.primitive, window)
     return [axis for axis, one in zip(recordings.axes, hidden.tolist(), strict=True) if one]
 
 

@@ -225,7 +225,7 @@ def load(path: Path | str) -> IntrospectionModel:
         config = config_from(meta["encoder"])
         limits = limits_from(config, archive)
         axes = len(checked_limits(config, limits))
-        heads = tuple(_read_head(path, head, archive, f"{n}.", axes) for n, head in enumerate(meta["heads"]))
+        heads = tuple(_read_head(head, archive, f"{n}.", axes) for n, head in enumerate(meta["heads"]))
         check_objects(meta, "extra")
         checked_texts("its digest, version and arm", [meta["data_hash"], meta["version"], meta["extra"].get("arm", "")])
         for name in ("axes", "units"):
@@ -234,16 +234,14 @@ def load(path: Path | str) -> IntrospectionModel:
         return IntrospectionModel(config, limits, heads, **rest, digests=read_digests(archive))
 
 
-def _read_head(
-    path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], prefix: str, axes: int
-) -> Head:
+def _read_head(meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], prefix: str, axes: int) -> Head:
     seen = meta["view"] if "view" in meta else meta["sight"]  # as files before 0.2 call it
     spec = FeatureSpec.from_dict(seen["spec"])
-    svm = read_svm(path, meta, archive, len(names(spec, axes)), prefix)
+    svm = read_svm(meta, archive, len(names(spec, axes)), prefix)
     sigmoid = archive[prefix + "sigmoid"]
     if sigmoid.shape != (svm.intercept.size, 2):
-        raise InputError(f"{path} is damaged: sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}.")
-    check_finite(path, "sigmoid", sigmoid)
+        raise InputError(f"sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}")
+    check_finite("sigmoid", sigmoid)
     view = FeatureView(spec, bool(seen["provisional"]))
     machine = ProbabilisticSvm(svm, sigmoid)
     name, alarm = checked_texts("a head's name and alarm", [meta["name"], meta["alarm"]])

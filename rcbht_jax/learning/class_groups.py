@@ -19,6 +19,7 @@ from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Recordings
 
 LARGEST = 5000  # items on which hyper-parameters are chosen: each fit takes their square in memory, and more in time
+SEEDS = 2**32  # that scikit-learn takes
 _FOLDED = 5  # groups of every class that are among them, for the folds
 _DIVISIONS = 200  # that are tried: where any trains all classes, one of the first dozen did
 Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
@@ -26,6 +27,18 @@ Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to
 
 class TooFewTrials(InputError):
     """A class is in too few trials, or other groups, to be trained on and tested."""
+
+
+def check_seed(seed: Any) -> None:
+    """Refuse a number that scikit-learn takes for no seed.
+
+    >>> check_seed(0)
+
+    Raises:
+        InputError: it is negative, or has more than 32 bits.
+    """
+    if isinstance(seed, int | np.integer) and not 0 <= seed < SEEDS:
+        raise InputError(f"The seed is {seed}; expected 0 to {SEEDS - 1}.")
 
 
 def groups_of_classes(y: NDArray[Any], groups: NDArray[Any], classes: Iterable[Any]) -> NDArray[np.int64]:
@@ -101,6 +114,7 @@ def some_items(
         >>> len(rows), np.bincount(y[rows]).tolist(), len(np.unique(trials[rows]))
         (100, [50, 50], 50)
     """
+    check_seed(seed)
     size = np.ones(len(y), np.int64) if size is None else size
     if size.sum() <= most:
         return np.arange(len(y))

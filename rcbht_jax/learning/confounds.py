@@ -127,15 +127,15 @@ def _by_chance(count: Float[np.ndarray, "session class"]) -> float:
     return float(chdtrc(freedom, ((count - expected) ** 2 / expected).sum()))
 
 
-def _durations(items: LabelledIntervals) -> str:
+def _predicting(items: LabelledIntervals, score: float) -> str:
+    """A balanced accuracy beside that of chance, in words; "" if it is nearer to chance than to certainty."""
     chance = 1 / len(items.classes)
-    score = max(duration_score(arm, items.y) for arm in items.seconds.T)
-    if score <= (1 + chance) / 2:
-        return ""
-    return (
-        f"The classes differ in length: the nearest median duration alone predicts them with a balanced accuracy of "
-        f"{score:.0%} (chance {chance:.0%})."
-    )
+    return f"balanced accuracy of {score:.0%} (chance {chance:.0%})" if score > (1 + chance) / 2 else ""
+
+
+def _durations(items: LabelledIntervals) -> str:
+    found = _predicting(items, max(duration_score(arm, items.y) for arm in items.seconds.T))
+    return found and f"The classes differ in length: the nearest median duration alone predicts them with a {found}."
 
 
 def _first_second(items: LabelledIntervals, facts: WrenchFacts) -> str:
@@ -143,13 +143,10 @@ def _first_second(items: LabelledIntervals, facts: WrenchFacts) -> str:
     samples = max(1, round(1 / spans.dt))
     if spans.start.any() or len(items.y) < 2 * len(items.classes) or (spans.end <= 2 * samples).any():
         return ""  # of an interval inside a recording, or of a short one, the beginning is the thing itself
-    chance = 1 / len(items.classes)
-    score = first_mean_score(facts.opening[spans.recording], items.y)
-    if score <= (1 + chance) / 2:
-        return ""
-    return (
-        f"The nearest mean of the first second predicts the classes with a balanced accuracy of {score:.0%} (chance "
-        f"{chance:.0%}); if nothing happens that early, bias, tool or pose differ."
+    found = _predicting(items, first_mean_score(facts.opening[spans.recording], items.y))
+    return found and (
+        f"The nearest mean of the first second predicts the classes with a {found}; if nothing happens that early, "
+        "bias, tool or pose differ."
     )
 
 
@@ -195,12 +192,11 @@ def _median_of_others(values: Float[np.ndarray, " item"]) -> Float[np.ndarray, "
 
 def _single_samples(items: LabelledIntervals) -> list[str]:
     single = np.any([i.end - i.start == 1 for i in items.intervals], axis=0)
-    of_class = [single[items.y == c] for c in range(len(items.classes))]
+    counts = (np.bincount(y, minlength=len(items.classes)).tolist() for y in (items.y[single], items.y))
     return [
-        f"{short.sum()} of {plural(len(short), 'interval')} of {name} {'is' if short.sum() == 1 else 'are'} one sample "
-        "long."
-        for name, short in zip(items.classes, of_class, strict=True)
-        if short.any()
+        f"{short} of {plural(every, 'interval')} of {name} {'is' if short == 1 else 'are'} one sample long."
+        for name, short, every in zip(items.classes, *counts, strict=True)
+        if short
     ]
 
 

@@ -163,10 +163,13 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         return hasattr(self, "thresholds_")
 
     def __sklearn_tags__(self) -> Any:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array, tags.input_tags.three_d_array = False, True
-        tags.requires_fit = True
-        return tags
+        return _of_recordings(super().__sklearn_tags__())
+
+
+def _of_recordings(tags: Any) -> Any:
+    """Tags of scikit-learn, for three dimensions in place of two."""
+    tags.input_tags.two_d_array, tags.input_tags.three_d_array = False, True
+    return tags
 
 
 def keep_names(estimator: Any, names: tuple[str, ...] | None) -> None:
@@ -209,8 +212,8 @@ def _passes_on(classifier: Any) -> bool:
 
 def _takes(classifier: Any, name: str) -> bool:
     """Whether fit takes groups, or sample_weight, for itself or for the estimators that a classifier is made of."""
-    if name in signature(classifier.fit).parameters or not _passes_on(classifier):
-        return name in signature(classifier.fit).parameters
+    if (named := name in signature(classifier.fit).parameters) or not _passes_on(classifier):
+        return named
     if get_config()["enable_metadata_routing"]:
         return name in get_routing_for_object(classifier).consumes("fit", [name])
     parameters = classifier.get_params(deep=False)
@@ -229,14 +232,7 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
     """Classifier of recordings: wrench -> labels -> features -> support vector machine.
 
     Args:
-        rate: see :class:`WrenchFeatures`, as are the next seven.
-        window: samples per straight-line fit.
-        thresholds: gradient thresholds.
-        features: which features.
-        config: other options of the encoder.
-        rule: ``"paper"`` or ``"fit"``.
-        tolerance: of the fit rule.
-        layout: order of the dimensions.
+        rate, window, thresholds, features, config, rule, tolerance, layout: as of :class:`WrenchFeatures`.
         classifier: of feature matrices; None = ``SvmClassifier()``.
 
     Attributes:
@@ -318,6 +314,4 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
         return self.classifier_.predict_proba(self.features_.transform(X))
 
     def __sklearn_tags__(self) -> Any:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array, tags.input_tags.three_d_array = False, True
-        return tags
+        return _of_recordings(super().__sklearn_tags__())

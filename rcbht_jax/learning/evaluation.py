@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,7 @@ from rcbht_jax.learning import validation
 from rcbht_jax.learning.class_groups import fewest_groups, groups_by, learnable, naming_left_out
 from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.svm import Grid, Split, Weight, grouped_folds
-from rcbht_jax.learning.tasks import (
-    LabelledIntervals,
-    TaskSpec,
-    TrackBatches,
-    extract_features,
-    labelled_intervals,
-)
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, TrackBatches, extract_features, labelled_intervals
 from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import LabelTracks, Recordings
 
@@ -60,10 +54,6 @@ class EvaluationProtocol:
             raise InputError(f"folds are grouped by {self.group}, but sessions are trained and tested on; give one.")
         if self.repeats < 1:
             raise InputError(f"{self.repeats} repeats were asked for; at least one is needed.")
-
-    def folds_for(self, y: NDArray[np.int64], groups: NDArray[Any]) -> int:
-        """The number of folds for items of these classes and groups."""
-        return min(FOLDS, fewest_groups(y, groups)) if self.folds is None else self.folds
 
 
 @dataclass(frozen=True)
@@ -206,106 +196,53 @@ def score(
         "duration": validation.forest(items.seconds, items.y),
         "majority": validation.majority(items.y),
     }
+    folds = _folds(items, protocol, groups, splitter)
+    runs = {name: validation.cross_validate(one, items.y, folds, protocol.seed) for name, one in estimators.items()}
+    svm, units = runs["svm"], items.trial if protocol.train_on else groups
+    tested = len(np.unique(units[np.concatenate([test for _, test in folds[0]])]))  # a splitter need not test all
     if protocol.train_on:
-        scored = _between_sessions(items, estimators, protocol)
+        summaries = {name: validation.HoldoutScore.of(run, tested).summary() for name, run in runs.items()}
+        used = items.take(np.concatenate(folds[0][0]))
     else:
-        scored = _in_folds(items, estimators, protocol, groups, splitter)
+        summaries, used = {name: run.summary(tested) for name, run in runs.items()}, items
+    counts = Counter(used.classes[code] for code in used.y.tolist())
     return EvaluationResult(
         task=task,
-        protocol=asdict(protocol) | _folds_used(items, protocol, groups, splitter),
+        protocol=asdict(protocol) | _folds_used(protocol, folds, splitter),
         classes=items.classes,
-        items=dict(
-            zip(items.classes, np.bincount(items.y[scored.used], minlength=len(items.classes)).tolist(), strict=True)
-        ),
-        trials=len(np.unique(items.trial[scored.used])),
-        untrained=scored.untrained,
-        tested=scored.tested,
+        items={name: counts[name] for name in items.classes},
+        trials=len(np.unique(used.trial)),
+        untrained=_untrained(items, [split for repeat in folds for split in repeat]),
+        tested=tested,
         dropped=items.dropped,
-        score=scored.summaries["svm"],
-        duration_baseline=scored.summaries["duration"],
-        majority_baseline=validation.without_intervals(scored.summaries["majority"]),
-        fold_accuracy=scored.fold_accuracy,
-        confusion=scored.confusion,
-        chosen=dict(Counter(_line(c) for c in scored.chosen).most_common()),
-        confounds=" ".join(confounds(items.take(scored.used), facts)),
+        score=summaries["svm"],
+        duration_baseline=summaries["duration"],
+        majority_baseline=validation.without_intervals(summaries["majority"]),
+        fold_accuracy=svm.accuracy.tolist(),
+        confusion=svm.confusion.tolist(),
+        chosen=dict(Counter(_line(choice) for repeat in svm.chosen for choice in repeat).most_common()),
+        confounds=" ".join(confounds(used, facts)),
         provenance=provenance,
     )
 
 
-def _folds_used(
+def _folds(
     items: LabelledIntervals, protocol: EvaluationProtocol, groups: NDArray[Any], splitter: Any
-) -> dict[str, Any]:
-    """Folds and repeats for the result; None where sessions or a splitter take their place."""
+) -> list[list[Split]]:
+    """Splits ``[repeat][fold]``: one between sessions, those of scikit-learn's splitter, or repeated folds."""
     if protocol.train_on:
-        return {"folds": None, "repeats": None}
+        return [[_split(items, protocol)]]
     if splitter is not None:
-        return {"folds": None, "repeats": None, "splitter": repr(splitter)}
-    return {"folds": protocol.folds_for(items.y, groups)}
+        return [grouped_folds(items.y, groups, splitter, protocol.seed)]
+    number = min(FOLDS, fewest_groups(items.y, groups)) if protocol.folds is None else protocol.folds
+    return validation.repeated_folds(items.y, groups, number, protocol.repeats, protocol.seed, protocol.group)
 
 
-class _Scored(NamedTuple):
-    """What the estimators "svm", "duration" and "majority" score."""
-
-    used: NDArray[np.int64]  # items
-    tested: int  # trials or groups
-    untrained: tuple[str, ...]  # classes that are tested and were not trained
-    summaries: dict[str, Any]  # by estimator
-    fold_accuracy: list[list[float]]  # of the SVM, as the rest
-    confusion: list[list[int]]
-    chosen: list[dict[str, Any]]
-
-
-def _between_sessions(
-    items: LabelledIntervals, estimators: Mapping[str, validation.Estimator], protocol: EvaluationProtocol
-) -> _Scored:
-    """Train on some sessions, test on others."""
-    split = _split(items, protocol)
-    scores = {
-        name: validation.holdout_score(estimator, items.y, items.trial, split, protocol.seed)
-        for name, estimator in estimators.items()
-    }
-    svm = scores["svm"]
-    return _Scored(
-        used=np.concatenate(split),
-        tested=len(np.unique(items.trial[split[1]])),
-        untrained=_untrained(items, [split]),
-        summaries={name: one.summary() for name, one in scores.items()},
-        fold_accuracy=[[svm.accuracy]],
-        confusion=svm.confusion.tolist(),
-        chosen=[svm.chosen],
-    )
-
-
-def _in_folds(
-    items: LabelledIntervals,
-    estimators: Mapping[str, validation.Estimator],
-    protocol: EvaluationProtocol,
-    groups: NDArray[Any],
-    splitter: Any,
-) -> _Scored:
-    """Repeated folds, or those of scikit-learn's splitter."""
-    folds = (
-        validation.repeated_folds(
-            items.y, groups, protocol.folds_for(items.y, groups), protocol.repeats, protocol.seed, protocol.group
-        )
-        if splitter is None
-        else [grouped_folds(items.y, groups, splitter, protocol.seed)]
-    )
-    runs = {
-        name: validation.cross_validate(estimator, items.y, folds, protocol.seed)
-        for name, estimator in estimators.items()
-    }
-    svm = runs["svm"]
-    tested = len(np.unique(groups[np.concatenate([test for _, test in folds[0]])]))  # a splitter need not test all
-    return _Scored(
-        used=np.arange(len(items.y)),
-        tested=tested,
-        untrained=_untrained(items, [split for repeat in folds for split in repeat]),
-        summaries={name: run.summary(tested) for name, run in runs.items()},
-        fold_accuracy=svm.accuracy.tolist(),
-        confusion=svm.confusion.tolist(),
-        chosen=[choice for repeat in svm.chosen for choice in repeat],
-    )
+def _folds_used(protocol: EvaluationProtocol, folds: list[list[Split]], splitter: Any) -> dict[str, Any]:
+    """Folds and repeats for the result; None where sessions or a splitter take their place."""
+    if not protocol.train_on and splitter is None:
+        return {"folds": len(folds[0])}
+    return {"folds": None, "repeats": None} | ({} if protocol.train_on else {"splitter": repr(splitter)})
 
 
 def _untrained(items: LabelledIntervals, splits: Sequence[Split]) -> tuple[str, ...]:

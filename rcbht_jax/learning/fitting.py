@@ -52,8 +52,8 @@ def train(
             few classes occur in two groups.
 
     Raises:
-        InputError: fewer than two classes in two trials or more, labels of more or fewer recordings, or an unknown
-            group.
+        InputError: fewer than two classes in two trials or more, labels of more or fewer recordings, a seed that is
+            negative or has more than 32 bits, or an unknown group.
 
     Example:
         >>> import rcbht_jax as rj

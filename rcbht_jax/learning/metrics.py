@@ -204,26 +204,17 @@ def calibration_error(probability: Floats, y_true: Ints, bins: int = 10) -> floa
     return float(np.nansum(share * np.abs(y_pred - right)))
 
 
-def certainty(probability: Floats, k: float) -> NDArray[np.int8]:
-    """Per step 0 inadmissible (largest probability < 0.5), 1 uncertain (up to k), 2 certain (above k)."""
-    top = probability.max(1)
-    return ((top >= INADMISSIBLE).astype(np.int8) + (top > k)).astype(np.int8)
-
-
 def window_start(steps: int) -> int:
     """First step of the paper's last third: int(2n/3) + 1, counted from 0."""
     return 2 * steps // 3 + 1
 
 
-def certain_count(probability: Floats, y_true: int, k: float) -> int:
-    """Steps in the last third of one trial that are correct with a probability above k."""
-    last = probability[window_start(len(probability)) :]
-    return int(np.sum((last.argmax(1) == y_true) & (last.max(1) > k)))
-
-
 @dataclass(frozen=True)
 class Certainty:
-    """The paper's counts for one threshold; every array is ``[class]``, NaN where a class has no trial."""
+    """The paper's counts of certain steps, which are those in the last third of a trial, correct and above k.
+
+    Every array is ``[class]``, NaN where a class has no trial.
+    """
 
     k: float
     count_min: NDArray[np.float64]  # steps, smallest over the trials of the class
@@ -247,10 +238,10 @@ def certainties(probabilities: Sequence[Floats], y_true: Sequence[int], k: float
         raise InputError(f"{len(probabilities)} trials and {len(y_true)} true classes cannot be compared.")
     classes = probabilities[0].shape[1]
     of_class = np.asarray(y_true)
-    pairs = zip(probabilities, y_true, strict=True)
-    counts = np.array([certain_count(p, c, k) for p, c in pairs], np.float64)
+    last = [p[window_start(len(p)) :] for p in probabilities]
+    certain = [(p.argmax(1) == c) & (p.max(1) > k) for p, c in zip(last, y_true, strict=True)]
+    counts, window = (np.array([f(part) for part in certain], np.float64) for f in (np.sum, len))
     steps = np.array([len(p) for p in probabilities], np.float64)
-    window = np.array([max(0, len(p) - window_start(len(p))) for p in probabilities], np.float64)
     own = np.divide(counts, window, out=np.full(len(counts), np.nan), where=window > 0)
 
     def per_class(value: NDArray[np.float64], reduce: Any) -> NDArray[np.float64]:

@@ -37,9 +37,7 @@ MAKERS = {
 CHAIN = "chain.json"  # in archives of "rcbht export-model"
 
 _ARRAYS = ("center", "width", "knots", "support", "support_count", "dual", "intercept")
-
-
-_SIGNAL = ("axes", "units")
+_PLAIN, _SIGNAL = ("task", "encoder", "data_hash", "version", "extra"), ("axes", "units")
 NO_DIGESTS = np.zeros((0, 32), np.uint8)  # older files
 
 
@@ -67,16 +65,9 @@ def save(path: Path | str, model: TrainedModel) -> None:
         InputError: the folder does not exist, or a description is not JSON.
     """
     arrays, described = svm_members(model.svm)
-    meta = {
-        "format": FORMAT,
-        **described,
-        "feature_spec": asdict(model.feature_spec),
-        **{
-            k: getattr(model, k)
-            for k in ("feature_names", "task", "encoder", "data_hash", "version", "extra", *_SIGNAL)
-        },
-    }
-    write_archive(path, meta, {**arrays, "digests": model.digests})
+    meta = {"format": FORMAT, **described, "feature_spec": asdict(model.feature_spec)}
+    rest = {k: getattr(model, k) for k in ("feature_names", *_PLAIN, *_SIGNAL)}
+    write_archive(path, meta | rest, {**arrays, "digests": model.digests})
 
 
 def load(path: Path | str) -> TrainedModel:
@@ -90,8 +81,8 @@ def load(path: Path | str) -> TrainedModel:
         names = checked_texts("its features", meta["feature_names"])
         check_objects(meta, "task", "encoder", "extra")
         checked_texts("its digest and version", [meta["data_hash"], meta["version"]])
-        svm = read_svm(path, meta, archive, len(names))
-        rest = {k: meta[k] for k in ("task", "encoder", "data_hash", "version", "extra")}
+        svm = read_svm(meta, archive, len(names))
+        rest = {k: meta[k] for k in _PLAIN}
         axes, units = (checked_texts(f"its {name}", meta.get(name, [])) for name in _SIGNAL)
         if len(axes) != len(units):
             raise InputError(f"it has {len(axes)} axes and {len(units)} units")
@@ -137,9 +128,7 @@ def svm_members(svm: SvmModel, prefix: str = "") -> tuple[dict[str, NDArray[Any]
     return arrays, {"spec": asdict(svm.spec), "gamma": svm.gamma, "classes": svm.classes}
 
 
-def read_svm(
-    path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], features: int, prefix: str = ""
-) -> SvmModel:
+def read_svm(meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], features: int, prefix: str = "") -> SvmModel:
     """Undo :func:`svm_members`.
 
     Raises:
@@ -153,7 +142,7 @@ def read_svm(
         classes=checked_texts("its classes", meta["classes"], different=True),
         **arrays,
     )
-    _check(svm, features, path)
+    _check(svm, features)
     return svm
 
 
@@ -195,7 +184,7 @@ def reading(
                 raise _made_by(path, MAKERS[meta["format"]], kind)
             raise InputError(f"{path} has the format {meta['format']}; this version reads {kind} here.")
         for name, values in archive.items():
-            check_finite(path, name, values[:0] if name in gaps else values)
+            check_finite(name, values[:0] if name in gaps else values)
         yield meta, archive
     except InputError as error:
         if str(path) in str(error):
@@ -218,7 +207,7 @@ def _is_chain(path: Path) -> bool:
     return False
 
 
-def _check(svm: SvmModel, features: int, path: Path) -> None:
+def _check(svm: SvmModel, features: int) -> None:
     """Raise an error for arrays that do not fit together or are not finite."""
     classes, vectors = len(svm.classes), int(svm.support_count.sum())
     expected = {
@@ -232,18 +221,18 @@ def _check(svm: SvmModel, features: int, path: Path) -> None:
     }
     for name, shape in expected.items():
         if getattr(svm, name).shape != shape:
-            raise InputError(f"{path} is damaged: {name} has the shape {getattr(svm, name).shape}, not {shape}.")
+            raise InputError(f"{name} has the shape {getattr(svm, name).shape}, not {shape}")
     if svm.support_count.dtype.kind not in "iu" or (vectors and svm.support_count.min() < 0):
-        raise InputError(f"{path} is damaged: support_count is {svm.support_count.dtype}; expected counts.")
+        raise InputError(f"support_count is {svm.support_count.dtype}; expected counts")
     if not 0 < svm.gamma < np.inf:
-        raise InputError(f"{path} is damaged: gamma is {svm.gamma}; expected a positive number.")
+        raise InputError(f"gamma is {svm.gamma}; expected a positive number")
 
 
-def check_finite(path: Path, name: str, values: NDArray[Any]) -> None:
+def check_finite(name: str, values: NDArray[Any]) -> None:
     """Refuse an array of a model that is no array of finite real numbers.
 
     Raises:
         InputError: names the array.
     """
     if values.dtype.kind not in "iuf" or not np.isfinite(values).all():
-        raise InputError(f"{path} is damaged: {name} is not finite everywhere; expected numbers.")
+        raise InputError(f"{name} is not finite everywhere; expected numbers")

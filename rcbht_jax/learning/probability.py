@@ -23,17 +23,7 @@ from rcbht_jax._util.compiling import full_precision
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.class_groups import fewest_groups
 from rcbht_jax.learning.scaling import SPREAD
-from rcbht_jax.learning.svm import (
-    DEGREE,
-    Ints,
-    Matrix,
-    SvmModel,
-    SvmSpec,
-    Weight,
-    fit,
-    grouped_folds,
-    pairs,
-)
+from rcbht_jax.learning.svm import DEGREE, Ints, Matrix, SvmModel, SvmSpec, Weight, fit, grouped_folds, pairs
 from rcbht_jax.types import Array
 
 CERTAIN = 1e-7  # pair probabilities are kept this far from 0 and 1, as in libsvm
@@ -82,7 +72,7 @@ def fit_probabilistic(
         sample_weight: positive ``[item]``, how often each counts; None = once.
 
     Raises:
-        InputError: a class has fewer than two trials, or a feature is not finite.
+        InputError: as of :func:`held_out_decisions`, or a feature is not finite.
     """
     held_out = held_out_decisions(x, y, groups, classes, spec, seed, folds, weight, sample_weight)
     sigmoids = fit_sigmoids(held_out, y, len(classes), sample_weight)
@@ -95,7 +85,7 @@ def held_out_decisions(
     groups: NDArray[Any],
     classes: Sequence[str],
     spec: SvmSpec,
-    seed: int,
+    seed: int = 0,
     folds: int | Any = FOLDS,
     weight: Weight = None,
     sample_weight: Weight = None,
@@ -103,15 +93,7 @@ def held_out_decisions(
     """Decision values ``[item, pair]``, each by an SVM that was trained without the item's trial.
 
     Args:
-        x: features ``[item, feature]``.
-        y: class index ``[item]``.
-        groups: trial ``[item]``.
-        classes: names.
-        spec: hyper-parameters.
-        seed: of the folds.
-        folds: how many, fewer where a class has fewer trials; or a scikit-learn splitter.
-        weight: of the features ``[feature]``; None = ones.
-        sample_weight: of the items ``[item]``; None = ones.
+        x, y, groups, classes, spec, seed, folds, weight, sample_weight: as of :func:`fit_probabilistic`.
 
     Raises:
         InputError: a class has fewer than two trials, a fold holds them all, or the splitter does not test every item
@@ -121,7 +103,7 @@ def held_out_decisions(
     splits = grouped_folds(y, groups, number, seed)
     if not np.array_equal(np.sort(np.concatenate([test for _, test in splits])), np.arange(len(y))):
         raise InputError(f"{folds} does not test every item exactly once, which held-out decision values need.")
-    out = np.empty((len(y), len(classes) * (len(classes) - 1) // 2))
+    out = np.empty((len(y), pairs(len(classes))[0].size))
     for train, test in splits:
         if len(absent := np.setdiff1d(y, y[train])):
             raise InputError(

@@ -25,7 +25,7 @@ from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.class_groups import Split as Split
-from rcbht_jax.learning.class_groups import TooFewTrials, fewest_groups, groups_of_classes, training_all
+from rcbht_jax.learning.class_groups import TooFewTrials, check_seed, fewest_groups, groups_of_classes, training_all
 from rcbht_jax.learning.scaling import Scale, fit_scale
 
 KERNELS = ("linear", "poly", "rbf")
@@ -276,7 +276,8 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         group: what a group is called where there are too few.
 
     Raises:
-        InputError: too few groups of a class, or the splitter divides a group, has an empty side, or is none.
+        InputError: too few groups of a class, no such seed, or the splitter divides a group, has an empty side, or is
+            none.
     """
     with needs_extra("learn"):
         from sklearn.model_selection import StratifiedGroupKFold
@@ -291,6 +292,7 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         if any(np.intersect1d(number[train], number[test]).size for train, test in splits):
             raise InputError(f"{folds} puts items of one trial on both sides; use one for groups, such as GroupKFold.")
         return splits
+    check_seed(seed)
     fewest = fewest_groups(y, groups)
     if folds < 2 or fewest < folds:
         if fewest < 2:
@@ -362,7 +364,12 @@ def select(
 def predictions(
     x: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float], weight: Weight = None
 ) -> list[NDArray[np.int64]]:
-    """Class index ``[test item]`` for each cost (increasing), trained on the rows ``train`` of ``x``."""
+    """Class index ``[test item]`` for each cost (increasing), trained on the rows ``train`` of ``x``.
+
+    Once no dual variable reaches its bound the solution no longer depends on the cost, so the path along
+    the costs ends there and the last answer stands for the rest. It also ends where the solver gives up:
+    larger costs are harder still, and repeating the last solved answer keeps ties from choosing them.
+    """
     return _predicted(_scaled(x, train, spec, weight), y, train, test, spec, costs)
 
 
@@ -374,25 +381,15 @@ def _predicted(
     scaled: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float], dot: Matrix | None = None
 ) -> list[NDArray[np.int64]]:
     kernel = gram(scaled, scaled[train], spec.kernel, _gamma(scaled[train], spec.gamma), dot)
-    return predictions_of_kernel(kernel[train], y[train], kernel[test], costs, spec.balanced)
-
-
-def predictions_of_kernel(
-    train: Matrix, y: Ints, test: Matrix, costs: Sequence[float], balanced: bool = False
-) -> list[NDArray[np.int64]]:
-    """Class index ``[test item]`` for each cost, given kernel values against the training items.
-
-    Once no dual variable reaches its bound the solution no longer depends on the cost, so the path along
-    the (increasing) costs ends there and the last answer stands for the rest. It also ends where the solver
-    gives up: larger costs are harder still, and repeating the last solved answer keeps ties from choosing them.
-    """
+    among, against, known = kernel[train], kernel[test], y[train]
+    share = len(known) / (np.bincount(known).max() * len(np.unique(known))) if spec.balanced else 1.0
     predicted: list[NDArray[np.int64]] = []
-    share = len(y) / (np.bincount(y).max() * len(np.unique(y))) if balanced else 1.0
     for cost in costs:
-        machine = solved(train, y, "precomputed", cost, balanced, max(_MIN_ITERATIONS, _PER_ITEM * len(y)))
+        bound = max(_MIN_ITERATIONS, _PER_ITEM * len(known))
+        machine = solved(among, known, "precomputed", cost, spec.balanced, bound)
         if predicted and machine.fit_status_ == 1:
             break
-        predicted.append(machine.predict(test).astype(np.int64))
+        predicted.append(machine.predict(against).astype(np.int64))
         if np.abs(machine.dual_coef_).max() < cost * share:
             break
     return predicted + [predicted[-1]] * (len(costs) - len(predicted))

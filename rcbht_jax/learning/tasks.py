@@ -27,14 +27,7 @@ from rcbht_jax.features import (
     interval_features,
 )
 from rcbht_jax.learning.task_choice import column_names
-from rcbht_jax.learning.task_items import (
-    leave_out,
-    leave_out_sources,
-    track_items,
-    trial_names,
-    trials_in,
-    whole_items,
-)
+from rcbht_jax.learning.task_items import leave_out, leave_out_sources, track_items, trial_names, trials_in, whole_items
 from rcbht_jax.types import LabelTracks, Recordings
 
 SUCCESS, FAILURE, UNKNOWN, UNFINISHED = "success", "failure", "unknown", "unfinished"  # the last two: not judged

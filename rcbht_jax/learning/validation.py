@@ -19,21 +19,18 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.class_groups import LARGEST, inner_groups, some_items
-from rcbht_jax.learning.svm import Grid, Split, SvmSpec, Weight, fit, grouped_folds, predictions, select
+from rcbht_jax.learning.class_groups import LARGEST, SEEDS, inner_groups, some_items
+from rcbht_jax.learning.svm import Grid, Ints, Matrix, Split, SvmSpec, Weight, fit, grouped_folds, predictions, select
 
 with needs_extra("learn"):
     from sklearn.ensemble import RandomForestClassifier
 
-Ints = NDArray[np.integer[Any]]
 Rows = NDArray[np.int64]
-Matrix = NDArray[np.floating[Any]]
-Prediction = tuple[NDArray[np.int64], dict[str, Any]]
-Estimator = Callable[[NDArray[np.int64], NDArray[np.int64], int], Prediction]
+Prediction = tuple[Rows, dict[str, Any]]
+Estimator = Callable[[Rows, Rows, int], Prediction]
 
 _TREES = 50
 _SEEDS_APART = 1000
-_SEEDS = 2**32  # that scikit-learn takes
 
 
 def nested_svm(
@@ -65,15 +62,18 @@ def nested_svm(
                 "finite values."
             )
 
-    def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
+    def predict(train: Rows, test: Rows, seed: int) -> Prediction:
         units = groups[train] if trials is None else trials[train]
         apart = inner_groups(y[train], groups[train], units)
         some = some_items(y[train], apart, units, seed)
         chosen_on = {name: x[train[some]] for name, x in doubles.items()}
         spec = select(chosen_on, y[train[some]], apart[some], grid, seed, weights)
         weight = (weights or {}).get(spec.features)
-        learn = _of_many if len(train) > LARGEST else _of_few
-        predicted = learn(doubles[spec.features], y, train, test, spec, weight)
+        x = doubles[spec.features]
+        if len(train) > LARGEST:
+            predicted = _of_many(x, y, train, test, spec, weight)
+        else:
+            predicted = predictions(x, y, train, test, spec, [spec.cost], weight)[0]
         if progress:
             progress(1)
         return predicted, asdict(spec)
@@ -81,12 +81,8 @@ def nested_svm(
     return predict
 
 
-def _of_few(x: Matrix, y: Ints, train: Rows, test: Rows, spec: SvmSpec, weight: Weight) -> NDArray[np.int64]:
-    return predictions(x, y, train, test, spec, [spec.cost], weight)[0]
-
-
 def _of_many(x: Matrix, y: Ints, train: Rows, test: Rows, spec: SvmSpec, weight: Weight) -> NDArray[np.int64]:
-    """As for few, but for rounding; without the kernel matrix of all items, which would take gigabytes."""
+    """As ``predictions``, but for rounding; without the kernel matrix of all items, which would take gigabytes."""
     classes, code = np.unique(y[train], return_inverse=True)
     machine = fit(x[train], code, classes.astype(str).tolist(), spec, weight)
     return classes[machine.predict_index(x[test])].astype(np.int64)
@@ -95,7 +91,7 @@ def _of_many(x: Matrix, y: Ints, train: Rows, test: Rows, spec: SvmSpec, weight:
 def forest(x: Matrix, y: Ints) -> Estimator:
     """Estimator: a random forest on ``[item, feature]``, the baseline for a few numbers such as durations."""
 
-    def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
+    def predict(train: Rows, test: Rows, seed: int) -> Prediction:
         trees = RandomForestClassifier(_TREES, random_state=seed).fit(x[train], y[train])
         return trees.predict(x[test]).astype(np.int64), {}
 
@@ -105,7 +101,7 @@ def forest(x: Matrix, y: Ints) -> Estimator:
 def majority(y: Ints) -> Estimator:
     """Estimator: always the most frequent class of the training rows."""
 
-    def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
+    def predict(train: Rows, test: Rows, seed: int) -> Prediction:
         return np.full(len(test), np.bincount(y[train]).argmax(), np.int64), {}
 
     return predict
@@ -178,7 +174,7 @@ def repeat_seeds(seed: int, repeats: int) -> range:
     """
     if repeats > _SEEDS_APART:
         raise InputError(f"There are {repeats} repeats; expected at most {_SEEDS_APART}.")
-    first = _SEEDS_APART * seed % (_SEEDS - _SEEDS_APART)
+    first = _SEEDS_APART * seed % (SEEDS - _SEEDS_APART)
     return range(first, first + repeats)
 
 
@@ -203,7 +199,7 @@ def cross_validate(estimator: Estimator, y: Ints, splits: Sequence[Sequence[Spli
     table = np.zeros((classes, classes), np.int64)
     for repeat, folds in enumerate(splits):
         for number, (train, test) in enumerate(folds):
-            predicted, choice = estimator(train, test, (1000 * (seed + repeat) + number) % _SEEDS)
+            predicted, choice = estimator(train, test, (1000 * (seed + repeat) + number) % SEEDS)
             plain[repeat, number] = metrics.accuracy(y[test], predicted)
             balanced[repeat, number] = metrics.balanced_accuracy(y[test], predicted)
             table += metrics.confusion(y[test], predicted, classes)
@@ -228,6 +224,13 @@ class HoldoutScore:
     chosen: dict[str, Any]
     confusion: Int[np.ndarray, "true predicted"]
 
+    @staticmethod
+    def of(run: CrossValidation, trials: int) -> HoldoutScore:
+        """The only split of a run, which tests so many trials."""
+        score = float(run.accuracy[0, 0])
+        low, high = metrics.wilson(score * trials, trials)
+        return HoldoutScore(score, float(run.balanced_accuracy[0, 0]), low, high, run.chosen[0][0], run.confusion)
+
     def summary(self) -> dict[str, Any]:
         """The accuracy with its interval, and the balanced accuracy."""
         return {
@@ -246,16 +249,4 @@ def holdout_score(estimator: Estimator, y: Ints, groups: NDArray[Any], split: Sp
         split: training and test rows.
         seed: of the estimator.
     """
-    train, test = split
-    predicted, choice = estimator(train, test, 1000 * seed % _SEEDS)
-    y_true, classes = y[test], int(y.max()) + 1
-    score, trials = metrics.accuracy(y_true, predicted), len(np.unique(groups[test]))
-    low, high = metrics.wilson(score * trials, trials)
-    return HoldoutScore(
-        accuracy=score,
-        balanced_accuracy=metrics.balanced_accuracy(y_true, predicted),
-        low=low,
-        high=high,
-        chosen=choice,
-        confusion=metrics.confusion(y_true, predicted, classes),
-    )
+    return HoldoutScore.of(cross_validate(estimator, y, [[split]], seed), len(np.unique(groups[split[1]])))

@@ -28,27 +28,14 @@ endless loop on zero amplitudes (Q24) ends in both modes. Further quirks are num
 Passes are numbered in the order in which the programs run them: 5.x primitives, 7.x compositions, 9.x behaviours.
 """
 
-from rcbht_jax.reference.encode import (
-    MIN_SAMPLES,
-    OfflineLabels,
-    encode,
-    sample_times,
-    state_onsets,
-    state_vector,
-)
-from rcbht_jax.reference.limits import CALIBRATED, spectrum
+from rcbht_jax.reference.encode import MIN_SAMPLES, OfflineLabels, encode, sample_times, state_onsets, state_vector
 from rcbht_jax.reference.tracks import to_tracks
-from rcbht_jax.reference.versions import VERSIONS, Version
 
 __all__ = [
-    "CALIBRATED",
     "MIN_SAMPLES",
-    "VERSIONS",
     "OfflineLabels",
-    "Version",
     "encode",
     "sample_times",
-    "spectrum",
     "state_onsets",
     "state_vector",
     "to_tracks",

@@ -138,7 +138,9 @@ def encode(
         for axis in range(6)
     ]
     layers = zip(WIDTHS.items(), zip(*axes, strict=True), strict=True)
-    tables = {name: tuple(_array(rows, width) for rows in layer) for (name, width), layer in layers}
+    tables = {
+        name: tuple(np.array(rows, np.float64).reshape(-1, width) for rows in layer) for (name, width), layer in layers
+    }
     return OfflineLabels(
         **tables,
         thresholds=lim.mirrored(applied),
@@ -148,10 +150,6 @@ def encode(
         samples=len(stamps),
         time_start=float(stamps[0]),
     )
-
-
-def _array(rows: Table, width: int) -> Float64[np.ndarray, "row {width}"]:
-    return np.array(rows, np.float64).reshape(-1, width)
 
 
 def _limits(

@@ -6,6 +6,7 @@ The range of a pass is fixed before it starts; a merged row is not compared agai
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rcbht_jax.labels import MC, Group
@@ -36,48 +37,39 @@ def boundaries(states: list[float], version: Version) -> Boundaries:
     return Boundaries(states[1], states[3] - 0.002 if len(states) >= 4 else states[-1])
 
 
-def _absorb(row: Row, merged: Row) -> None:
-    row[AVG] = (row[AVG] + merged[AVG]) / 2
-    row[MX] = max(row[MX], merged[MX])
-
-
-def absorb_next(rows: Table, i: int, label: MC | None = None, amplitude: bool = False) -> None:
-    """Merge the next row into row i, with a new label and the larger amplitude if asked."""
-    row, merged = rows[i], rows[i + 1]
-    _absorb(row, merged)
-    if amplitude:
-        row[AMP] = max(row[AMP], merged[AMP])
-    if label is not None:
-        row[LABEL] = float(label)
-    row[P2] = merged[P2]
-    row[T2S], row[T2E] = merged[T1S], merged[T2E]
-    row[T1E] = row[T2E]
+def _close(row: Row, merged: Table) -> None:
+    """Set the middle of a row that has its times, and delete what was merged into it."""
     row[TMID] = (row[T1S] + row[T2E]) / 2
-    wipe(merged)
+    for other in merged:
+        wipe(other)
+
+
+def _absorb(run: Table, average: float) -> None:
+    """Merge the rows after the first into it, which keeps its label, amplitude and tags."""
+    row, last = run[0], run[-1]
+    row[AVG], row[MX] = average, max(other[MX] for other in run)
+    row[T2S], row[T2E] = last[T1S], last[T2E]
+    row[T1E] = row[T2E]
+    _close(row, run[1:])
+
+
+def absorb_next(rows: Table, i: int, label: MC | None = None) -> None:
+    """Merge the next row into row i; with a new label it has the larger amplitude."""
+    row, merged = rows[i], rows[i + 1]
+    if label is not None:
+        row[LABEL], row[AMP] = float(label), max(row[AMP], merged[AMP])
+    row[P2] = merged[P2]
+    _absorb([row, merged], (row[AVG] + merged[AVG]) / 2)
 
 
 def absorb_previous(rows: Table, i: int) -> None:
     """Merge the previous row into row i, whose label and amplitude stay."""
     row, merged = rows[i], rows[i - 1]
-    _absorb(row, merged)
+    row[AVG], row[MX] = (row[AVG] + merged[AVG]) / 2, max(row[MX], merged[MX])
     row[P1] = merged[P1]
     row[T2S] = row[T1S]
     row[T1S], row[T1E] = merged[T1S], merged[T2E]
-    row[TMID] = (row[T1S] + row[T2E]) / 2
-    wipe(merged)
-
-
-def absorb_run(rows: Table, i: int, k: int) -> None:
-    """Merge the k >= 2 rows after row i into it; amplitude and tags stay."""
-    run = rows[i : i + k + 1]
-    row = run[0]
-    row[AVG] = sum(other[AVG] for other in run) / (k + 1)
-    row[MX] = max(other[MX] for other in run)
-    row[T2S], row[T2E] = run[-1][T1S], run[-1][T2E]
-    row[T1E] = row[T2E]
-    row[TMID] = (row[T1S] + row[T2E]) / 2
-    for merged in run[1:]:
-        wipe(merged)
+    _close(row, [merged])
 
 
 def start_row(rows: Table, bounds: Boundaries, version: Version) -> int:
@@ -104,9 +96,7 @@ def _merge_adjustments(rows: Table, first: int, last: int) -> None:
     row[T1E] = (run[-1][T2E] + row[T1S]) / 2 - 0.002
     row[T2S] = row[T1E] + 0.001
     row[T2E] = run[-1][T2E]
-    row[TMID] = (row[T1S] + row[T2E]) / 2
-    for merged in run[1:]:
-        wipe(merged)
+    _close(row, run[1:])
 
 
 def merge_adjustments(rows: Table, start: int, gate: float, clean: bool) -> Table:
@@ -139,18 +129,24 @@ def merge_repeats(rows: Table) -> Table:
         if k == 1:
             absorb_next(rows, i)
         elif k >= 2:
-            absorb_run(rows, i, k)
+            run = rows[i : i + k + 1]
+            _absorb(run, sum(row[AVG] for row in run) / (k + 1))
         i += k + 1
     return compact(rows)
 
 
-def _compare_amplitudes(this: Row, following: Row) -> str:
-    if this[LABEL] in _CONTACTS:
-        return "skip"
-    size = ratio(abs(following[AMP]), abs(this[AMP]))
-    if unusable(size):
-        return "skip"
-    return "differs" if outside(size, *SAME_AMPLITUDE) else "compare"
+def _compared(rows: Table, start: int, version: Version) -> Iterator[int]:
+    """The rows, other than contacts, whose next row has a similar amplitude."""
+    for i in range(start, len(rows) - 1):
+        if rows[i][LABEL] in _CONTACTS:
+            continue
+        size = ratio(abs(rows[i + 1][AMP]), abs(rows[i][AMP]))
+        if unusable(size):
+            continue
+        if not outside(size, *SAME_AMPLITUDE):
+            yield i
+        elif version.amplitude_ends_pass:
+            return
 
 
 def relabel_halves(rows: Table, start: int, version: Version) -> float:
@@ -160,13 +156,10 @@ def relabel_halves(rows: Table, start: int, version: Version) -> float:
         the largest amplitude of the compared rows, which excludes contacts and rows of one primitive (Q18).
     """
     largest = 0.0
-    for i in range(start, len(rows) - 1):
+    for i in _compared(rows, start, version):
         row = rows[i]
-        comparison = _compare_amplitudes(row, rows[i + 1])
-        if comparison == "differs" and version.amplitude_ends_pass:
-            break
         first, second = row[T1E] - row[T1S], row[T2E] - row[T2S]
-        if comparison != "compare" or first == 0.0 or second == 0.0:
+        if first == 0.0 or second == 0.0:
             continue
         if outside(first / second, *SAME_DURATION):
             tag = row[P1] if first / second > SAME_DURATION[1] else row[P2]
@@ -177,13 +170,9 @@ def relabel_halves(rows: Table, start: int, version: Version) -> float:
 
 def merge_short(rows: Table, start: int, version: Version) -> Table:
     """7.4: neighbours of similar amplitude and very different duration merge."""
-    for i in range(start, len(rows) - 1):
-        this, following = rows[i], rows[i + 1]
-        comparison = _compare_amplitudes(this, following)
-        if comparison == "differs" and version.amplitude_ends_pass:
-            break
-        first, second = this[T2E] - this[T1S], following[T2E] - following[T1S]
-        if comparison != "compare" or first == 0.0 or second == 0.0:
+    for i in _compared(rows, start, version):
+        first, second = (row[T2E] - row[T1S] for row in rows[i : i + 2])
+        if first == 0.0 or second == 0.0:
             continue
         if first / second > SAME_DURATION[1]:
             absorb_next(rows, i)
@@ -211,7 +200,7 @@ def merge_into_adjustments(rows: Table, start: int, clean: bool) -> Table:
     for i in range(start, len(rows) - 1):
         labels = {rows[i][LABEL], rows[i + 1][LABEL]}
         if labels in ({MC.A, MC.I}, {MC.A, MC.D}) and _alike(rows[i], rows[i + 1], 0.5, 0.5, clean):
-            absorb_next(rows, i, MC.A, amplitude=True)
+            absorb_next(rows, i, MC.A)
     return compact(rows)
 
 
@@ -225,7 +214,7 @@ def merge_into_constants(rows: Table, start: int, clean: bool) -> Table:
         labels = {rows[i][LABEL], rows[i + 1][LABEL]}
         changing = len(labels) == 2 and labels < {MC.I, MC.D, MC.K}
         if changing and _alike(rows[i], rows[i + 1], amplitude, 1.0, clean):
-            absorb_next(rows, i, MC.K, amplitude=True)
+            absorb_next(rows, i, MC.K)
     return compact(rows)
 
 

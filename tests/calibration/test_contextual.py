@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rcbht_jax.calibration import contextual
+from rcbht_jax.calibration import contextual, nested
 from rcbht_jax.calibration.dataset import calibration_data
-from rcbht_jax.calibration.nested import CalibratedSvm, CandidateBank, fixed
+from rcbht_jax.calibration.nested import CandidateBank, calibrated_svm, fixed
 from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchSpace
 from rcbht_jax.encoding.batch import encode_batch
@@ -191,8 +191,8 @@ def test_poisoned_test_folds_change_no_threshold_and_no_training():
             return GradientThresholds(contextual.calibrate(data, rows, CONFIG).thresholds.limits[None])
 
         for chooser in (choose, by_context, fixed(preset())):
-            svm = CalibratedSvm(data, items, CONFIG, chooser, QUICK, FeatureSpec(families=("histogram",)))
-            answers.append(svm.learner()(train, test, 0))
+            learner = calibrated_svm(data, items, CONFIG, chooser, QUICK, FeatureSpec(families=("histogram",)))
+            answers.append(learner(train, test, 0))
     for before, after in zip(answers[:3], answers[3:], strict=True):
         assert before[1] == after[1]  # thresholds, kernel and cost
     assert any((a[0] != b[0]).any() for a, b in zip(answers[:3], answers[3:], strict=True))  # the poison works
@@ -219,6 +219,17 @@ def test_candidates_are_ranked_by_the_rows_given_and_the_first_of_equals_comes_f
     np.testing.assert_array_equal(bank.chooser(Objective(), 2)(np.arange(4), 0).limits, limits[1:])
 
 
+def test_thresholds_of_several_folds_are_encoded_once(monkeypatch):
+    data, encoded = recordings(), []
+    monkeypatch.setattr(nested, "encode_batch", lambda *given: encoded.append(given[1]) or encode_batch(*given))
+    items = labelled_intervals(data, TaskSpec())
+    two = fixed(np.stack([preset().limits, 2 * preset().limits]))
+    learner = calibrated_svm(data, items, CONFIG, two, QUICK, FeatureSpec(("histogram",), ("llb",)))
+    for held in ("t0", "t1"):
+        learner(np.flatnonzero(items.trial != held), np.flatnonzero(items.trial == held), 0)
+    assert len(encoded) == 2
+
+
 def test_any_features_and_scaling_inside_the_folds():
     """Ranks and balanced families: the same answers as the SVM on the features themselves."""
     data = recordings()
@@ -227,7 +238,7 @@ def test_any_features_and_scaling_inside_the_folds():
     test = np.setdiff1d(np.arange(len(items.y)), train)
     spec = FeatureSpec(families=("histogram", "spread", "levels"), balance=True)
     grid = replace(QUICK, scalings=(True,), ranks=True)
-    said, chosen = CalibratedSvm(data, items, CONFIG, fixed(preset()), grid, spec).learner()(train, test, 0)
+    said, chosen = calibrated_svm(data, items, CONFIG, fixed(preset()), grid, spec)(train, test, 0)
     tracks = encode_batch(CONFIG, preset(), data.wrench, data.length)
     made = extract_features(tracks, items, spec)
     assert made.weights(spec) is not None

@@ -83,7 +83,7 @@ def test_changes_are_hidden_where_most_recordings_have_constant_labels_alone(ste
     label = np.where(np.arange(4) < constant, Primitive.CONS, Primitive.BPOS)[:, None, None]
     labels = LabelTrack(label, label * 0, label * 0 + 400, label * 0, *[label * 0.0] * 4)
     recordings = Recordings.from_arrays(wrench, RATE, axes=("grip",))
-    assert hidden_changes(recordings, labels, 5, Primitive.CONS).tolist() == [hidden]
+    assert hidden_changes(recordings, labels, 5).tolist() == [hidden]
 
 
 def test_units_and_other_axes_do_not_matter() -> None:
@@ -261,12 +261,13 @@ def test_there_are_two_rules_whose_limits_are_those_of_this_version(rule: str, l
 
 
 def test_limits_of_the_fit_rule_need_no_whole_line() -> None:
-    """Recordings shorter than a line, a spike after the last whole line, and one axis that never changes."""
+    """Recordings shorter than a line, rest of one window, a spike after the last line, an axis that never changes."""
     wrench = np.random.default_rng(1).normal(size=(5, 13, 2)) * 0.1
     short = Recordings.from_arrays([*wrench[:4], wrench[4, :6]], rate=50, axes=("a", "b"))
+    brief = Recordings.from_arrays([wrench[0], wrench[1, :4] * 0.01], rate=50, axes=("a", "b"))
     spike = np.zeros((2, 111, 2))
-    spike[:, 109, 0] = 5.0
-    for recordings in (short, Recordings.from_arrays(spike, rate=50, axes=("a", "b"))):
+    spike[:, 110, 0] = 5.0
+    for recordings in (short, brief, Recordings.from_arrays(spike, rate=50, axes=("a", "b"))):
         limits = np.asarray(rest_thresholds(recordings, 3, "fit").thresholds.limits)
         assert (np.diff(limits) < 0).all()
         assert (limits > 0).all()

@@ -179,6 +179,10 @@ def test_interrupted_search_resumes_to_the_same_result(made, tmp_path):
         damaged.write_text(json.dumps({**kept, "content": wrong}))
         with pytest.raises(InputError, match="no scores of a search"):
             search(made, CONFIG, SMALL, checkpoint=damaged)
+    older = tmp_path / "older.json"
+    older.write_text(json.dumps({**kept, "made_by": {**kept["made_by"], "version": "0.1"}}))
+    with pytest.raises(InputError, match=r'version "0\.1", not "'):
+        search(made, CONFIG, SMALL, checkpoint=older)
     with pytest.raises(InputError, match="other data or options"):
         search(made.take(np.array([0, 1, 2])), CONFIG, SMALL, checkpoint=checkpoint)
     checkpoint.write_bytes(checkpoint.read_bytes()[:100])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ from scipy.stats import chi2_contingency
 
 from rcbht_jax.features import Intervals
 from rcbht_jax.learning import confounds as module
-from rcbht_jax.learning import wrench_facts
 from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.evaluation import EvaluationProtocol, score
 from rcbht_jax.learning.svm import Grid
@@ -114,7 +112,6 @@ def test_one_session_is_no_confound_and_copies_are_counted():
     recordings.wrench[3] = recordings.wrench[1]
     found = confounds(labelled("AAAA", [20, 30, 30, 20], [0, 0, 1, 1]), WrenchFacts.of(recordings))
     assert found == ("Exact copies of another recording: 1; keep copies on one side of every split.",)
-    assert doctest.testmod(module).failed + doctest.testmod(wrench_facts).failed == 0
 
 
 def test_first_seconds_have_no_centre_of_a_class_of_one() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -24,7 +22,6 @@ from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec, Intervals, interval_features
-from rcbht_jax.learning import estimators, svm_classifier
 from rcbht_jax.learning.estimators import StateClassifier, WrenchFeatures
 from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec, fit
@@ -387,7 +384,3 @@ def test_a_constant_feature_decides_nothing(kernel):
     seen = machine.decision_function(x)
     x[:, 2] = 0.11
     np.testing.assert_allclose(machine.decision_function(x), seen, atol=0.1)
-
-
-def test_the_examples_run():
-    assert doctest.testmod(estimators).failed + doctest.testmod(svm_classifier).failed == 0

@@ -86,13 +86,6 @@ def test_class_probabilities_average_to_the_overall_one(seed, steps):
     assert overall <= metrics.accuracy(truth, probability.argmax(1)) + 1e-12
 
 
-def test_certainty_levels_follow_the_paper_at_the_edges():
-    top = np.array([0.49, 0.5, 0.7, 0.71])
-    probability = np.stack([top, 1 - top - 0.1, np.full(4, 0.1)], 1)
-    probability[0] = [0.49, 0.31, 0.2]
-    assert metrics.certainty(probability, 0.7).tolist() == [0, 1, 1, 2]
-
-
 @given(st.integers(1, 500))
 def test_the_last_third_starts_where_the_paper_says(steps):
     assert metrics.window_start(steps) == int(2 * steps / 3) + 1

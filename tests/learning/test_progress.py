@@ -12,12 +12,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import held_out
-from rcbht_jax.introspection.training import (
-    HeadSpec,
-    snapshot_features,
-    train_head,
-    training_snapshots,
-)
+from rcbht_jax.introspection.training import HeadSpec, snapshot_features, train_head, training_snapshots
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.progress import ProgressCalibration, mixed_jax, part_of, progress_arrays

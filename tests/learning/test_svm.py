@@ -14,6 +14,7 @@ from sklearn.svm import SVC
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import svm
+from rcbht_jax.learning.class_groups import some_items
 from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.svm import COSTS, KERNELS, Grid, SvmSpec, fit, gram, grouped_folds, predictions, select, vote
 from rcbht_jax.learning.validation import cross_validate, forest, holdout_score, majority, nested_svm, repeated_folds
@@ -136,6 +137,14 @@ def test_folds_are_stratified_and_depend_on_the_seed():
     for _, test in splits[0] + splits[1]:
         assert np.bincount(y[test]).tolist() == [10, 4, 2]
     assert any(not np.array_equal(a[1], b[1]) for a, b in zip(*splits, strict=True))
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_a_seed_that_scikit_learn_does_not_take_is_refused(seed: int):
+    y, groups = np.arange(8) % 2, np.arange(8)
+    for made in (lambda: grouped_folds(y, groups, 2, seed), lambda: some_items(y, groups, groups, seed, most=4)):
+        with pytest.raises(InputError, match=f"The seed is {seed}; expected 0 to 4294967295."):
+            made()
 
 
 def test_a_class_with_fewer_trials_than_folds_is_refused():
