@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -11,14 +12,20 @@ import tyro
 from tqdm import tqdm
 
 import rcbht_jax
-from experiments._lib.results_io import record_of, write_result
+from experiments._lib.results_io import defaults_of, given, record_of, write_result
 
-Only = Annotated[tuple[str, ...], tyro.conf.arg(help="Make the rows whose names contain one of these.")]
+Only = Annotated[tuple[str, ...], tyro.conf.arg(help="Make the rows whose names contain one of these; others stay.")]
 ALL_ROWS = ("",)
 
 
+def command_of(main: Callable[..., None], values: Mapping[str, Any], *paths: str) -> str:
+    """The command that makes all rows: the module of ``main``, its ``paths``, and every option but ``only``."""
+    options = given(values, {name: None for name in defaults_of(main) if name != "only"})
+    return " ".join(["python -m", inspect.getmodule(main).__spec__.name, *paths]) + options  # type: ignore[union-attr]
+
+
 class Rows:
-    """The rows of ``experiments/results/<name>.json``; those made in the same way are reused.
+    """The rows of ``experiments/results/<name>.json``; those made in the same way are kept: a run resumes.
 
     Args:
         name: of the result.

@@ -9,7 +9,6 @@ smooth part of the objective itself. Times are processor seconds of this process
 trials, measured here; its scores come from the same labels as those of the other methods.
 
 Run: python -m experiments.calibration.curves STORE.zarr [--methods random halving ...]
-Finished rows are stored; the same command resumes an interrupted run.
 """
 
 from __future__ import annotations

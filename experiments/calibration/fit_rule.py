@@ -5,8 +5,7 @@ fit`` begins with them and uses session A alone, with harmonised states. An SVM 
 A then classifies sub-tasks by plain words (histogram, n-grams, attributes), as ranks. Settings and rows were
 fixed before the first score.
 
-Run: python -m experiments.calibration.fit_rule --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.calibration.fit_rule --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import BENCHMARKS, REAL, items_of, of_sources, recorded, svm_on
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.fit_words import FIT_RULE
 from experiments.classification.grammar import RANKS
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
@@ -136,9 +135,7 @@ class Experiment:
 
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(seed)
-    rows = Rows(
-        "fit_calibration", f"python -m experiments.calibration.fit_rule --seed {seed}", experiment.about(), seed
-    )
+    rows = Rows("fit_calibration", command_of(main, locals()), experiment.about(), seed)
     wanted = {}
     for method in METHODS:
         wanted[f"limits | {method}"] = partial(experiment.calibrated, method)

@@ -11,7 +11,7 @@ were fitted to its trials too. In ``experiments.classification.zero_shot`` nothi
 
 Run: python -m experiments.classification.sim_to_real FOLDER [--only TEXT ...]
 FOLDER holds the sets of ``experiments.classification.sim_to_real_sets``; missing ones are made.
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations

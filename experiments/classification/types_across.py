@@ -19,8 +19,8 @@ recognised. The interval, too, is chosen on our simulated types; the scores of a
 trials were known before.
 
 Run: python -m experiments.classification.types_across --folder types --seed 0
-Simulated trials and finished rows are kept; run it again to go on where it was interrupted. Reads the recorded trials
-(RCBHT_DATA). The scores on the authors' trials for 0.1, 0.5 and 1 s were known before the choice on simulated ones.
+The folder keeps simulated trials. Reads the recorded trials (RCBHT_DATA). Scores on the authors' trials for 0.1, 0.5
+and 1 s were known before the choice on simulated ones.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from sklearn.ensemble import ExtraTreesClassifier
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, FOLDS, items_of, recorded, rounded, segments
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import by_trial, of_folds
 from experiments._lib.simulated import simulated as made
 from experiments._lib.tasks import failure_types
@@ -349,8 +349,7 @@ def main(folder: Path, seed: int = 0, only: Only = ALL_ROWS) -> None:
     wanted |= {f"within | {name}": partial(within, folder, name, seed) for name in (AT_REST, LOADED)}
     wanted |= {f"within | {name} | {ALONE}": partial(within, folder, name, seed, True) for name in (AT_REST, LOADED)}
     wanted[f"13 types, both batches | {ALONE}"] = partial(mixed, folder, seed)
-    command = f"python -m experiments.classification.types_across --folder FOLDER --seed {seed}"
-    Rows("types_across", command, about, seed).fill(wanted, only)
+    Rows("types_across", command_of(main, locals(), "--folder FOLDER"), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,7 @@ wrench without words and without the second ensemble, and, offline, changes foun
 labelled by the one method (experiments.external.change_points).
 
 Run: python -m experiments.external.caps --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL; the rows
-of ClaSP and CLaP need the libraries aeon and claspy (see make peers).
+Reads RCBHT_EXTERNAL; the rows of ClaSP and CLaP need the libraries aeon and claspy (see make peers).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.model_selection import LeaveOneOut
 
 from experiments._lib.benchmarks import rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.other_robots import of_other_robot
 from experiments.external import change_points
 from experiments.external.change_points import DETECTORS, ORACLE
@@ -102,7 +101,6 @@ def _by_run(found: Segmentation) -> dict[str, float]:
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     """Label every run by models of the others, and by models of a single other run."""
     experiment = Experiment(seed)
-    rows = Rows("external_caps", f"python -m experiments.external.caps --seed {seed}", ABOUT, seed)
     wanted: dict[str, Callable[[], Any]] = {
         "causal": experiment.ours,
         "causal, one run teaches": partial(experiment.ours, one_shot=True),
@@ -112,7 +110,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
         "trees on the wrench, one run teaches": partial(experiment.peer, one_shot=True),
         **{f"{name}, offline": partial(experiment.change_points, name) for name in (*DETECTORS, ORACLE)},
     }
-    rows.fill(wanted, only)
+    Rows("external_caps", command_of(main, locals()), ABOUT, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

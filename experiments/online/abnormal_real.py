@@ -12,8 +12,7 @@ Each with all features, with features without duration and absolute offset, and,
 time alone. Scores are mean recalls of the two classes, at one second (before any contact), at parts of the record and
 at its end.
 
-Run: python -m experiments.online.abnormal_real --repeats 50 --seed 0
-Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.abnormal_real --repeats 50 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations

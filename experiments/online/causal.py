@@ -9,8 +9,7 @@ forest.
 The last rows measure how well features without duration and offset predict the time since a sub-task began: a ridge
 regression of its logarithm on their ranks, within each class, trained on half of the trials and scored on the others.
 
-Run: python -m experiments.online.causal --repeats 3 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.causal --repeats 3 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from sklearn.metrics import r2_score
 
 from experiments._lib import frozen, streams
 from experiments._lib.benchmarks import recorded, rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import at_least, drawn, of_splits, sums
 from experiments._lib.streams import halves
 from experiments._lib.tasks import states
@@ -202,8 +201,7 @@ def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
         name: partial(row, streams[source], sessions, seeds) for name, (source, sessions) in SPLITS.items()
     }
     wanted |= {f"time known, {name}": partial(time_known, stream, seeds) for name, stream in streams.items()}
-    command = f"python -m experiments.online.causal --repeats {repeats} --seed {seed}"
-    Rows("causal", command, about, seed).fill(wanted, only)
+    Rows("causal", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,7 @@ Half of the trials train, the other half is streamed at 10 Hz, repeated with oth
 ``experiments.online.table2``. The result has mean and middle 80 % of the probability of the true class at twenty
 moments of the sub-task, over all test intervals and repeats; a belief holds until the next one.
 
-Run: python -m experiments.online.confidence --repeats 10 --seed 0
-Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.confidence --repeats 10 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import tyro
 from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.tasks import states
 from experiments.online.table2 import MAIN_RATE, SETS, half_split, watched
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -75,9 +74,8 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "repeats": repeats,
         "families": SUBTASK,
     }
-    command = f"python -m experiments.online.confidence --repeats {repeats} --seed {seed}"
     wanted = {name: partial(measure, recordings, name, repeats, seed) for name in SETS}
-    Rows("confidence", command, about, seed).fill(wanted, only)
+    Rows("confidence", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ numbers per quarter hardly transfer that.
 Errors are expected calibration errors of the likeliest type, and of every type by itself (its belief against how often
 it is true), over ten bins and all snapshots of a quarter of the trial's own record.
 
-Run: python -m experiments.online.failure_calibration --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.failure_calibration --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import recorded, rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import drawn, sums
 from experiments.online.failure_types import FOLDS, METHODS, streams
 from rcbht_jax.learning import metrics
@@ -120,8 +119,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
         "bins": BINS,
     }
     wanted = {name: partial(row, name, seed) for name in ("richer words", "richer words, thresholds / 256")}
-    command = f"python -m experiments.online.failure_calibration --seed {seed}"
-    Rows("failure_calibration", command, about, seed).fill(wanted, only)
+    Rows("failure_calibration", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

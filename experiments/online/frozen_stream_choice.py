@@ -5,8 +5,7 @@ The beginnings are not given (``experiments.online.causal``). Options are the fa
 it, or of the head "state" with the beginnings that the filter detects. The best mean of the two step accuracies is
 frozen.
 
-Run: python -m experiments.online.frozen_stream_choice
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.frozen_stream_choice (reads RCBHT_DATA)
 """
 
 from __future__ import annotations

@@ -7,8 +7,7 @@ average) are given as well, at the paper's three rates.
 
 "relative" repeats everything with features without duration and absolute offset.
 
-Run: python -m experiments.online.table2 --repeats 50 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.table2 --repeats 50 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, recorded, with_interval
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.streams import described, halves
 from experiments._lib.tasks import states
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -217,8 +216,7 @@ def main(repeats: int = 50, seed: int = 0, only: Only = ALL_ROWS) -> None:
         for rate in RATES
         for name in SETS
     }
-    command = f"python -m experiments.online.table2 --repeats {repeats} --seed {seed}"
-    Rows("table2", command, about, seed).fill(wanted, only)
+    Rows("table2", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

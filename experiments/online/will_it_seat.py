@@ -39,7 +39,7 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.metrics import roc_auc_score
 
 from experiments._lib.benchmarks import FOLDS
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import of_auc
 from experiments._lib.simulated import kept_arrays
 from experiments.online.fault_trials import Trials
@@ -274,9 +274,7 @@ def main(folder: Path, per_kind: int = 80, repeats: int = 2, seed: int = 9, only
             wanted[f"{a} to {b} | {name}"] = partial(across, get, (a, b), name, False, seed)
     for a, b in ACROSS:
         wanted[f"{a} to {b} | {OUTCOME}, own nominal"] = partial(across, get, (a, b), OUTCOME, True, seed)
-    sizes = f"--per-kind {per_kind} --repeats {repeats} --seed {seed}"
-    command = f"python -m experiments.online.will_it_seat --folder FOLDER {sizes}"
-    Rows("will_it_seat", command, about, seed).fill(wanted, only)
+    Rows("will_it_seat", command_of(main, locals(), "--folder FOLDER"), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

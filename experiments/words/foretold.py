@@ -8,8 +8,7 @@ limits. Each trial is judged by a forest of other trials of its set, so the fore
 on, which the fit rule does not. Its settings are the library's but for the size of a leaf. A first try lacked the two
 features that count words and name the last published one.
 
-Run: python -m experiments.words.foretold [--sets REAL SIM1 two-arm]
-Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.words.foretold [--sets REAL SIM1 two-arm] (reads RCBHT_DATA)
 """
 
 from __future__ import annotations

@@ -13,8 +13,7 @@ to be in. Two labels that do not depend on the run are compared with them: alway
 word published last. How provisional labels look ahead was chosen on the even trials of session A of REAL alone.
 Intervals come from trials drawn with replacement.
 
-Run: python -m experiments.words.latency
-Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.words.latency (reads RCBHT_DATA)
 """
 
 from __future__ import annotations

@@ -7,8 +7,7 @@ window of the published rules and of SAX, a penalty of the optimum. Stability: t
 and copies at other rates, for both rules and for the bottom-up lines, which see the whole recording.
 
 Run: python -m experiments.words.rate_distortion --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_DATA and RCBHT_EXTERNAL; the rows of
-SAX and ABBA need tslearn and fABBA (make peers).
+Reads RCBHT_DATA and RCBHT_EXTERNAL; the rows of SAX and ABBA need tslearn and fABBA (make peers).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import numpy as np
 import tyro
 
 from experiments._lib import piecewise, symbolic
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import drawn
 from experiments._lib.piecewise import Approximation, Floats
 from experiments.words import stability
@@ -247,11 +246,10 @@ def about() -> dict[str, Any]:
 
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     """Measure every method on every set, and how stable words are."""
-    command = f"python -m experiments.words.rate_distortion --seed {seed}"
     wanted: dict[str, Callable[[], Any]] = {
         f"rate | {name} | {method}": partial(rate_row, name, method) for method in METHODS for name in COUNTS
     }
-    Rows("rate_distortion", command, about(), seed).fill(wanted | stability.rows(seed), only)
+    Rows("rate_distortion", command_of(main, locals()), about(), seed).fill(wanted | stability.rows(seed), only)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,7 @@ differences, at rest or not.
 Curves have windows of two samples, words under noise those of 25 ms; sets, copies and measures are those of
 experiments.words.rate_distortion. Window, memory and factor were fixed before; nothing was tuned.
 
-Run: python -m experiments.words.tried --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.words.tried --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.fit_variants import SumsOfAxes, Variant, breaks, words_of
 from experiments._lib.word_stability import Words, agreement, noisy
 from experiments.words.rate_distortion import TARGETS, needed, significant
@@ -120,7 +119,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     }
     wanted |= {f"clean | {name} | {kind}": partial(of_clean, name, kind) for name in OURS for kind in STABLE}
     wanted |= {f"noise | {name} | {kind}": partial(of_noise, name, kind, seed) for name in OURS for kind in STABLE}
-    Rows("fit_tried", f"python -m experiments.words.tried --seed {seed}", about, seed).fill(wanted, only)
+    Rows("fit_tried", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":
