@@ -95,16 +95,13 @@ class Experiment:
         rest = rest_thresholds(data, WINDOW, "fit").rest
         moving = rest_not_constant(tracks.primitive, rest, WINDOW, Primitive.CONS)
         one = FitLimits(stacked[None, :, :4], stacked[None, :, 4])
-        accuracy, fit = score_candidates(self.data, self.config, one)[0, :2].tolist()
-        words = [int((np.asarray(layer.label) > 0).sum()) for layer in (tracks.primitive, tracks.llb)]
+        words = int((np.asarray(tracks.primitive.label) > 0).sum())
         return {
             "limits": stacked[:, :4].tolist(),
             "tolerance": stacked[:, 4].tolist(),
             "share of rest that is constant, worst axis": round(1 - float(moving.max()), 4),
-            "primitives per trial": round(words[0] / len(data), 1),
-            "behaviours per trial": round(words[1] / len(data), 1),
-            "accuracy inside": round(accuracy, 4),
-            "fit inside": round(fit, 4),
+            "primitives per trial": round(words / len(data), 1),
+            "fit inside": round(float(score_candidates(self.data, self.config, one)[0, 1]), 4),
         }
 
     def scored(self, benchmark: str, method: str) -> dict[str, Any]:

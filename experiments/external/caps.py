@@ -26,7 +26,7 @@ from experiments._lib.other_robots import of_other_robot
 from experiments.external import change_points
 from experiments.external.change_points import DETECTORS, ORACLE
 from rcbht_jax.features.trailing import trailing_statistics, with_norms
-from rcbht_jax.introspection.segmentation import Protocol, Segmentation, segment
+from rcbht_jax.introspection.segmentation import Protocol, segment
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.learning.segment_metrics import score_and_interval
 from rcbht_jax.types import Recordings
@@ -56,8 +56,9 @@ class Experiment:
 
     def ours(self, one_shot: bool = False, **options: Any) -> Any:
         protocol = Protocol(folds=0, one_shot=one_shot)
-        found = segment(self.recordings(), WrenchSegmenter(random_state=self.seed, **options), protocol)
-        return rounded(found.to_json()) | ({} if one_shot else {"runs": _by_run(found)})
+        return rounded(
+            segment(self.recordings(), WrenchSegmenter(random_state=self.seed, **options), protocol).to_json()
+        )
 
     def peer(self, one_shot: bool) -> Any:
         """Trees on windows that end at the sample."""
@@ -90,12 +91,6 @@ def _scored(truth: list[Any], predicted: list[Any], dt: float, groups: NDArray[A
     score, interval = score_and_interval(truth, predicted, dt, groups)
     ends = {name: [None if np.isnan(end) else end for end in pair] for name, pair in interval.items()}
     return rounded({"score": score.to_json(), "interval": ends})
-
-
-def _by_run(found: Segmentation) -> dict[str, float]:
-    """Accuracy of each run."""
-    parts = zip(found.recordings.trial.tolist(), found.truth, found.predicted, strict=True)
-    return {name: round(float((y == p)[y >= 0].mean()), 4) for name, y, p in parts}
 
 
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:

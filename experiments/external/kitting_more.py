@@ -86,14 +86,12 @@ class Experiment:
             predicted[test] = make(recordings, items)(train, test, self.seed)[0]
         right = predicted == items.y
         low, high = bootstrap(right, items.session, self.seed)
-        days = {str(day): [int(right[items.session == day].sum()), int((items.session == day).sum())]
-                for day in np.unique(items.session)}  # fmt: skip
         return rounded({
             "accuracy": {"mean": float(right.mean()), "low": low, "high": high},
             "balanced_accuracy": {"mean": metrics.balanced_accuracy(items.y, predicted)},
-        }) | {"executions": len(items.y), "right of each day": days, "types": dict(
-            zip(items.classes, np.bincount(items.y).tolist(), strict=True)
-        )}  # fmt: skip
+            "executions": len(items.y),
+            "types": dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True)),
+        })  # fmt: skip
 
 
 def by_days(items: LabelledIntervals) -> list[Split]:

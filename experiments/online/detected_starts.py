@@ -84,11 +84,9 @@ def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, A
     for column, name in enumerate(classes[1:]):
         e = errors[:, column]
         seen = e[np.isfinite(e)]
-        quantiles = np.quantile(seen, [0.05, 0.25, 0.5, 0.75, 0.95]) if len(seen) else np.full(5, np.nan)
         out[f"beginning of {name}"] = {
             "detected": round(float(np.isfinite(e).mean()), 3),
             f"within {NEAR:g} s": round(float((np.abs(seen) <= NEAR).sum() / len(e)), 3),
-            "s late, quantiles .05 .25 .5 .75 .95": [round(float(q), 2) for q in quantiles],
         }
     return out
 

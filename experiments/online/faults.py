@@ -29,7 +29,7 @@ from experiments._lib.intervals import of_splits
 from experiments._lib.results_io import write_result
 from experiments.online.fault_trials import GRADES, TAIL, Trials
 from experiments.online.fault_watch import CONFIG, Watched, alarms, monitor, watched
-from rcbht_jax.introspection.fault_monitor import NOMINAL, FaultMonitor
+from rcbht_jax.introspection.fault_monitor import NOMINAL
 from rcbht_jax.robots.snap_assembly import RECORDED
 
 TARGETS = {"detected before the end, per kind": 0.90, "false alarms per nominal trial": 0.02}
@@ -49,13 +49,6 @@ class Streamed:
         return np.minimum(self.first["words"], self.first["clock"])
 
 
-@dataclass(frozen=True)
-class Run(Streamed):
-    """One repeat, with the monitor that learned from the others."""
-
-    monitor: FaultMonitor
-
-
 def parts(those: Trials, seed: int) -> NDArray[np.bool_]:
     """Which trials train: half of each kind and grade, and more of the nominal ones."""
     rng, inside = np.random.default_rng(seed), np.zeros(len(those.kind), bool)
@@ -66,11 +59,10 @@ def parts(those: Trials, seed: int) -> NDArray[np.bool_]:
     return inside
 
 
-def run(w: Watched, seed: int) -> Run:
+def run(w: Watched, seed: int) -> Streamed:
     """Learn from one part, stream the other."""
     inside = parts(w.trials, seed)
-    learned = monitor(w, inside, seed)
-    return Run(inside, alarms(w, learned, ~inside), learned)
+    return Streamed(inside, alarms(w, monitor(w, inside, seed), ~inside))
 
 
 def in_time(those: Trials, alarm: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -138,7 +130,7 @@ def boundary(those: Trials, kind: str) -> list[int]:
     return sorted(mild)
 
 
-def table(those: Trials, runs: list[Run]) -> dict[str, Any]:
+def table(those: Trials, runs: list[Streamed]) -> dict[str, Any]:
     """Detection by kind, at the boundary of success, by grade and by cause, over the repeats."""
     out: dict[str, Any] = {}
     for name, grades in GRADES.items():
@@ -181,16 +173,11 @@ def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
     """Alarms in nominal trials that were streamed, over the repeats."""
     calm = [those.nominal & ~run.inside for run in runs]
     false = [int((mine & np.isfinite(run.alarm)).sum()) for mine, run in zip(calm, runs, strict=True)]
-    by = {
-        name: [int((mine & np.isfinite(run.first[name])).sum()) for mine, run in zip(calm, runs, strict=True)]
-        for name in ("words", "clock")
-    }
     streamed = [int(mine.sum()) for mine in calm]
     return {
         "nominal trials streamed in each repeat": streamed,
         "false alarms in each repeat": false,
         "false alarms per nominal trial": _share(false, streamed, (1 - NOMINAL_SHARE) / NOMINAL_SHARE),
-        "false alarms in each repeat, by watcher": by,
     }
 
 
@@ -201,13 +188,6 @@ def measure(w: Watched, repeats: int, seed: int) -> dict[str, Any]:
         "nominal trials": int((w.trials.kind == NOMINAL).sum()),
         "of them seated": int(w.trials.nominal.sum()),
         **false_alarms(w.trials, runs),
-        "hold of each repeat, s": [made.monitor.hold for made in runs],
-        "alarm levels of each repeat: insertion, mating, settled": [
-            [round(level, 3) for level in made.monitor.levels.values()] for made in runs
-        ],
-        "longest approach and insertion, s": [
-            [round(limit, 2) for limit in made.monitor.limits.values()] for made in runs
-        ],
         "moment about z in the last second of mating, Nm": moments(w.trials),
         "kinds": table(w.trials, runs),
     }

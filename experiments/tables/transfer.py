@@ -60,7 +60,7 @@ def _by_draw(rows: dict[str, Any]) -> dict[str, list[Any]]:
     """Rows with scores on both sessions, and several draws of the training trials together."""
     groups: dict[str, list[Any]] = {}
     for name, row in rows.items():
-        if "A+B" in row.get("merged", {}):
+        if "A+B" in row["merged"]:
             title, _, drawn = name.partition(", draw")
             groups.setdefault(f"{title}, worst draw" if drawn else title, []).append(row)
     return groups
