@@ -73,7 +73,7 @@ class Stream:
         data: of the streams.
         task: the states.
         encoder: of the words.
-        heads: "state" and "phase".
+        heads: "state" and, where beginnings are to be detected, "phase".
         rate: snapshots per second.
     """
 
@@ -86,7 +86,7 @@ class Stream:
         self.training, self.regular = training_snapshots(self.items, every), regular_snapshots(self.items, every)
         self.trial = since_trial_start(self.regular)
         self._x: dict[str, NDArray[np.float32]] = {}
-        self._trained: dict[tuple[Any, ...], ProbabilisticSvm] = {}
+        self._trained: dict[str, tuple[tuple[Any, ...], ProbabilisticSvm]] = {}  # of each head, the newest
 
     def x(self, which: str) -> NDArray[np.float32]:
         """Features of the training, regular or trial snapshots, all families."""
@@ -111,16 +111,16 @@ class Stream:
 
     def trained(self, head: str, relative: bool, inside: Flags, seed: int) -> ProbabilisticSvm:
         """A classifier of the present state, of the snapshots of the training trials."""
-        key = (head, relative, inside.tobytes(), seed)
-        if key not in self._trained:
+        key = (relative, inside.tobytes(), seed)
+        if self._trained.get(head, ((), None))[0] != key:
             spec, grid, ends = self.heads[head]
             which, snapshots = "training", self.training
             if head == "phase":
                 which, snapshots = "trial training", since_trial_start(snapshots)
             rows = np.flatnonzero(inside[snapshots.interval])
             x, spec = self.used(self.x(which)[rows], head, relative), relative_of(spec) if relative else spec
-            self._trained[key] = learn(x, snapshots.take(rows), self.items, spec, grid, ends, seed)
-        return self._trained[key]
+            self._trained[head] = key, learn(x, snapshots.take(rows), self.items, spec, grid, ends, seed)
+        return self._trained[head][1]
 
     def given(self, relative: bool, inside: Flags, seed: int) -> tuple[Snapshots, Floats]:
         """The streamed snapshots, and the beliefs of the head "state" where each beginning is given."""

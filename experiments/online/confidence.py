@@ -19,32 +19,25 @@ from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
-from experiments._lib.tasks import states
-from experiments.online.table2 import MAIN_RATE, SETS, half_split, watched
-from rcbht_jax.encoding.encoder import EncoderConfig
+from experiments._lib.streams import halves
+from experiments.online.table2 import MAIN_RATE, SETS, streamed
 from rcbht_jax.features.recipes import SUBTASK
 from rcbht_jax.introspection.training import Snapshots
-from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.learning.validation import repeat_seeds
 from rcbht_jax.types import Recordings
 
 PARTS = 20  # of a sub-task
 
 
-def beliefs(x: dict[str, Any], items: LabelledIntervals, seed: int) -> tuple[Snapshots, np.ndarray]:
-    """The snapshots at the untrained half, and the probability of the true class at each."""
-    _, seen, p = half_split(x, items, SUBTASK, seed)
-    return seen, p[np.arange(len(p)), items.y[seen.interval]]
-
-
 def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[str, Any]:
-    items = labelled_intervals(recordings, states(sources=(SETS[name],), arms="R"))
-    x = watched(recordings, items, EncoderConfig(dt=recordings.dt), MAIN_RATE)
+    stream = streamed(recordings, name)
+    items = stream.items
     length = items.intervals[0].end - items.intervals[0].start
     parts = []
     for one in tqdm(repeat_seeds(seed, repeats), desc=name, file=sys.stderr, disable=None):
-        seen, p = beliefs(x, items, one)
-        parts += [(items.y[s], held(seen, p, s, length[s])) for s in np.unique(seen.interval)]
+        seen, p = stream.given(False, halves(items, one), one)
+        true = p[np.arange(len(p)), items.y[seen.interval]]
+        parts += [(items.y[s], held(seen, true, s, length[s])) for s in np.unique(seen.interval)]
     y, p = np.array([c for c, _ in parts]), np.array([course for _, course in parts])
     seconds = [float(np.median(length[items.y == c])) * recordings.dt for c in np.unique(y)]
     belief = {name: summary(p[y == c]) for c, name in enumerate(items.classes)}

@@ -7,9 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments._lib.streams import Stream, halves
 from experiments.online import table2
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import names
-from rcbht_jax.introspection.training import Snapshots, regular_snapshots, training_snapshots
+from rcbht_jax.introspection.training import Snapshots
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from tests.support.blank_trials import blank_trials
@@ -18,16 +22,18 @@ TRIALS, STATE, DT, EVERY, SEED = 16, 60, 0.005, 20, 3  # STATE: samples in each 
 FAST = Grid(kernels=("linear",), costs=(1.0,), scalings=(True,), inner=2)
 
 
-def features(snapshots: Snapshots, columns: int) -> np.ndarray:
-    """Noise, and the present state in every fourth column."""
-    x = np.random.default_rng(0).normal(size=(len(snapshots), columns))
-    state = np.minimum((snapshots.now - 1) // STATE, 3)
-    return (x + 3 * (np.arange(columns) % 4 == state[:, None])).astype(np.float32)
+class Spoilt(Stream):
+    """A stream whose features are noise and the present state, but not numbers where nobody may read them."""
 
+    hidden = False
 
-def spoilt(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Features of these rows that nobody may read: training refuses them, and their probabilities are not numbers."""
-    return np.where(rows[:, None], np.nan, x)
+    def described(self, snapshots: Snapshots, head: str) -> np.ndarray:
+        columns = len(names(self.heads[head][0]))
+        x = np.random.default_rng(0).normal(size=(len(snapshots), columns))
+        state = np.minimum((snapshots.now - 1) // STATE, 3)
+        x = (x + 3 * (np.arange(columns) % 4 == state[:, None])).astype(np.float32)
+        inside, streamed = halves(self.items, SEED)[snapshots.interval], snapshots is self.regular
+        return np.where(self.hidden & (inside == streamed)[:, None], np.nan, x)
 
 
 def assert_same(one: Any, other: Any) -> None:
@@ -48,28 +54,24 @@ def items() -> LabelledIntervals:
 
 
 def test_halves_never_divide_a_trial(items: LabelledIntervals) -> None:
-    inside = table2.halves(items, SEED)
+    inside = halves(items, SEED)
     assert all(len(set(inside[items.trial == trial].tolist())) == 1 for trial in items.trial)
     assert inside.sum() == len(inside) / 2
-    assert not np.array_equal(inside, table2.halves(items, SEED + 1))
+    assert not np.array_equal(inside, halves(items, SEED + 1))
 
 
-def test_table2_trains_on_one_half_and_scores_the_other(
-    items: LabelledIntervals, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(table2, "GRID", FAST)
-    x: dict[str, Any] = {"picked": training_snapshots(items, EVERY), "streamed": regular_snapshots(items, EVERY)}
-    families = ("levels",)
-    x["family"] = np.array([name.split(".")[0] for name in names(table2.FeatureSpec(families=families))])
-    x |= {f"{part}_x": features(x[part], len(x["family"])) for part in ("picked", "streamed")}
-    inside = table2.halves(items, SEED)
-    hidden = {
-        "picked_x": spoilt(x["picked_x"], ~inside[x["picked"].interval]),
-        "streamed_x": spoilt(x["streamed_x"], inside[x["streamed"].interval]),
-    }
-    result = table2.repeat(x, items, families, SEED, DT)
-    assert_same(table2.repeat(x | hidden, items, families, SEED, DT), result)
-    probability, y_true = result[table2.WHOLE]
-    assert np.isfinite(probability).all()
-    np.testing.assert_array_equal(y_true, items.y[~inside])
-    assert result["full-sequence accuracy"] > 0.8
+def test_table2_trains_on_one_half_and_scores_the_other() -> None:
+    heads = {"state": (FeatureSpec(("levels", "histogram"), balance=True), FAST, 1)}
+    made = []
+    for hidden in (False, True):
+        stream = Spoilt(
+            blank_trials(TRIALS, STATE, DT), TaskSpec(), (EncoderConfig(), preset()), heads, 1 / (EVERY * DT)
+        )
+        stream.hidden = hidden
+        made.append([table2.repeat(stream, relative, SEED) for relative in (False, True)])
+    for one, other in zip(*made, strict=True):
+        assert_same(one, other)
+        probability, y_true = other[table2.WHOLE]
+        assert np.isfinite(probability).all()
+        np.testing.assert_array_equal(y_true, stream.items.y[~halves(stream.items, SEED)])
+        assert other["full-sequence accuracy"] > 0.8
