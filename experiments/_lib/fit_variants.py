@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from experiments._lib.piecewise import Floats, Ints
+from experiments._lib.arrays import Floats, Ints
 from experiments._lib.word_stability import Words, named
 from rcbht_jax.encoding.fit import FitConfig
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.arrays import Flags, Floats
 from experiments._lib.frozen import relative_of
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.features import FeatureSpec
@@ -36,8 +37,6 @@ from rcbht_jax.types import Recordings
 Encoder = tuple[AnyConfig, AnyLimits]
 Head = tuple[FeatureSpec, Grid, int]  # features, grid, and the snapshots that a complete interval counts for
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Starts = dict[int, float]  # state -> s, when it was detected
 
 

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments._lib.piecewise import Approximation, Floats
+from experiments._lib.arrays import Floats
+from experiments._lib.piecewise import Approximation
 from rcbht_jax.errors import InputError
 
 LETTERS = 16  # for the mean, and for the slope

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
+from experiments._lib.arrays import Floats, Ints
 from experiments._lib.intervals import of_sums
-from experiments._lib.piecewise import Floats, Ints, Sums, bottom_up, left_over
+from experiments._lib.piecewise import Sums, bottom_up, left_over
 from rcbht_jax.labels import Primitive
 from rcbht_jax.learning.segment_metrics import edit_distance
 from rcbht_jax.types import LabelTrack, Recordings, padded

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
 from experiments._lib import frozen
 from experiments._lib import raw_learners as raw
+from experiments._lib.arrays import Ints
 from experiments._lib.benchmarks import CONFOUNDS, Benchmark, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import by_trial, of_folds
@@ -41,8 +41,6 @@ ASKED = {
     **WITH_BATCHES,
     **dict.fromkeys((OUTCOME, HELD_OUT), Benchmark(TaskSpec("outcome", sessions=("A", "B", "C"), outcomes=()))),
 }
-
-Ints = NDArray[np.int64]
 
 
 class Experiment:

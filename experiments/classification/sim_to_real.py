@@ -27,6 +27,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import raw_learners
+from experiments._lib.arrays import Ints
 from experiments._lib.benchmarks import mistakes, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import learned_tolerance
@@ -52,8 +53,6 @@ REAL = ("A", "B")
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,), floor=0.05)
 SELECTING = 48  # trials of each training set that choose kernel, cost and features
 SEARCHING, SEARCHED = 24, 512  # trials of each training set, and candidates, of a search for thresholds
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

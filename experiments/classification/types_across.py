@@ -38,6 +38,7 @@ from scipy.stats import rankdata
 from sklearn.ensemble import ExtraTreesClassifier
 
 from experiments._lib import raw_learners as raw
+from experiments._lib.arrays import Floats, Ints
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, FOLDS, items_of, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import by_trial, of_folds
@@ -65,9 +66,6 @@ WIDE = replace(
 )  # fmt: skip
 SIMULATED = {"narrow": (NARROW, 700, 61), "wide": (WIDE, 900, 62)}  # distributions, trials, seed
 MIRROR = np.array([1, -1, 1, -1, 1, -1], np.float32)  # of the wrench in the plane y = 0
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

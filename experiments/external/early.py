@@ -24,6 +24,7 @@ from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.model_selection import StratifiedKFold
 
 from experiments._lib import early
+from experiments._lib.arrays import Ints
 from experiments._lib.benchmarks import FOLDS, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import of_splits
@@ -40,7 +41,6 @@ CERTAIN = metrics.CERTAINTY_LEVELS[0]
 MEASURES = ("accuracy", "earliness", "harmonic_mean")
 
 Rule = Callable[["Fold"], early.Rule]
-Ints = NDArray[np.int64]
 
 
 class Fold:

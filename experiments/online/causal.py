@@ -26,6 +26,7 @@ from sklearn.linear_model import RidgeCV
 from sklearn.metrics import r2_score
 
 from experiments._lib import frozen, streams
+from experiments._lib.arrays import Flags, Floats, Ints
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import at_least, drawn, of_splits, sums
@@ -44,10 +45,6 @@ SPLITS = {"REAL": ("REAL", ()), "A to B": ("REAL", ("A", "B")), "B to A": ("REAL
 MEASURES = ("macro step accuracy", "full-sequence accuracy", "OverallPr")
 KINDS = {"frozen": False, "frozen, relative": True}
 ALPHAS = tuple(10.0**power for power in range(-2, 5))  # of the ridge
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 class Stream(streams.Stream):
@@ -161,7 +158,7 @@ def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
     trial = made.items.trial[snapshots.interval]
     counts = drawn(len(np.unique(trial)), 0)
     found: dict[str, list[float]] = {name: [] for name in made.items.classes}
-    draws: dict[str, list[NDArray[np.float64]]] = {name: [] for name in made.items.classes}
+    draws: dict[str, list[Floats]] = {name: [] for name in made.items.classes}
     for seed in seeds:
         inside = halves(made.items, seed)[snapshots.interval]
         for number, name in enumerate(made.items.classes):
@@ -178,7 +175,7 @@ def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
     )
 
 
-def drawn_r2(true: Floats, predicted: Floats, trial: NDArray[Any], counts: NDArray[np.int64]) -> Floats:
+def drawn_r2(true: Floats, predicted: Floats, trial: NDArray[Any], counts: Ints) -> Floats:
     """R^2 of each draw, where trials count so often ``[draw, trial]``."""
     parts = np.stack([np.ones(len(true)), true, true**2, (true - predicted) ** 2], 1)
     number, total, square, rest = (counts @ sums(parts, trial)).T

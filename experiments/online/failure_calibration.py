@@ -23,6 +23,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from experiments._lib.arrays import Floats, Ints
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import drawn, sums
@@ -33,9 +34,6 @@ from rcbht_jax.learning.validation import repeated_folds
 
 TARGET = 0.08
 BINS = 10
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def by_progress(p: Floats, y: Ints, fold: Ints, seconds: Floats, trial: NDArray[np.str_], planned: Floats) -> Floats:

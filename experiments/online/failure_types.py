@@ -20,6 +20,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.arrays import Floats
 from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.streams import described
@@ -49,8 +50,6 @@ FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the record
 GRID = replace(TRIAL_GRID, kernels=("rbf",), costs=(1.0, 10.0))
 RANKS = replace(GRID, costs=(1.0,), ranks=True)  # with ranks all costs from here on are much the same
 ENDS = 20  # snapshots that a complete record counts for: early ones have little information on the failure
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
+from experiments._lib.arrays import Flags, Floats
 from experiments._lib.results_io import defaults_of, given, write_result
 from experiments.online.recovery import ATTEMPTS, DIRECTIONS, DOUBT, HOLD, MILD, PRESET, STEP, learn
 from rcbht_jax.introspection.introspector import FAILURE_TYPE
@@ -33,16 +33,14 @@ CERTAIN = 0.7  # belief in a failure above which an attempt is in doubt, where t
 SIZES = (0.006, 0.008, 0.010)  # m, of the faults
 FIRST = 2_000_000  # index of the first trial, beyond those of the training
 ENGINE, CONFIG = "mjx", env.EnvConfig(observe=("wrench", "beliefs"))
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Attempt:
     """Result of one attempt at every part."""
 
-    stopped: Bools  # [part] because of beliefs
-    seated: Bools  # [part] when it ended or was stopped
+    stopped: Flags  # [part] because of beliefs
+    seated: Flags  # [part] when it ended or was stopped
     evidence: Floats  # [part, direction] logarithm of the beliefs in each direction
 
 

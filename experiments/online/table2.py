@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.arrays import Floats
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, recorded, with_interval
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.streams import Stream, halves
@@ -49,8 +49,6 @@ PAPER = {"REAL": {FULL: 0.95, "OverallPr": 0.84, "m at .70": [0.95, 0.10, 0.36, 
 
 WHOLE = "beliefs and classes of full sequences"
 CHANCE = "ECE full sequences, were they calibrated perfectly"
-
-Floats = NDArray[np.float64]
 
 
 def certainty_rows(p: Floats, snapshots: Snapshots, items: LabelledIntervals) -> dict[str, Any]:

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.metrics import roc_auc_score
 
+from experiments._lib.arrays import Flags, Floats, Ints
 from experiments._lib.benchmarks import FOLDS
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import of_auc
@@ -63,10 +64,6 @@ FAILED = 1  # class
 TARGETS = {"area of each kind, within a session": 0.95, "area of each kind, from session to session": 0.90}
 NOT_YET = 1e3  # s, in place of the beginning of a sub-task that has not begun
 EVERY = "every kind of fault"
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

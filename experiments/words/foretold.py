@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
+from experiments._lib.arrays import Floats
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded, rounded
 from experiments._lib.intervals import of_sums, sums
 from experiments._lib.results_io import defaults_of, given, write_result
@@ -42,8 +43,6 @@ from rcbht_jax.types import LabelTrack, Recordings
 RECENT = 40  # samples of the axis
 TREES, LEAF, FOLDS, SEED = 400, 3, 7, 0
 SETS = {"REAL": REAL, "SIM1": SIM1, "two-arm": SIM2}
-
-Floats = NDArray[np.float64]
 
 
 def described(trial: Trial, limits: FitLimits) -> Floats:

@@ -21,9 +21,10 @@ import numpy as np
 import tyro
 
 from experiments._lib import piecewise, symbolic
+from experiments._lib.arrays import Floats
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import drawn
-from experiments._lib.piecewise import Approximation, Floats
+from experiments._lib.piecewise import Approximation
 from experiments.words import stability
 from experiments.words.fit_quality import residuals
 from experiments.words.sets import COUNTS, Part, part
