@@ -27,11 +27,7 @@ def command_of(main: Callable[..., None], values: Mapping[str, Any], *paths: str
 class Rows:
     """The rows of ``experiments/results/<name>.json``; those made in the same way are kept: a run resumes.
 
-    Args:
-        name: of the result.
-        command: that makes it.
-        about: facts about all rows (JSON values); if they differ, all rows are made again.
-        seed: of the experiment.
+    If ``about``, the facts on all rows (JSON values), or the seed differ, all rows are made again.
     """
 
     def __init__(self, name: str, command: str, about: Mapping[str, Any], seed: int) -> None:
@@ -48,9 +44,8 @@ class Rows:
     def fill(self, wanted: Mapping[str, Callable[[], Any]], only: Sequence[str] = ALL_ROWS) -> None:
         """Make the rows that are missing, in order; each is on disk before the next is begun.
 
-        Args:
-            wanted: how to make each row (JSON values); all of them together are the complete result.
-            only: texts; rows whose names contain one of them are made now.
+        Rows are JSON values, and all that are ``wanted`` make the result complete. Only rows whose names contain one
+        of the texts ``only`` are made now.
         """
         missing = [row for row in wanted if row not in self.done and any(text in row for text in only)]
         with tqdm(missing, desc=self.name, unit="row", file=sys.stderr, disable=None) as bar:

@@ -1,5 +1,4 @@
 """Straight lines for a signal: filters that process samples as they arrive, and optimal lines.
-from experiments._lib.arrays import Floats, Ints
 
 Every function takes one axis ``y [time]``. Breaks are the first samples of all pieces but the first, in order; a line
 is the least-squares one of its piece unless stated otherwise. The functions are for comparisons, not for streams.
@@ -16,6 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
+from experiments._lib.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)

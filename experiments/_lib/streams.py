@@ -66,14 +66,9 @@ class Detected:
 
 
 class Stream:
-    """One data set: its snapshots, described once for all splits.
+    """One data set: its snapshots, ``rate`` a second, described once for all splits.
 
-    Args:
-        data: of the streams.
-        task: the states.
-        encoder: of the words.
-        heads: "state" and, where beginnings are to be detected, "phase".
-        rate: snapshots per second.
+    The head "phase" is only needed where beginnings are to be detected.
     """
 
     def __init__(

@@ -39,13 +39,8 @@ BINS = 10
 def by_progress(p: Floats, y: Ints, fold: Ints, seconds: Floats, trial: NDArray[np.str_], planned: Floats) -> Floats:
     """Calibrated beliefs: those of a fold by what was fitted on the other folds.
 
-    Args:
-        p: ``[step, class]``, of classifiers that did not see the trial.
-        y: class ``[step]``.
-        fold: in which the step's trial was tested ``[step]``.
-        seconds: since the record began ``[step]``.
-        trial: of each step.
-        planned: median length of the records that did not test in a fold, s ``[fold]``.
+    Beliefs ``[step, class]`` are those of classifiers that did not see the trial, folds ``[step]`` those in which it
+    was tested; ``planned`` is the median length of the records that did not test in a fold, s.
     """
     out = np.empty_like(p)
     for number in np.unique(fold):

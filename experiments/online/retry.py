@@ -45,13 +45,7 @@ class Attempt:
 
 
 class Bench:
-    """Parts in an environment, all assembled at once.
-
-    Args:
-        model: whose beliefs are observed.
-        faults: m, x and y of the hand from each part.
-        seed: of the trials.
-    """
+    """Parts in an environment, all assembled at once; ``faults`` are x and y of the hand from each part, m."""
 
     def __init__(self, model: IntrospectionModel, faults: Floats, seed: int) -> None:
         self.faults, self.seed = faults, seed

@@ -125,7 +125,7 @@ def summary(runs: list[Any], items: int = 0) -> Any:
     stacked = np.asarray(runs, float)
     if stacked.ndim == 1 and len(runs) > 1:
         return with_interval(stacked, places=4, items=items)
-    middle = _mean(stacked)
+    middle: Any = _mean(stacked)
     rounded: Any = np.where(np.isfinite(middle), middle.round(4), None)  # None: undefined, as in an empty bin
     return rounded.tolist()
 

@@ -186,10 +186,6 @@ def needed(curve: Iterable[tuple[float, float]], target: float) -> float | None:
     """Words per second at which a curve reaches a residual: a line on logarithmic scales between its points.
 
     None where no point of it does, or where all do. A point counts only if no point with fewer words is better.
-
-    Args:
-        curve: words per second and residual of each point.
-        target: the residual.
     """
     best: list[tuple[float, float]] = []
     for rate, left in sorted(curve):
