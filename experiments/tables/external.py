@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from experiments.figures.early import SETS
 from experiments.tables.cells import NONE, Lines, score, table
 
-SETS = {"lp1": "LP1", "lp2": "LP2", "lp4": "LP4"}
 SCORES = {
     "accuracy": "accuracy", "macro_f1": "macro F1", "f1@10": "F1@10", "f1@25": "F1@25", "f1@50": "F1@50",
     "edit": "edit", "covering": "covering",

@@ -119,16 +119,16 @@ def bottom_up(data: Part, small: bool) -> Curve:
     return curve
 
 
+def of_each(data: Part, at: str, make: Callable[..., Approximation], of_axes: Iterable[Sequence[float]]) -> Point:
+    """The point of a method that takes every axis by itself, with some numbers of that axis."""
+    numbers = list(of_axes)
+    found = [[make(y, *own) for y, own in zip(row, numbers, strict=True)] for row in data.signals]
+    return of_approximations(data, at, found)
+
+
 def by_tolerance(data: Part, make: Callable[[Floats, float], Approximation], knobs: Sequence[float], at: str) -> Curve:
     """A method whose knob is a multiple of the default tolerance."""
-    return [
-        of_approximations(
-            data,
-            f"{at} x{knob:g}",
-            [[make(y, t * knob) for y, t in zip(row, data.tolerance.tolist(), strict=True)] for row in data.signals],
-        )
-        for knob in knobs
-    ]
+    return [of_each(data, f"{at} x{knob:g}", make, ([t * knob] for t in data.tolerance.tolist())) for knob in knobs]
 
 
 def by_width(
@@ -137,15 +137,8 @@ def by_width(
     """A method whose knob is the samples of a window; it knows mean and deviation of every axis."""
     every = [np.concatenate(parts) for parts in zip(*data.signals, strict=True)]
     scale = [(float(y.mean()), float(y.std()) or 1.0) for y in every]
-    return [
-        of_approximations(
-            data,
-            f"window {width}",
-            [[make(y, width, *known) for y, known in zip(row, scale, strict=True)] for row in data.signals],
-        )
-        for width in widths
-        if 2 * width <= data.recordings.length.max()
-    ]
+    fitting = [width for width in widths if 2 * width <= data.recordings.length.max()]
+    return [of_each(data, f"window {width}", make, ((width, *known) for known in scale)) for width in fitting]
 
 
 def optimum(data: Part) -> Curve:
