@@ -25,10 +25,10 @@ import tyro
 from experiments._lib.benchmarks import rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.fit_variants import SumsOfAxes, Variant, breaks, words_of
-from experiments._lib.word_stability import Words, agreement, noisy
+from experiments._lib.word_stability import Words, agreement
 from experiments.words.rate_distortion import TARGETS, needed, significant
 from experiments.words.sets import OURS, Part, part
-from experiments.words.stability import NOISE, WINDOW
+from experiments.words.stability import NOISE, WINDOW, noisy_copies
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.types import Recordings
 
@@ -88,9 +88,7 @@ def of_noise(name: str, kind: str, seed: int) -> dict[str, Any]:
     """Agreement of the primitives of two copies at every level of noise."""
     data, found = part(name), {}
     for level in NOISE:
-        rng = np.random.default_rng([seed, round(1000 * level)])
-        copies = [noisy(data.recordings, data.tolerance * level, rng) for _ in range(2)]
-        first, second = (_words(data, copy, STABLE[kind]) for copy in copies)
+        first, second = (_words(data, copy, STABLE[kind]) for copy in noisy_copies(data, level, seed))
         agreed = rounded(agreement(zip(first, second, strict=True), WINDOW, len(data.tolerance)))
         rate = np.mean([len(one.label) for one in first]) * len(data.recordings) / data.seconds
         found[f"{level:g}"] = agreed | {"words per second": significant(float(rate))}
