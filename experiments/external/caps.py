@@ -54,6 +54,11 @@ class Experiment:
     def recordings(self) -> Recordings:
         return of_other_robot("caps/runs_40hz", "caps_40hz")
 
+    def truth(self) -> list[NDArray[np.int64]]:
+        """The annotated code of every sample of each run."""
+        data, track = self.recordings(), self.recordings().annotations.choose()
+        return [data.annotations.of_samples(i, track, n, data.dt) for i, n in enumerate(data.length.tolist())]
+
     def ours(self, one_shot: bool = False, **options: Any) -> Any:
         protocol = Protocol(folds=0, one_shot=one_shot)
         return rounded(
@@ -62,9 +67,8 @@ class Experiment:
 
     def peer(self, one_shot: bool) -> Any:
         """Trees on windows that end at the sample."""
-        data = self.recordings()
+        data, y = self.recordings(), self.truth()
         lengths = data.length.tolist()
-        y = [data.annotations.of_samples(i, data.annotations.choose(), n, data.dt) for i, n in enumerate(lengths)]
         signals = [with_norms(data.wrench[i, :n].astype(float), data.units) for i, n in enumerate(lengths)]
         x = [trailing_statistics(signal, data.dt, WINDOWS) for signal in signals]
         truth, predicted, drawn = [], [], []
@@ -80,10 +84,8 @@ class Experiment:
     def change_points(self, detector: str) -> dict[str, Any]:
         """Changes found without labels, segments labelled by the one method."""
         data = self.recordings()
-        track = data.annotations.choose()
-        truth = [data.annotations.of_samples(i, track, n, data.dt) for i, n in enumerate(data.length.tolist())]
         predicted, counts = change_points.scored(data, detector, self.seed)
-        return _scored(truth, predicted, data.dt, np.arange(len(truth))) | counts
+        return _scored(self.truth(), predicted, data.dt, np.arange(len(data))) | counts
 
 
 def _scored(truth: list[Any], predicted: list[Any], dt: float, groups: NDArray[Any]) -> dict[str, Any]:

@@ -80,13 +80,11 @@ def repeat(stream: Stream, seed: int) -> dict[str, Any]:
 def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, Any]:
     """Scores with intervals; errors of the beginnings over all repeats."""
     out: dict[str, Any] = {n: with_interval([run[n] for run in runs]) for n in runs[0] if n != "errors"}
-    errors = np.concatenate([run["errors"] for run in runs])
-    for column, name in enumerate(classes[1:]):
-        e = errors[:, column]
-        seen = e[np.isfinite(e)]
+    away = np.abs(np.concatenate([run["errors"] for run in runs]))  # NaN = never detected
+    for name, column in zip(classes[1:], away.T, strict=True):
         out[f"beginning of {name}"] = {
-            "detected": round(float(np.isfinite(e).mean()), 3),
-            f"within {NEAR:g} s": round(float((np.abs(seen) <= NEAR).sum() / len(e)), 3),
+            "detected": round(float(np.isfinite(column).mean()), 3),
+            f"within {NEAR:g} s": round(float((column <= NEAR).mean()), 3),
         }
     return out
 
