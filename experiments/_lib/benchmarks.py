@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from experiments._lib.arrays import Floats
 from experiments._lib.catalogue import DATA
 from experiments._lib.intervals import of_folds, of_splits
 from experiments._lib.tasks import failure_types, states
@@ -46,8 +47,6 @@ CONFOUNDS = {
         "ones."
     ),
 }
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

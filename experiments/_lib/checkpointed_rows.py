@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -11,20 +12,22 @@ import tyro
 from tqdm import tqdm
 
 import rcbht_jax
-from experiments._lib.results_io import record_of, write_result
+from experiments._lib.results_io import defaults_of, given, record_of, write_result
 
-Only = Annotated[tuple[str, ...], tyro.conf.arg(help="Make the rows whose names contain one of these.")]
+Only = Annotated[tuple[str, ...], tyro.conf.arg(help="Make the rows whose names contain one of these; others stay.")]
 ALL_ROWS = ("",)
 
 
-class Rows:
-    """The rows of ``experiments/results/<name>.json``; those made in the same way are reused.
+def command_of(main: Callable[..., None], values: Mapping[str, Any], *paths: str) -> str:
+    """The command that makes all rows: the module of ``main``, its ``paths``, and every option but ``only``."""
+    options = given(values, {name: None for name in defaults_of(main) if name != "only"})
+    return " ".join(["python -m", inspect.getmodule(main).__spec__.name, *paths]) + options  # type: ignore[union-attr]
 
-    Args:
-        name: of the result.
-        command: that makes it.
-        about: facts about all rows (JSON values); if they differ, all rows are made again.
-        seed: of the experiment.
+
+class Rows:
+    """The rows of ``experiments/results/<name>.json``; those made in the same way are kept: a run resumes.
+
+    If ``about``, the facts on all rows (JSON values), or the seed differ, all rows are made again.
     """
 
     def __init__(self, name: str, command: str, about: Mapping[str, Any], seed: int) -> None:
@@ -41,9 +44,8 @@ class Rows:
     def fill(self, wanted: Mapping[str, Callable[[], Any]], only: Sequence[str] = ALL_ROWS) -> None:
         """Make the rows that are missing, in order; each is on disk before the next is begun.
 
-        Args:
-            wanted: how to make each row (JSON values); all of them together are the complete result.
-            only: texts; rows whose names contain one of them are made now.
+        Rows are JSON values, and all that are ``wanted`` make the result complete. Only rows whose names contain one
+        of the texts ``only`` are made now.
         """
         missing = [row for row in wanted if row not in self.done and any(text in row for text in only)]
         with tqdm(missing, desc=self.name, unit="row", file=sys.stderr, disable=None) as bar:

@@ -2,8 +2,10 @@
 
 ECONOMY-gamma (Achenchabe, Bondu, Cornuejols and Dachraoui 2021, Machine Learning 110, section 4.2, with the largest
 probability as the confidence of several classes) and CALIMERA (Bilski and Jastrzebska 2023, Information Processing and
-Management 60), written from the papers. The cost of a decision is weight * error + (1 - weight) * delay. A fitted rule
-is a function of beliefs ``[time, item, class]`` that uses none of them before their time.
+Management 60), written from the papers. The cost of a decision is weight * error + (1 - weight) * delay. A rule is
+fitted on calibrated beliefs of classifiers that were not trained on the items; the delay at a time is the share of the
+whole that has passed. A fitted rule is a function of beliefs ``[time, item, class]`` that uses none of them before
+their time.
 """
 
 from __future__ import annotations
@@ -39,12 +41,6 @@ def economy(
 
     At each time the items are divided into groups by quantiles of their confidence. Later costs are estimated from the
     errors of later groups and a Markov chain between the groups of consecutive times.
-
-    Args:
-        beliefs, y: of items that the classifiers behind the beliefs were not trained on.
-        delay: share of the whole that has passed at each time.
-        weight: of an error.
-        groups: at each time.
     """
     confidence, wrong = beliefs.max(2), beliefs.argmax(2) != y
     inner = np.arange(1, groups) / groups
@@ -77,11 +73,6 @@ def calimera(beliefs: Beliefs, delay: Float[np.ndarray, " time"], weight: float)
 
     The cost now is estimated by the belief itself. From the last time backwards a kernel ridge regression learns the
     difference between the cost of going on, by the rule of the later times, and of deciding now.
-
-    Args:
-        beliefs: calibrated, of items that the classifiers behind them were not trained on.
-        delay: share of the whole that has passed at each time.
-        weight: of an error.
     """
     cost = weight * (1 - beliefs.max(2)) + (1 - weight) * delay[:, None]
     later, regressions = cost[-1], []

@@ -23,12 +23,9 @@ LONGEST = 20  # s that a fault lasts at most
 
 
 def readings(seconds: int, seed: int, counts: Counter[str]) -> Iterator[list[Sample]]:
-    """Readings of one second after the other.
+    """Readings of one second after the other, drop-outs included.
 
-    Args:
-        seconds: of the stream, drop-outs included.
-        seed: of noise and faults.
-        counts: counts faults by name, and as "bad readings" and "stamps twice, readings" what must be left out.
+    ``counts`` counts faults by name, and as "bad readings" and "stamps twice, readings" what must be left out.
     """
     rng, cycle = np.random.default_rng(seed), _cycle()
     clock, kind, left = 1.7e9, "", 0

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from experiments._lib.piecewise import Floats, Ints
+from experiments._lib.arrays import Floats, Ints
 from experiments._lib.word_stability import Words, named
 from rcbht_jax.encoding.fit import FitConfig
 
@@ -52,12 +52,7 @@ def breaks(
 ) -> tuple[list[list[int]], Floats]:
     """First samples of the runs of every axis, and the tolerances at the end.
 
-    Args:
-        y: one recording, N and Nm.
-        config: window, look-back and evidence.
-        tolerance: of each axis; the least one where noise is tracked.
-        small: the small gradient limit of each axis, units per second: below it a run rests.
-        variant: what is changed.
+    ``tolerance`` is the least one where noise is tracked; a run rests below the ``small`` gradient limit of its axis.
     """
     sums, axes = SumsOfAxes(y), np.arange(y.shape[1])
     start, found = np.zeros(len(axes), np.int64), [[0] for _ in axes]

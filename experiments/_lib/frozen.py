@@ -119,13 +119,7 @@ class FrozenMethod:
         return {one["name"]: {name: labels[name] for name in one["encoders"]} for one in self.content["grammars"]}
 
     def learner(self, grammars: Grammars, items: LabelledIntervals, relative: bool = False) -> Estimator:
-        """The method as an estimator on the rows of ``items``; everything is selected on its training rows.
-
-        Args:
-            grammars: of the recordings that ``items`` come from.
-            items: intervals with their classes.
-            relative: without what an offset or a duration changes.
-        """
+        """The method, or its ``relative`` features, on the rows of ``items``; all is selected on the training rows."""
         described = candidates(grammars, items, self.relative if relative else self.specs)
         matrices = {name: features.values for name, (features, _) in described.items()}
         weights = {name: weight for name, (_, weight) in described.items()}

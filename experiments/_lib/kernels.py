@@ -16,12 +16,9 @@ def rank_kernel(
     train: Int[np.ndarray, " train"],
     weight: Float[np.ndarray, " feature"] | None = None,
 ) -> Float[np.ndarray, "item item"]:
-    """Linear kernel of the features' ranks among the training items, its diagonal about 1; float32.
+    """Linear kernel of the weighted ranks of features among the training items, its diagonal about 1; float32.
 
-    Args:
-        x: features.
-        train: rows of the training items; constant features are left out.
-        weight: by which ranks are multiplied; None = ones.
+    Features that are constant in training are left out.
     """
     varies = np.ptp(x[train], axis=0) > 0
     weight = None if weight is None else weight[varies]
@@ -34,11 +31,8 @@ def alignment_weights(
 ) -> Float[np.ndarray, " kernel"]:
     """Weights with sum 1 by centred alignment with the classes (Cortes, Mohri and Rostamizadeh 2012, section 3.1).
 
-    The weighted sum of kernels is ``np.tensordot(weights, kernels, 1)``, their average ``kernels.mean(0)``.
-
-    Args:
-        kernels: of the training items.
-        y: class index of each.
+    Kernels are those of the training items, ``y`` their class indices. The weighted sum is
+    ``np.tensordot(weights, kernels, 1)``.
 
     >>> y = np.array([0, 0, 1, 1])
     >>> same = (y[:, None] == y).astype(float)
@@ -73,16 +67,7 @@ def cost_scores(
     repeats: int,
     seed: int,
 ) -> tuple[Float[np.ndarray, "cost fold"], Float[np.ndarray, "cost fold"]]:
-    """Accuracy and mean margin of grouped folds; the margin of an item is clipped at 1.
-
-    Args:
-        kernel: of the training items.
-        y: class index of each, three classes or more.
-        groups: items of one group are never on both sides of a fold.
-        costs: of the SVM.
-        folds: per repeat.
-        repeats: with other folds.
-        seed: of the first.
+    """Accuracy and mean margin of grouped folds of three classes or more; the margin of an item is clipped at 1.
 
     Raises:
         InputError: a class has fewer groups than there are folds.

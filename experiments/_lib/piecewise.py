@@ -15,10 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from experiments._lib.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)

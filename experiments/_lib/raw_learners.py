@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 from sklearn.ensemble import RandomForestClassifier
 
+from experiments._lib.arrays import Floats
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import LabelledIntervals
@@ -31,7 +32,6 @@ WINDOW, WORD, LETTERS = 64, 4, 4  # SAX bag of words
 FLAT = 0.01  # N or Nm: a window that varies less is flat, not noise blown up to full height
 SVM = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scalings=(False, True))
 
-Floats = NDArray[np.float64]
 Segments = Sequence[Floats]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from experiments._lib.headline_rows import SOURCES, headline_rows
 from experiments._lib.results_io import COMMITTED, committed
-from experiments._lib.scores import RICHER, by_benchmark, of_probes, of_table1, of_two_arms
+from experiments._lib.scores import RICHER, by_benchmark, ends_of, mean_of, of_probes, of_table1, of_two_arms
 from rcbht_jax.report.results import SCHEMA
 
 NAME = "report_rows"
@@ -44,22 +44,17 @@ def _row(
     paper: str = "", peer: Record | None = None, duration: float | None = None,
 ) -> Record:  # fmt: skip
     return {
-        "group": group, "what": what, "paper": paper, "ours": _mean(score), "interval": _interval(score),
+        "group": group, "what": what, "paper": paper, "ours": mean_of(score), "interval": _interval(score),
         "peer": peer, "duration": duration, "flags": flags, "source": f"{source}.json",
     }  # fmt: skip
 
 
 def _peer(name: str, score: Record) -> Record:
-    return {"name": name, "mean": _mean(score), "interval": _interval(score)}
+    return {"name": name, "mean": mean_of(score), "interval": _interval(score)}
 
 
-def _mean(score: Record) -> float:
-    return float(score["mean"] if "mean" in score else score["accuracy"])
-
-
-def _interval(score: Record) -> tuple[float, float]:
-    low, high = score["interval"] if "interval" in score else (score["low"], score["high"])
-    return round(low, 6), round(high, 6)
+def _interval(score: Record) -> list[float]:
+    return [round(end, 6) for end in ends_of(score) or ()]
 
 
 def _frozen() -> Iterator[Record]:

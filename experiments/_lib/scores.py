@@ -14,6 +14,16 @@ RICHER = {
 TABLE1 = ("paper's features, nested, grouped", "words, nested, grouped", "duration alone")
 
 
+def mean_of(score: Record) -> float:
+    return float(score["mean"] if "mean" in score else score["accuracy"])
+
+
+def ends_of(score: Record) -> tuple[float, float] | None:
+    """The ends of a score's 95 % interval, which results hold as a pair or one by one; None = it has none."""
+    low, high = score["interval"] if "interval" in score else (score.get("low"), score.get("high"))
+    return None if low is None else (low, high)
+
+
 def by_benchmark(rows: Record) -> dict[str, Record]:
     """Rows named "benchmark | method" as benchmark -> method -> row."""
     nested: dict[str, Record] = {}

@@ -46,14 +46,9 @@ def kept_arrays(path: Path, make: Callable[[], dict[str, NDArray[Any]]]) -> dict
 def assembled(
     wrench: NDArray[np.floating], length: NDArray[np.integer], onset: NDArray[np.floating], source: str, **known: Any
 ) -> Recordings:
-    """Simulated trials as recordings, of the right arm and without a deviation unless it is ``known``.
+    """Simulated trials as recordings, of the right arm and without a deviation unless these columns are ``known``.
 
-    Args:
-        wrench: ``[trial, time, 6]``.
-        length: samples.
-        onset: s, of the four states.
-        source: also the session.
-        known: columns of :func:`rcbht_jax.robots.snap_assembly.snap_recordings` with something in them.
+    The wrench is ``[trial, time, 6]``, the onset of the four states in s; the source is also the session.
     """
     count = len(length)
     texts = {"arm": "R", "source": source, "session": source, "failure_type": "", "note": ""}

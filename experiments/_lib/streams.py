@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.arrays import Flags, Floats
 from experiments._lib.frozen import relative_of
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.features import FeatureSpec
@@ -36,8 +37,6 @@ from rcbht_jax.types import Recordings
 Encoder = tuple[AnyConfig, AnyLimits]
 Head = tuple[FeatureSpec, Grid, int]  # features, grid, and the snapshots that a complete interval counts for
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Starts = dict[int, float]  # state -> s, when it was detected
 
 
@@ -67,14 +66,9 @@ class Detected:
 
 
 class Stream:
-    """One data set: its snapshots, described once for all splits.
+    """One data set: its snapshots, ``rate`` a second, described once for all splits.
 
-    Args:
-        data: of the streams.
-        task: the states.
-        encoder: of the words.
-        heads: "state" and "phase".
-        rate: snapshots per second.
+    The head "phase" is only needed where beginnings are to be detected.
     """
 
     def __init__(
@@ -86,7 +80,7 @@ class Stream:
         self.training, self.regular = training_snapshots(self.items, every), regular_snapshots(self.items, every)
         self.trial = since_trial_start(self.regular)
         self._x: dict[str, NDArray[np.float32]] = {}
-        self._trained: dict[tuple[Any, ...], ProbabilisticSvm] = {}
+        self._trained: dict[str, tuple[tuple[Any, ...], ProbabilisticSvm]] = {}  # of each head, the newest
 
     def x(self, which: str) -> NDArray[np.float32]:
         """Features of the training, regular or trial snapshots, all families."""
@@ -111,16 +105,16 @@ class Stream:
 
     def trained(self, head: str, relative: bool, inside: Flags, seed: int) -> ProbabilisticSvm:
         """A classifier of the present state, of the snapshots of the training trials."""
-        key = (head, relative, inside.tobytes(), seed)
-        if key not in self._trained:
+        key = (relative, inside.tobytes(), seed)
+        if self._trained.get(head, ((), None))[0] != key:
             spec, grid, ends = self.heads[head]
             which, snapshots = "training", self.training
             if head == "phase":
                 which, snapshots = "trial training", since_trial_start(snapshots)
             rows = np.flatnonzero(inside[snapshots.interval])
             x, spec = self.used(self.x(which)[rows], head, relative), relative_of(spec) if relative else spec
-            self._trained[key] = learn(x, snapshots.take(rows), self.items, spec, grid, ends, seed)
-        return self._trained[key]
+            self._trained[head] = key, learn(x, snapshots.take(rows), self.items, spec, grid, ends, seed)
+        return self._trained[head][1]
 
     def given(self, relative: bool, inside: Flags, seed: int) -> tuple[Snapshots, Floats]:
         """The streamed snapshots, and the beliefs of the head "state" where each beginning is given."""

@@ -14,21 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from experiments._lib.piecewise import Approximation, Floats
+from experiments._lib.arrays import Floats
+from experiments._lib.piecewise import Approximation
 from rcbht_jax.errors import InputError
 
 LETTERS = 16  # for the mean, and for the slope
 
 
 def sax(y: Floats, samples: int, mean: float, deviation: float, slopes: bool = False) -> Approximation:
-    """A letter for the mean of every window, and with ``slopes`` one for its slope, by tslearn.
+    """A letter for the mean of every window, and with ``slopes`` (1d-SAX) one for its slope, by tslearn.
 
-    Args:
-        y: one axis; its last sample is repeated until the windows are full.
-        samples: of a window.
-        mean: of the axis, in all recordings.
-        deviation: of the axis, in all recordings, > 0.
-        slopes: 1d-SAX in place of SAX.
+    The last sample is repeated until the windows are full; mean and deviation are those of all recordings.
     """
     piecewise = _imported("tslearn.piecewise")
     count = -(-len(y) // samples)

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
+from experiments._lib.arrays import Floats, Ints
 from experiments._lib.intervals import of_sums
-from experiments._lib.piecewise import Floats, Ints, Sums, bottom_up, left_over
+from experiments._lib.piecewise import Sums, bottom_up, left_over
 from rcbht_jax.labels import Primitive
 from rcbht_jax.learning.segment_metrics import edit_distance
 from rcbht_jax.types import LabelTrack, Recordings, padded
@@ -133,22 +134,17 @@ def resampled(recordings: Recordings, rate: float) -> Recordings:
 
 
 def best_lines(y: Floats, pieces: int, dt: float, limits: Floats, tolerance: float) -> Words:
-    """Words of the bottom-up fit with so many pieces, named as the fit rule names its runs (impulses apart).
-
-    Args:
-        y: one axis ``[time]``.
-        pieces: how many.
-        dt: s.
-        limits: the four gradient limits, largest first.
-        tolerance: a piece that a level explains as well as this is constant.
-    """
+    """Words of the bottom-up fit with so many pieces, named as the fit rule names its runs (impulses apart)."""
     edges = np.concatenate([[0], left_over(bottom_up(y), pieces), [len(y)]]).astype(np.int64)
     start, stop = edges[:-1], edges[1:]
     return named(Sums(y).line(start, stop)[1], start, stop, dt, limits, tolerance * tolerance)
 
 
 def named(slope: Floats, start: Ints, stop: Ints, dt: float, limits: Floats, tolerated: float) -> Words:
-    """Words of lines of one axis; a line whose values vary by less than ``tolerated`` (squared) is constant."""
+    """Words of lines of one axis; a line whose values vary by less than ``tolerated`` (squared) is constant.
+
+    ``limits`` are the four gradient limits, largest first.
+    """
     n = stop - start
     rank = np.maximum((np.abs(slope / dt)[:, None] < limits).sum(1), 1)  # 1 big, 2 medium, 3 small, 4 constant
     label = np.where(slope > 0, Primitive.BPOS, Primitive.BNEG) + rank - 1

@@ -9,7 +9,6 @@ smooth part of the objective itself. Times are processor seconds of this process
 trials, measured here; its scores come from the same labels as those of the other methods.
 
 Run: python -m experiments.calibration.curves STORE.zarr [--methods random halving ...]
-Finished rows are stored; the same command resumes an interrupted run.
 """
 
 from __future__ import annotations
@@ -150,7 +149,6 @@ def by_gradient(side: Side, seed: int, loss: Literal["logistic", "fit"]) -> dict
     losses = [watched.history[k][2] for k in (0, -1)]
     last = side.held_out(made.path[-1])
     return out | {
-        "objective at the start and at the end": [round(float(v), 4) for v in side.values(path[[0, -1]])],
         "held-out training loss, first and last": [round(value, 4) for value in losses],
         "held-out accuracy and log-loss at the end": [round(value, 4) for value in last],
     }
@@ -179,8 +177,7 @@ def tpe(side: Side, seed: int) -> dict[str, Any]:
         tried.append(limits[0])
         values.append(value)
         seconds.append(own + len(values) * each)
-    out = row(side, np.array(seconds), np.array(values), np.array(tried))
-    return out | {"seconds of the NumPy taxonomy per candidate": round(each, 3), "optuna": optuna.__version__}
+    return row(side, np.array(seconds), np.array(values), np.array(tried)) | {"optuna": optuna.__version__}
 
 
 def main(

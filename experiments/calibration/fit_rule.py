@@ -5,8 +5,7 @@ fit`` begins with them and uses session A alone, with harmonised states. An SVM 
 A then classifies sub-tasks by plain words (histogram, n-grams, attributes), as ranks. Settings and rows were
 fixed before the first score.
 
-Run: python -m experiments.calibration.fit_rule --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.calibration.fit_rule --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import BENCHMARKS, REAL, items_of, of_sources, recorded, svm_on
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.fit_words import FIT_RULE
 from experiments.classification.grammar import RANKS
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
@@ -96,16 +95,13 @@ class Experiment:
         rest = rest_thresholds(data, WINDOW, "fit").rest
         moving = rest_not_constant(tracks.primitive, rest, WINDOW, Primitive.CONS)
         one = FitLimits(stacked[None, :, :4], stacked[None, :, 4])
-        accuracy, fit = score_candidates(self.data, self.config, one)[0, :2].tolist()
-        words = [int((np.asarray(layer.label) > 0).sum()) for layer in (tracks.primitive, tracks.llb)]
+        words = int((np.asarray(tracks.primitive.label) > 0).sum())
         return {
             "limits": stacked[:, :4].tolist(),
             "tolerance": stacked[:, 4].tolist(),
             "share of rest that is constant, worst axis": round(1 - float(moving.max()), 4),
-            "primitives per trial": round(words[0] / len(data), 1),
-            "behaviours per trial": round(words[1] / len(data), 1),
-            "accuracy inside": round(accuracy, 4),
-            "fit inside": round(fit, 4),
+            "primitives per trial": round(words / len(data), 1),
+            "fit inside": round(float(score_candidates(self.data, self.config, one)[0, 1]), 4),
         }
 
     def scored(self, benchmark: str, method: str) -> dict[str, Any]:
@@ -136,9 +132,7 @@ class Experiment:
 
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(seed)
-    rows = Rows(
-        "fit_calibration", f"python -m experiments.calibration.fit_rule --seed {seed}", experiment.about(), seed
-    )
+    rows = Rows("fit_calibration", command_of(main, locals()), experiment.about(), seed)
     wanted = {}
     for method in METHODS:
         wanted[f"limits | {method}"] = partial(experiment.calibrated, method)

@@ -25,6 +25,7 @@ import tyro
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from experiments._lib.arrays import Floats
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, published_words, rounded
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.intervals import of_folds
@@ -51,7 +52,6 @@ METHODS = (
     "simulated, best", "simulated, average",
 )  # fmt: skip
 
-Floats = NDArray[np.float64]
 Kernel = NDArray[np.floating[Any]]
 
 

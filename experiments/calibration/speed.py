@@ -19,7 +19,6 @@ from experiments._lib.results_io import write_result
 from experiments._lib.tasks import states
 from rcbht_jax import reference
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
-from rcbht_jax.calibration.objective import SCORES, Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.io.store import read_recordings
@@ -58,12 +57,10 @@ def measure(data: CalibrationData) -> dict[str, Any]:
     warm = time.perf_counter() - warm
     before = numpy_rate(data)
     start, used = time.perf_counter(), time.process_time()
-    scores = score_candidates(data, config, limits)
+    score_candidates(data, config, limits)
     seconds, used = time.perf_counter() - start, time.process_time() - used
     numpy = (before + numpy_rate(data)) / 2
     samples = 6 * int(data.windows.length.sum())
-    value = scores.astype(np.float64) @ Objective().weights()
-    best = int(value.round(6).argmax())
     return {
         "trials": len(data),
         "candidates": CANDIDATES,
@@ -74,9 +71,6 @@ def measure(data: CalibrationData) -> dict[str, Any]:
         "million samples per second": round(CANDIDATES * samples / seconds / 1e6, 1),
         "NumPy loop, million samples per second (before and after)": round(numpy / 1e6, 3),
         "ratio to the NumPy loop": round(CANDIDATES * samples / seconds / numpy, 1),
-        "chosen": best,
-        "scores of the chosen": dict(zip(SCORES, np.round(scores[best].astype(float), 5).tolist(), strict=True)),
-        "sum of all scores": np.round(scores.astype(np.float64).sum(0), 4).tolist(),
     }
 
 

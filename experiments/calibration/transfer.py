@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import FAILURES, Benchmark, of_sources, published_words
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.checkpointed_rows import Rows, command_of
 from experiments._lib.results_io import committed
 from experiments._lib.tasks import failure_types
 from experiments.calibration.methods import WORDS, accuracies
@@ -67,8 +67,7 @@ def main(
         "trials": len(np.unique(items.trial)), "classes": list(items.classes), "repeats": repeats,
         "limits": {name: which.round(4).tolist() for name, which in limits.items()},
     }  # fmt: skip
-    command = f"python -m experiments.calibration.transfer STORE.zarr --repeats {repeats}"
-    Rows("calibration_transfer", command, about, SEED).fill(wanted)
+    Rows("calibration_transfer", command_of(main, locals(), "STORE.zarr"), about, SEED).fill(wanted)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,7 @@ duration nor offset). Curves use fixed classifiers, since two trials are too few
 every repeat and all others are test trials. Grids use repeated folds grouped by trial. Nothing is selected here: the
 best cell of a grid is an optimistic score.
 
-Run: python -m experiments.classification.curves --repeats 20 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.classification.curves --repeats 20 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FOLDS, of_sources, published_words, recorded, rounded, segments
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments.classification.table1_ours import papers_features
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import metrics, validation
@@ -115,14 +114,13 @@ def main(repeats: int = 20, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "costs": COSTS,
         "boundaries": "harmonised",
     }
-    command = f"python -m experiments.classification.curves --repeats {repeats} --seed {seed}"
     wanted: dict[str, Callable[[], Any]] = {}
     for name in SETS:
         for features in (*FEATURES, STATISTICS):
             wanted[f"{name} | curve | {features}"] = partial(curve, data, name, features, repeats, seed)
         for features in FEATURES:
             wanted[f"{name} | grid | {features}"] = partial(grid, data, name, features, seed)
-    Rows("curves", command, about, seed).fill(wanted, only)
+    Rows("curves", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

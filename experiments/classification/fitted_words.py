@@ -6,8 +6,7 @@ and change of value. Gradient limits are the preset's; in the rows with a choice
 limits, a quarter and a sixteenth of them. Tolerances are learned without labels: of the robot from session A, of the
 simulation from its own trials.
 
-Run: python -m experiments.classification.fitted_words --repeats 2 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.classification.fitted_words --repeats 2 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import BENCHMARKS, REAL, SIM1, items_of, of_sources, published_words, recorded, svm_on
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.fit_words import FIT_RULE, THREE, WEIGHED, WINDOW, tolerances
 from experiments.classification.grammar import DEVIATION, RANKS, counted
 from rcbht_jax.encoding.batch import encode_batch
@@ -135,12 +134,10 @@ class Experiment:
 
 def main(repeats: int = 2, seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(repeats, seed)
-    command = f"python -m experiments.classification.fitted_words --repeats {repeats} --seed {seed}"
     wanted = {
         f"{benchmark} | {name}": partial(experiment.row, benchmark, name) for benchmark in CHOSEN for name in SENTENCES
     }
-    rows = Rows("fit_classification", command, experiment.about(), seed)
-    rows.fill(wanted, only)
+    Rows("fit_classification", command_of(main, locals()), experiment.about(), seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

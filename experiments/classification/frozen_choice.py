@@ -5,8 +5,7 @@ choose among them, and ties go to the earlier. Five scores: states of the simula
 of these two to the other (merged), and types of the simulated failures. The option with the best mean is frozen; of
 those within a thousandth of it, the one that leaves least to be chosen.
 
-Run: python -m experiments.classification.frozen_choice
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.classification.frozen_choice (reads RCBHT_DATA)
 """
 
 from __future__ import annotations

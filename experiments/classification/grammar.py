@@ -6,8 +6,7 @@ fewer columns. Richer words are independent of duration and of a constant added 
 "tared" row subtracts the mean wrench of the trial's first second. The batches of the simulated failures differ in how
 the record begins: at rest, or with the arm's weight already on the sensor.
 
-Run: python -m experiments.classification.grammar --repeats 5 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.classification.grammar --repeats 5 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, published_words, recorded, svm_on
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.tasks import failure_types
 from experiments._lib.zero_shot_set import TARE_SECONDS
 from rcbht_jax.features import Features, FeatureSpec
@@ -188,14 +187,12 @@ def of_both(items: LabelledIntervals, sessions: tuple[str, str]) -> LabelledInte
 
 def main(repeats: int = 5, seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(repeats, seed)
-    command = f"python -m experiments.classification.grammar --repeats {repeats} --seed {seed}"
     wanted = {
         f"{benchmark} | {method}": partial(experiment.row, benchmark, method)
         for benchmark in WITH_BATCHES
         for method in ("duration alone", *METHODS)
     }
-    rows = Rows("grammar", command, experiment.about(), seed)
-    rows.fill(wanted, only)
+    Rows("grammar", command_of(main, locals()), experiment.about(), seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,7 @@ random forest on statistics of the raw wrench. Intervals are corrected for the o
 another and where no mistake was made, Wilson's by trial; then the result also says how large a share of trials with a
 mistake none in so many allows (rule of three). Success and failure are scored by mean recall.
 
-Run: python -m experiments.classification.headline --repeats 3 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.classification.headline --repeats 3 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from typing import Any
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
 from experiments._lib import frozen
 from experiments._lib import raw_learners as raw
+from experiments._lib.arrays import Ints
 from experiments._lib.benchmarks import CONFOUNDS, Benchmark, recorded, rounded, segments
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import by_trial, of_folds
 from experiments.classification.grammar import BATCHES, WITH_BATCHES, by_batch, fewer_repeats, items_between
 from experiments.classification.probes import held_out
@@ -42,8 +41,6 @@ ASKED = {
     **WITH_BATCHES,
     **dict.fromkeys((OUTCOME, HELD_OUT), Benchmark(TaskSpec("outcome", sessions=("A", "B", "C"), outcomes=()))),
 }
-
-Ints = NDArray[np.int64]
 
 
 class Experiment:
@@ -144,9 +141,8 @@ def _chosen(choice: dict[str, Any]) -> str:
 
 def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(repeats, seed)
-    command = f"python -m experiments.classification.headline --repeats {repeats} --seed {seed}"
     wanted = {f"{name} | {row}": partial(experiment.row, name, row) for name in NAMES for row in ROWS}
-    Rows("headline", command, experiment.about(), seed).fill(wanted, only)
+    Rows("headline", command_of(main, locals()), experiment.about(), seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ None uses the duration of a segment. The ridge classifiers select their penalty 
 Our rows are the words of the online encoder (window 5, preset thresholds) with a nested SVM.
 
 Run: make peers, or python -m experiments.classification.peers --repeats 10 --seed 0 where aeon and torch are installed
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import tyro
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FOLDS, items_of, published_words, recorded, segments
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import FULL, PLAIN
 from rcbht_jax.learning import validation
@@ -120,14 +120,12 @@ def about(experiment: Experiment) -> dict[str, Any]:
 
 def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(repeats, seed)
-    command = f"python -m experiments.classification.peers --repeats {repeats} --seed {seed}"
-    rows = Rows("peers", command, about(experiment), seed)
     wanted = {
         f"{benchmark} | {method}": partial(experiment.row, benchmark, method)
         for method in (*PROBES, *OURS, *PEERS)
         for benchmark in BENCHMARKS
     }
-    rows.fill(wanted, only)
+    Rows("peers", command_of(main, locals()), about(experiment), seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,7 @@ failure from success also separate the two sessions of successes, their score is
 control: train on one session of successes and half of the failures, test on the other session and the other half, both
 ways round; a score above one half is then not due to the session of the successes.
 
-Run: python -m experiments.classification.probes --repeats 10 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.classification.probes --repeats 10 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import FOLDS, published_words, recorded, rounded, segments
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import of_folds
 from experiments.classification.peers import PEERS, PROBES
 from rcbht_jax.features import FeatureSpec
@@ -117,9 +116,8 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "folds": f"{FOLDS}, grouped by trial; where a success session is held out: 2, by session",
         "repeats": repeats,
     }
-    command = f"python -m experiments.classification.probes --repeats {repeats} --seed {seed}"
     wanted = {f"{name} | {view}": partial(experiment.row, name, view) for name in QUESTIONS for view in VIEWS}
-    Rows("probes", command, about, seed).fill(wanted, only)
+    Rows("probes", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

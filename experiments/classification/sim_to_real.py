@@ -11,7 +11,7 @@ were fitted to its trials too. In ``experiments.classification.zero_shot`` nothi
 
 Run: python -m experiments.classification.sim_to_real FOLDER [--only TEXT ...]
 FOLDER holds the sets of ``experiments.classification.sim_to_real_sets``; missing ones are made.
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import raw_learners
+from experiments._lib.arrays import Ints
 from experiments._lib.benchmarks import mistakes, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import learned_tolerance
 from experiments._lib.tasks import states
 from experiments._lib.thresholds import trained_thresholds
 from experiments._lib.zero_shot_set import TARE_SECONDS
-from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
+from experiments.classification.sim_to_real_rows import CANDIDATES, ROWS, Row
 from experiments.classification.sim_to_real_sets import PRESETS, SETS, Labelling, Sets
 from experiments.classification.sim_to_real_sets import SEED as SEED_OF_SETS
 from rcbht_jax.calibration import contextual
@@ -52,8 +53,6 @@ REAL = ("A", "B")
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,), floor=0.05)
 SELECTING = 48  # trials of each training set that choose kernel, cost and features
 SEARCHING, SEARCHED = 24, 512  # trials of each training set, and candidates, of a search for thresholds
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -174,29 +173,6 @@ class Experiment:
         together = Recordings.join(parts)
         return together, labelled_intervals(together, states(outcomes=()))
 
-    def shift(self) -> dict[str, Any]:
-        """How far features of recorded states lie from those of simulated ones, in deviations of the simulated.
-
-        Per family the median and the 95th percentile over columns and states, and the columns that are farthest off.
-        """
-        features = {name: self.sets.features(name, Labelling(), "harmonised") for name in (*ALL.train, *REAL)}
-        y = {name: self.sets.items(name, "harmonised").y for name in features}
-        simulated = np.concatenate([features[name].values for name in ALL.train]).astype(np.float64)
-        width = np.maximum(simulated.std(0), GRID.floor)
-        states = np.unique(y["A"]).tolist()
-
-        def mean(names: tuple[str, ...]) -> NDArray[np.float64]:
-            return np.stack([np.concatenate([features[n].values[y[n] == s] for n in names]).mean(0) for s in states])
-
-        off = {name: np.abs(mean((name,)) - mean(ALL.train)) / width for name in REAL}
-        family, names = np.array(features["A"].families), np.array(features["A"].names)
-        out: dict[str, Any] = {}
-        for name, table in off.items():
-            quantiles = {f: np.quantile(table[:, family == f], [0.5, 0.95]).tolist() for f in dict.fromkeys(family)}
-            worst = np.argsort(-table.max(0))[:10]
-            out[name] = {"families": quantiles, "farthest": {str(names[i]): float(table[:, i].max()) for i in worst}}
-        return rounded(out)
-
 
 def some_trials(pool: Pool, rows: Ints, most: int, draw: int) -> NDArray[np.str_]:
     """At most so many trials of each set that ``rows`` name, drawn at random; a larger number holds the smaller's."""
@@ -252,8 +228,7 @@ def about(experiment: Experiment) -> dict[str, Any]:
 def main(folder: tyro.conf.Positional[Path], only: Only = ALL_ROWS) -> None:
     experiment = Experiment(folder)
     rows = Rows("sim_to_real", "python -m experiments.classification.sim_to_real FOLDER", about(experiment), SEED)
-    wanted = {name: experiment.row(spec) for name, spec in ROWS.items()} | {"shift of features": experiment.shift}
-    rows.fill(wanted, only)
+    rows.fill({name: experiment.row(spec) for name, spec in ROWS.items()}, only)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ quarter of that; the last row has encoders of three tolerances side by side.
 
 Run: python -m experiments.classification.sim_to_real_fit FOLDER
 FOLDER holds the sets of ``experiments.classification.sim_to_real_sets``; missing ones are made.
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations

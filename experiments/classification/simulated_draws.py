@@ -7,7 +7,6 @@ kind it has other trials.
 
 Run: python -m experiments.classification.simulated_draws FOLDER
 FOLDER keeps the simulated sets; missing ones are made. Reads the recorded trials (RCBHT_DATA).
-Finished rows are stored; the same command resumes an interrupted run.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ streaming encoder (window 5), which does not.
 
 Run: python -m experiments.classification.table1_ours FOLDER --repeats 10 --seed 0
 FOLDER holds the simulated sets; missing ones are made.
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from experiments._lib.benchmarks import (
     recorded,
     rounded,
 )
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import of_splits
 from experiments._lib.simulated import simulated
 from experiments.classification.table1_published import FIXED, NESTED
@@ -182,14 +182,13 @@ def main(folder: tyro.conf.Positional[Path], repeats: int = 10, seed: int = 0, o
         "simulated": {"presets": SIMULATED, "trials": TRIALS, "share without a fault": SHARE},
         "labels": {"offline": "authors' taxonomy", "online": "streaming encoder, window 5, preset thresholds"},
     }
-    command = f"python -m experiments.classification.table1_ours FOLDER --repeats {repeats} --seed {seed}"
     data = Data(folder, seed)
     wanted = {
         f"{name} | {labels}": partial(measure, data, row, labels, repeats, seed)
         for name, row in ROWS.items()
         for labels in LABELS
     }
-    Rows("table1_ours", command, about, seed).fill(wanted, only)
+    Rows("table1_ours", command_of(main, locals(), "FOLDER"), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

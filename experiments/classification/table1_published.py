@@ -39,48 +39,34 @@ TARGETS: dict[str, dict[str, Any]] = {
     "SIM one-arm success/failure": {"paper": [1.0, 1.0, 1.0], "repeated": [1.0, 1.0, 1.0], "nested": 0.998},
     "REAL states": {"paper": [0.93, 0.97, 1.0], "repeated": [0.982, 0.96, 1.0], "grouped": 0.983, "nested": 0.976},
     "SIM one-arm states": {
-        "paper": [0.84, 0.89, 0.94],
-        "repeated": [0.880, 0.831, 0.930],
-        "grouped": 0.887,
-        "nested": 0.879,
+        "paper": [0.84, 0.89, 0.94], "repeated": [0.880, 0.831, 0.930], "grouped": 0.887, "nested": 0.879,
     },
     "SIM two-arm states": {
-        "paper": [1.0, 1.0, 1.0],
-        "repeated": [0.996, 0.974, 1.0],
-        "grouped": 0.998,
-        "nested": 1.0,
+        "paper": [1.0, 1.0, 1.0], "repeated": [0.996, 0.974, 1.0], "grouped": 0.998, "nested": 1.0,
     },
-}
+}  # fmt: skip
 
+FILES = {"REAL": "real_one_arm.npz", "SIM one-arm": "sim_one_arm.npz", "SIM two-arm": "sim_two_arm.npz"}
 Data = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]  # features, class, trial
 
 
-def states(golden: Path, name: str, prefix: str = "") -> Data:
-    """The four state matrices of a set, one below the other; the last column is the class."""
-    with np.load(golden / "published_features" / name) as archive:
-        parts = [archive[prefix + state] for state in STATES]
-    table = np.concatenate(parts).astype(np.float64)
-    return table[:, :-1], table[:, -1].astype(np.int64), np.tile(np.arange(len(parts[0])), len(STATES))
-
-
-def outcomes(golden: Path, name: str, seed: int) -> Data:
-    """Equal numbers of successes and failures of a set, drawn with ``seed``; every row is a trial."""
-    with np.load(golden / "published_features" / name) as archive:
-        parts = [archive[outcome] for outcome in ("failure", "success")]
-    fewest = min(len(part) for part in parts)
-    rng = np.random.default_rng(seed)
-    table = np.concatenate([part[rng.choice(len(part), fewest, replace=False)] for part in parts])
-    return table[:, :-1].astype(np.float64), table[:, -1].astype(np.int64), np.arange(2 * fewest)
-
-
 def resampled(golden: Path, row: str, count: int, seed: int) -> Iterator[tuple[Data, int]]:
-    """The data of a row of the table and a seed, once per repeat."""
-    name = {"REAL": "real_one_arm.npz", "SIM one-arm": "sim_one_arm.npz", "SIM two-arm": "sim_two_arm.npz"}[
-        row.rsplit(" ", 1)[0]
-    ]
-    fixed = states(golden, name, "combined_" if "two-arm" in row else "") if row.endswith("states") else None
+    """The data of a row of the table and a seed, once per repeat; the last column of the matrices is the class.
+
+    The four state matrices stand one below the other; of successes and failures, equal numbers of trials are drawn.
+    """
+    of, what = row.rsplit(" ", 1)
+    prefix = "combined_" if "two-arm" in row else ""
+    with np.load(golden / "published_features" / FILES[of]) as archive:
+        parts = [archive[prefix + name] for name in (STATES if what == "states" else ("failure", "success"))]
+    fewest = min(len(part) for part in parts)
     for one in repeat_seeds(seed, count):
-        yield fixed or outcomes(golden, name, one), one
+        rng, chosen, trial = np.random.default_rng(one), parts, np.tile(np.arange(fewest), len(parts))
+        if what != "states":
+            chosen = [part[rng.choice(len(part), fewest, replace=False)] for part in parts]
+            trial = np.arange(2 * fewest)
+        table = np.concatenate(chosen)
+        yield (table[:, :-1].astype(np.float64), table[:, -1].astype(np.int64), trial), one
 
 
 def run(golden: Path, row: str, grid: Grid, grouped: bool, count: int, seed: int) -> dict[str, Any]:

@@ -19,8 +19,8 @@ recognised. The interval, too, is chosen on our simulated types; the scores of a
 trials were known before.
 
 Run: python -m experiments.classification.types_across --folder types --seed 0
-Simulated trials and finished rows are kept; run it again to go on where it was interrupted. Reads the recorded trials
-(RCBHT_DATA). The scores on the authors' trials for 0.1, 0.5 and 1 s were known before the choice on simulated ones.
+The folder keeps simulated trials. Reads the recorded trials (RCBHT_DATA). Scores on the authors' trials for 0.1, 0.5
+and 1 s were known before the choice on simulated ones.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ from scipy.stats import rankdata
 from sklearn.ensemble import ExtraTreesClassifier
 
 from experiments._lib import raw_learners as raw
+from experiments._lib.arrays import Floats, Ints
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, FOLDS, items_of, recorded, rounded, segments
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import by_trial, of_folds
 from experiments._lib.simulated import simulated as made
 from experiments._lib.tasks import failure_types
@@ -65,9 +66,6 @@ WIDE = replace(
 )  # fmt: skip
 SIMULATED = {"narrow": (NARROW, 700, 61), "wide": (WIDE, 900, 62)}  # distributions, trials, seed
 MIRROR = np.array([1, -1, 1, -1, 1, -1], np.float32)  # of the wrench in the plane y = 0
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -208,34 +206,22 @@ def features(batch: Batch, seen: float | tuple[float, float]) -> Floats:
     return approaches(batch, seen) if isinstance(seen, tuple) else described(batch, seen)
 
 
-def chosen_approach(folder: Path, seed: int) -> tuple[float, float]:
-    """The place of the approach that is best on simulated types; the first of equals."""
-    return max(APPROACHES, key=lambda place: choice(folder, place, seed)["mean"])
-
-
-def chosen(folder: Path, seed: int) -> float:
-    """The time after contact that is best on simulated types; the shorter of equals."""
-    return max(SEEN, key=lambda seen: choice(folder, seen, seed)["mean"])
+def chosen(folder: Path, seed: int, among: tuple[Any, ...]) -> Any:
+    """The time after contact, or the place before it, that is best on simulated types; the first of equals."""
+    return max(among, key=lambda seen: choice(folder, seen, seed)["mean"])
 
 
 def across(folder: Path, ways: tuple[str, str], kind: str, seed: int) -> dict[str, Any]:
     """One batch trains, the other is tested."""
-    seen = SEEN[0] if kind == LOOKED_AT else chosen(folder, seed)
+    seen = SEEN[0] if kind == LOOKED_AT else chosen(folder, seed, SEEN)
     classes, batches = authors()
     train, test = batches[ways[0]], batches[ways[1]]
-    x, y, z = described(train, seen), train.y, described(test, seen)
-    weight = np.ones(len(y))
-    if "mirrored" in kind:
-        more = train.mirrored(classes)
-        x, y = np.concatenate([x, described(more, seen)]), np.concatenate([y, more.y])
-        weight = np.ones(len(y))
-    if "simulated" in kind:
-        sets = [simulated(folder, name) for name in SIMULATED]
-        more_x, more_y = np.concatenate([described(s, seen) for s in sets]), np.concatenate([s.y for s in sets])
-        alone = kind == "simulated types alone"
-        weight = np.concatenate([np.zeros(len(y)) if alone else weight, np.full(len(more_y), len(y) / len(more_y))])
-        x, y = np.concatenate([x, more_x]), np.concatenate([y, more_y])
-        x, y, weight = (part[weight > 0] for part in (x, y, weight))
+    theirs = [] if kind == "simulated types alone" else [train, *[train.mirrored(classes)] * ("mirrored" in kind)]
+    more = [simulated(folder, name) for name in SIMULATED] if "simulated" in kind else []
+    x, z = np.concatenate([described(batch, seen) for batch in theirs + more]), described(test, seen)
+    y = np.concatenate([batch.y for batch in theirs + more])
+    count = sum(len(batch.y) for batch in more)
+    weight = np.concatenate([np.ones(len(y) - count), np.full(count, len(train.y) / max(count, 1))])
     if "ranks" in kind:
         x, z = rankdata(x, axis=0) / len(x), rankdata(z, axis=0) / len(z)
     return scored(predict(x, y, z, seed, weight), test.y)
@@ -246,8 +232,8 @@ def from_approach(
 ) -> dict[str, Any]:
     """One batch trains, the other is tested, by the approach: at a place or the chosen one, beside what follows."""
     train, test = (authors()[1][name] for name in ways)
-    places: list[float | tuple[float, float]] = [place or chosen_approach(folder, seed)]
-    places += [chosen(folder, seed)] * beside
+    places: list[float | tuple[float, float]] = [place or chosen(folder, seed, APPROACHES)]
+    places += [chosen(folder, seed, SEEN)] * beside
     x, z = (np.concatenate([features(batch, seen) for seen in places], 1) for batch in (train, test))
     return scored(predict(x, train.y, z, seed), test.y)
 
@@ -258,7 +244,7 @@ def mixed(folder: Path, seed: int) -> dict[str, Any]:
     Where nothing touches, the approach is taken to end with the record.
     """
     data = by_batch(recorded())
-    items, place = items_of(data, BENCHMARKS["failure types"]), chosen_approach(folder, seed)
+    items, place = items_of(data, BENCHMARKS["failure types"]), chosen(folder, seed, APPROACHES)
     parts = []
     for wrench in segments(data, items):
         at = contact(wrench.astype(np.float32), data.dt)
@@ -270,7 +256,7 @@ def mixed(folder: Path, seed: int) -> dict[str, Any]:
 
 def with_shots(folder: Path, ways: tuple[str, str], shots: int, seed: int) -> dict[str, Any]:
     """Some labelled trials of the tested batch train, too; mean of several draws."""
-    batches, seen = authors()[1], chosen(folder, seed)
+    batches, seen = authors()[1], chosen(folder, seed, SEEN)
     train, test = batches[ways[0]], batches[ways[1]]
     x, z = described(train, seen), described(test, seen)
     right = []
@@ -287,7 +273,7 @@ def with_shots(folder: Path, ways: tuple[str, str], shots: int, seed: int) -> di
 def within(folder: Path, name: str, seed: int, before: bool = False) -> dict[str, Any]:
     """Folds of one batch, from contact on or by the approach."""
     batch = authors()[1][name]
-    x = features(batch, chosen_approach(folder, seed) if before else chosen(folder, seed))
+    x = features(batch, chosen(folder, seed, APPROACHES) if before else chosen(folder, seed, SEEN))
     predicted = np.zeros(len(batch.y), np.int64)
     folds = min(FOLDS, int(np.bincount(batch.y).min()))  # of the trials of some types, most never touch
     for train, test in repeated_folds(batch.y, np.arange(len(batch.y)), folds, 1, seed)[0]:
@@ -349,8 +335,7 @@ def main(folder: Path, seed: int = 0, only: Only = ALL_ROWS) -> None:
     wanted |= {f"within | {name}": partial(within, folder, name, seed) for name in (AT_REST, LOADED)}
     wanted |= {f"within | {name} | {ALONE}": partial(within, folder, name, seed, True) for name in (AT_REST, LOADED)}
     wanted[f"13 types, both batches | {ALONE}"] = partial(mixed, folder, seed)
-    command = f"python -m experiments.classification.types_across --folder FOLDER --seed {seed}"
-    Rows("types_across", command, about, seed).fill(wanted, only)
+    Rows("types_across", command_of(main, locals(), "--folder FOLDER"), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

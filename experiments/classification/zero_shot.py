@@ -7,7 +7,6 @@ from scores on the same recorded trials (docs/evaluation.md).
 
 Run: python -m experiments.classification.zero_shot FOLDER
 FOLDER keeps the simulated set; it is made if it is missing. Reads the recorded trials (RCBHT_DATA).
-Finished rows are stored; the same command resumes an interrupted run.
 """
 
 from __future__ import annotations

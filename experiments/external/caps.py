@@ -5,8 +5,7 @@ wrench without words and without the second ensemble, and, offline, changes foun
 labelled by the one method (experiments.external.change_points).
 
 Run: python -m experiments.external.caps --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL; the rows
-of ClaSP and CLaP need the libraries aeon and claspy (see make peers).
+Reads RCBHT_EXTERNAL; the rows of ClaSP and CLaP need the libraries aeon and claspy (see make peers).
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.model_selection import LeaveOneOut
 
 from experiments._lib.benchmarks import rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.other_robots import of_other_robot
 from experiments.external import change_points
 from experiments.external.change_points import DETECTORS, ORACLE
 from rcbht_jax.features.trailing import trailing_statistics, with_norms
-from rcbht_jax.introspection.segmentation import Protocol, Segmentation, segment
+from rcbht_jax.introspection.segmentation import Protocol, segment
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
 from rcbht_jax.learning.segment_metrics import score_and_interval
 from rcbht_jax.types import Recordings
@@ -55,16 +54,21 @@ class Experiment:
     def recordings(self) -> Recordings:
         return of_other_robot("caps/runs_40hz", "caps_40hz")
 
+    def truth(self) -> list[NDArray[np.int64]]:
+        """The annotated code of every sample of each run."""
+        data, track = self.recordings(), self.recordings().annotations.choose()
+        return [data.annotations.of_samples(i, track, n, data.dt) for i, n in enumerate(data.length.tolist())]
+
     def ours(self, one_shot: bool = False, **options: Any) -> Any:
         protocol = Protocol(folds=0, one_shot=one_shot)
-        found = segment(self.recordings(), WrenchSegmenter(random_state=self.seed, **options), protocol)
-        return rounded(found.to_json()) | ({} if one_shot else {"runs": _by_run(found)})
+        return rounded(
+            segment(self.recordings(), WrenchSegmenter(random_state=self.seed, **options), protocol).to_json()
+        )
 
     def peer(self, one_shot: bool) -> Any:
         """Trees on windows that end at the sample."""
-        data = self.recordings()
+        data, y = self.recordings(), self.truth()
         lengths = data.length.tolist()
-        y = [data.annotations.of_samples(i, data.annotations.choose(), n, data.dt) for i, n in enumerate(lengths)]
         signals = [with_norms(data.wrench[i, :n].astype(float), data.units) for i, n in enumerate(lengths)]
         x = [trailing_statistics(signal, data.dt, WINDOWS) for signal in signals]
         truth, predicted, drawn = [], [], []
@@ -80,10 +84,8 @@ class Experiment:
     def change_points(self, detector: str) -> dict[str, Any]:
         """Changes found without labels, segments labelled by the one method."""
         data = self.recordings()
-        track = data.annotations.choose()
-        truth = [data.annotations.of_samples(i, track, n, data.dt) for i, n in enumerate(data.length.tolist())]
         predicted, counts = change_points.scored(data, detector, self.seed)
-        return _scored(truth, predicted, data.dt, np.arange(len(truth))) | counts
+        return _scored(self.truth(), predicted, data.dt, np.arange(len(data))) | counts
 
 
 def _scored(truth: list[Any], predicted: list[Any], dt: float, groups: NDArray[Any]) -> dict[str, Any]:
@@ -93,16 +95,9 @@ def _scored(truth: list[Any], predicted: list[Any], dt: float, groups: NDArray[A
     return rounded({"score": score.to_json(), "interval": ends})
 
 
-def _by_run(found: Segmentation) -> dict[str, float]:
-    """Accuracy of each run."""
-    parts = zip(found.recordings.trial.tolist(), found.truth, found.predicted, strict=True)
-    return {name: round(float((y == p)[y >= 0].mean()), 4) for name, y, p in parts}
-
-
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     """Label every run by models of the others, and by models of a single other run."""
     experiment = Experiment(seed)
-    rows = Rows("external_caps", f"python -m experiments.external.caps --seed {seed}", ABOUT, seed)
     wanted: dict[str, Callable[[], Any]] = {
         "causal": experiment.ours,
         "causal, one run teaches": partial(experiment.ours, one_shot=True),
@@ -112,7 +107,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
         "trees on the wrench, one run teaches": partial(experiment.peer, one_shot=True),
         **{f"{name}, offline": partial(experiment.change_points, name) for name in (*DETECTORS, ORACLE)},
     }
-    rows.fill(wanted, only)
+    Rows("external_caps", command_of(main, locals()), ABOUT, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

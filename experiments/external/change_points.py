@@ -64,13 +64,7 @@ def cut(items: LabelledIntervals, recordings: Recordings, marks: list[NDArray[np
 
 
 def label(recordings: Recordings, marks: list[NDArray[np.int64]], seed: int) -> list[NDArray[np.int64]]:
-    """The class of every sample of each run, by classifiers of the segments of all other runs.
-
-    Args:
-        recordings: annotated runs; codes are those of their track.
-        marks: changes of each run.
-        seed: of the classifiers.
-    """
+    """The class of every sample of each annotated run, by classifiers of the segments of all other runs."""
     track = recordings.annotations.choose()
     known = labelled_intervals(recordings, TaskSpec(track, outcomes=()))
     found = cut(known, recordings, marks)
@@ -96,12 +90,7 @@ def oracle(recordings: Recordings) -> list[NDArray[np.int64]]:
 
 
 def scored(recordings: Recordings, detector: str, seed: int) -> tuple[list[NDArray[Any]], dict[str, Any]]:
-    """Labels of every run, and how many segments were found and annotated.
-
-    Args:
-        recordings: annotated runs.
-        detector: one of DETECTORS, or ORACLE.
-        seed: of the detector and of the classifiers.
+    """Labels of every run by one of DETECTORS, or ORACLE, and how many segments were found and annotated.
 
     Raises:
         InputError: a library of the peers is missing.

@@ -1,7 +1,6 @@
 """The choice of the one method for recordings of other laboratories, made on HIRO alone.
 
-Run: python -m experiments.external.choice
-Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.external.choice (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import BENCHMARKS, items_of, recorded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments.external import method
 from rcbht_jax.features.recipes import LEVELS
 from rcbht_jax.learning.tasks import LabelledIntervals
@@ -73,9 +72,7 @@ class Experiment:
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     """Score every combination on six benchmarks of HIRO; by scikit-learn's probabilities the method was the best."""
     experiment = Experiment(seed)
-    rows = Rows(
-        "external_choice", f"python -m experiments.external.choice --seed {seed}", {"method": method.ABOUT}, seed
-    )
+    rows = Rows("external_choice", command_of(main, locals()), {"method": method.ABOUT}, seed)
     rows.fill({" + ".join(members): partial(experiment.row, members) for members in COMBINATIONS}, only)
 
 

@@ -7,8 +7,7 @@ on forests of statistics, with its own choice of the number of consecutive safe 
 experiments.external.failures.
 
 Run: python -m experiments.external.early --repeats 2 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL; the row of TEASER needs the
-library aeon (see make peers).
+Reads RCBHT_EXTERNAL; the row of TEASER needs the library aeon (see make peers).
 """
 
 from __future__ import annotations
@@ -25,8 +24,9 @@ from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.model_selection import StratifiedKFold
 
 from experiments._lib import early
+from experiments._lib.arrays import Ints
 from experiments._lib.benchmarks import FOLDS, rounded, segments
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import of_splits
 from experiments.external import failures, method
 from rcbht_jax.learning import metrics
@@ -41,7 +41,6 @@ CERTAIN = metrics.CERTAINTY_LEVELS[0]
 MEASURES = ("accuracy", "earliness", "harmonic_mean")
 
 Rule = Callable[["Fold"], early.Rule]
-Ints = NDArray[np.int64]
 
 
 class Fold:
@@ -159,9 +158,7 @@ def main(repeats: int = 2, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "weights": list(WEIGHTS), "groups": list(GROUPS), "trees of TEASER": TREES,
         "note on TEASER": "aeon 1.6.0 learns what a safe belief is, at every prefix, from beliefs about whole series",
     }  # fmt: skip
-    rows = Rows(
-        "external_early", f"python -m experiments.external.early --repeats {repeats} --seed {seed}", about, seed
-    )
+    rows = Rows("external_early", command_of(main, locals()), about, seed)
     wanted: dict[str, Callable[[], Any]] = {}
     for name in failures.sets():
         for at, samples in enumerate(PREFIXES):

@@ -4,8 +4,7 @@ Series of 15 samples from the detection of a failure; stratified folds, repeated
 publications have them: LP2 and LP4 hold one pair each. Every set that lies in the folder is scored.
 
 Run: python -m experiments.external.failures --repeats 4 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL; the rows of MiniRocket,
-MultiRocketHydra and QUANT need the library aeon (see make peers).
+Reads RCBHT_EXTERNAL; the rows of MiniRocket, MultiRocketHydra and QUANT need the library aeon (see make peers).
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from sklearn.naive_bayes import GaussianNB
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, rounded, segments
 from experiments._lib.catalogue import EXTERNAL
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import of_folds
 from experiments._lib.other_robots import of_other_robot
 from experiments.external import method
@@ -155,12 +154,10 @@ def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:
     """Score the method, its members and peers on every set of the folder."""
     experiment = Experiment(repeats, seed)
     about = {"folds": FOLDS, "repeats": repeats, "method": method.ABOUT}
-    command = f"python -m experiments.external.failures --repeats {repeats} --seed {seed}"
-    rows = Rows("external_failures", command, about, seed)
     wanted = {
         f"{name} | {title}": partial(experiment.row, name, title) for title in experiment.makers() for name in sets()
     }
-    rows.fill(wanted, only)
+    Rows("external_failures", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,7 @@ type; they show by how much. Before an anomaly its type cannot be known: the row
 control. A type that occurred on one day only cannot be recognised when that day is held out; the rows "types of several
 days" leave these out.
 
-Run: python -m experiments.external.kitting_more --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL.
+Run: python -m experiments.external.kitting_more --seed 0 (reads RCBHT_EXTERNAL)
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ import tyro
 from sklearn.model_selection import StratifiedKFold
 
 from experiments._lib.benchmarks import rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import bootstrap
 from experiments.external import kitting, method
 from rcbht_jax._util.cells import number_of
@@ -87,14 +86,12 @@ class Experiment:
             predicted[test] = make(recordings, items)(train, test, self.seed)[0]
         right = predicted == items.y
         low, high = bootstrap(right, items.session, self.seed)
-        days = {str(day): [int(right[items.session == day].sum()), int((items.session == day).sum())]
-                for day in np.unique(items.session)}  # fmt: skip
         return rounded({
             "accuracy": {"mean": float(right.mean()), "low": low, "high": high},
             "balanced_accuracy": {"mean": metrics.balanced_accuracy(items.y, predicted)},
-        }) | {"executions": len(items.y), "right of each day": days, "types": dict(
-            zip(items.classes, np.bincount(items.y).tolist(), strict=True)
-        )}  # fmt: skip
+            "executions": len(items.y),
+            "types": dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True)),
+        })  # fmt: skip
 
 
 def by_days(items: LabelledIntervals) -> list[Split]:
@@ -126,7 +123,6 @@ def commonest(recordings: Recordings, items: LabelledIntervals) -> validation.Es
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     """Measure the band, and the types of anomalies across days."""
     experiment = Experiment(seed)
-    rows = Rows("kitting_more", f"python -m experiments.external.kitting_more --seed {seed}", ABOUT, seed)
     types = experiment.types
     wanted: dict[str, Callable[[], Any]] = {
         "contact: Gaussian-process band": experiment.band,
@@ -145,7 +141,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
             types, ours, several=True, until_onset=True, by_day=False
         ),
     }
-    rows.fill(wanted, only)
+    Rows("kitting_more", command_of(main, locals()), ABOUT, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -150,13 +150,7 @@ Score = Mapping[str, float]  # mean, low, high
 
 
 def dots(rows: Mapping[str, Mapping[str, Score]], what: str, ticks: Mapping[str, float] | None = None) -> Figure:
-    """Dots per row and kind.
-
-    Args:
-        rows: name -> kind -> score.
-        what: is measured, for the axis.
-        ticks: name -> another score, drawn as a short grey line.
-    """
+    """Dots per row and kind, and short grey lines (``ticks``) for other scores of some rows."""
     kinds = list(dict.fromkeys(kind for row in rows.values() for kind in row))
     figure = new_figure((10.0, 0.38 * len(rows) + 1.5), DPI)
     ax = figure.subplots()

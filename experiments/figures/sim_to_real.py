@@ -34,7 +34,7 @@ def lines(rows: dict[str, Any], begins: tuple[str, ...] = ("",)) -> dict[str, li
     """
     shown: dict[str, list[dict[str, Any]]] = {}
     for name, row in rows.items():
-        if "|" in name and POOLED in row.get("merged", {}) and name.startswith(begins):
+        if POOLED in row["merged"] and name.startswith(begins):
             shown.setdefault(name.split(", draw")[0], []).append(row)
     return shown
 

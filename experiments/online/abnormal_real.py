@@ -12,8 +12,7 @@ Each with all features, with features without duration and absolute offset, and,
 time alone. Scores are mean recalls of the two classes, at one second (before any contact), at parts of the record and
 at its end.
 
-Run: python -m experiments.online.abnormal_real --repeats 50 --seed 0
-Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.abnormal_real --repeats 50 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -30,6 +29,7 @@ from numpy.typing import NDArray
 from sklearn.ensemble import RandomForestClassifier
 from tqdm import tqdm
 
+from experiments._lib.arrays import Flags, Floats
 from experiments._lib.benchmarks import REAL, REAL_FAILURES, recorded, with_interval
 from experiments._lib.results_io import write_result
 from experiments._lib.streams import described
@@ -53,9 +53,6 @@ PICKED = 16  # snapshots per trial that train, evenly spaced
 HOLD, LEVEL = 0.3, 0.70  # s; the paper's k
 TREES = 200  # of the forest on the elapsed time
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1)
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -178,7 +175,7 @@ def measure(w: Watched, row: str, x: Floats, repeats: int, seed: int) -> dict[st
     }
 
 
-def streamed() -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
+def streamed() -> tuple[Watched, dict[str, Flags]]:
     """All snapshots, and the columns of each choice of features; the time that has passed is the last column."""
     recordings = recorded()
     items = labelled_intervals(recordings, TaskSpec("outcome", sources=SOURCES))

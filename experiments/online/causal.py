@@ -9,8 +9,7 @@ forest.
 The last rows measure how well features without duration and offset predict the time since a sub-task began: a ridge
 regression of its logarithm on their ranks, within each class, trained on half of the trials and scored on the others.
 
-Run: python -m experiments.online.causal --repeats 3 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.causal --repeats 3 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -27,8 +26,9 @@ from sklearn.linear_model import RidgeCV
 from sklearn.metrics import r2_score
 
 from experiments._lib import frozen, streams
+from experiments._lib.arrays import Flags, Floats, Ints
 from experiments._lib.benchmarks import recorded, rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import at_least, drawn, of_splits, sums
 from experiments._lib.streams import halves
 from experiments._lib.tasks import states
@@ -45,10 +45,6 @@ SPLITS = {"REAL": ("REAL", ()), "A to B": ("REAL", ("A", "B")), "B to A": ("REAL
 MEASURES = ("macro step accuracy", "full-sequence accuracy", "OverallPr")
 KINDS = {"frozen": False, "frozen, relative": True}
 ALPHAS = tuple(10.0**power for power in range(-2, 5))  # of the ridge
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 class Stream(streams.Stream):
@@ -162,7 +158,7 @@ def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
     trial = made.items.trial[snapshots.interval]
     counts = drawn(len(np.unique(trial)), 0)
     found: dict[str, list[float]] = {name: [] for name in made.items.classes}
-    draws: dict[str, list[NDArray[np.float64]]] = {name: [] for name in made.items.classes}
+    draws: dict[str, list[Floats]] = {name: [] for name in made.items.classes}
     for seed in seeds:
         inside = halves(made.items, seed)[snapshots.interval]
         for number, name in enumerate(made.items.classes):
@@ -179,7 +175,7 @@ def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
     )
 
 
-def drawn_r2(true: Floats, predicted: Floats, trial: NDArray[Any], counts: NDArray[np.int64]) -> Floats:
+def drawn_r2(true: Floats, predicted: Floats, trial: NDArray[Any], counts: Ints) -> Floats:
     """R^2 of each draw, where trials count so often ``[draw, trial]``."""
     parts = np.stack([np.ones(len(true)), true, true**2, (true - predicted) ** 2], 1)
     number, total, square, rest = (counts @ sums(parts, trial)).T
@@ -202,8 +198,7 @@ def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
         name: partial(row, streams[source], sessions, seeds) for name, (source, sessions) in SPLITS.items()
     }
     wanted |= {f"time known, {name}": partial(time_known, stream, seeds) for name, stream in streams.items()}
-    command = f"python -m experiments.online.causal --repeats {repeats} --seed {seed}"
-    Rows("causal", command, about, seed).fill(wanted, only)
+    Rows("causal", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

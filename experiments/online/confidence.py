@@ -4,8 +4,7 @@ Half of the trials train, the other half is streamed at 10 Hz, repeated with oth
 ``experiments.online.table2``. The result has mean and middle 80 % of the probability of the true class at twenty
 moments of the sub-task, over all test intervals and repeats; a belief holds until the next one.
 
-Run: python -m experiments.online.confidence --repeats 10 --seed 0
-Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.confidence --repeats 10 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -19,33 +18,26 @@ import tyro
 from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.tasks import states
-from experiments.online.table2 import MAIN_RATE, SETS, half_split, watched
-from rcbht_jax.encoding.encoder import EncoderConfig
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
+from experiments._lib.streams import halves
+from experiments.online.table2 import MAIN_RATE, SETS, streamed
 from rcbht_jax.features.recipes import SUBTASK
 from rcbht_jax.introspection.training import Snapshots
-from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.learning.validation import repeat_seeds
 from rcbht_jax.types import Recordings
 
 PARTS = 20  # of a sub-task
 
 
-def beliefs(x: dict[str, Any], items: LabelledIntervals, seed: int) -> tuple[Snapshots, np.ndarray]:
-    """The snapshots at the untrained half, and the probability of the true class at each."""
-    _, seen, p = half_split(x, items, SUBTASK, seed)
-    return seen, p[np.arange(len(p)), items.y[seen.interval]]
-
-
 def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[str, Any]:
-    items = labelled_intervals(recordings, states(sources=(SETS[name],), arms="R"))
-    x = watched(recordings, items, EncoderConfig(dt=recordings.dt), MAIN_RATE)
+    stream = streamed(recordings, name)
+    items = stream.items
     length = items.intervals[0].end - items.intervals[0].start
     parts = []
     for one in tqdm(repeat_seeds(seed, repeats), desc=name, file=sys.stderr, disable=None):
-        seen, p = beliefs(x, items, one)
-        parts += [(items.y[s], held(seen, p, s, length[s])) for s in np.unique(seen.interval)]
+        seen, p = stream.given(False, halves(items, one), one)
+        true = p[np.arange(len(p)), items.y[seen.interval]]
+        parts += [(items.y[s], held(seen, true, s, length[s])) for s in np.unique(seen.interval)]
     y, p = np.array([c for c, _ in parts]), np.array([course for _, course in parts])
     seconds = [float(np.median(length[items.y == c])) * recordings.dt for c in np.unique(y)]
     belief = {name: summary(p[y == c]) for c, name in enumerate(items.classes)}
@@ -75,9 +67,8 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "repeats": repeats,
         "families": SUBTASK,
     }
-    command = f"python -m experiments.online.confidence --repeats {repeats} --seed {seed}"
     wanted = {name: partial(measure, recordings, name, repeats, seed) for name in SETS}
-    Rows("confidence", command, about, seed).fill(wanted, only)
+    Rows("confidence", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ numbers per quarter hardly transfer that.
 Errors are expected calibration errors of the likeliest type, and of every type by itself (its belief against how often
 it is true), over ten bins and all snapshots of a quarter of the trial's own record.
 
-Run: python -m experiments.online.failure_calibration --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.failure_calibration --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -24,8 +23,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from experiments._lib.arrays import Floats, Ints
 from experiments._lib.benchmarks import recorded, rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import drawn, sums
 from experiments.online.failure_types import FOLDS, METHODS, streams
 from rcbht_jax.learning import metrics
@@ -35,20 +35,12 @@ from rcbht_jax.learning.validation import repeated_folds
 TARGET = 0.08
 BINS = 10
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 
 def by_progress(p: Floats, y: Ints, fold: Ints, seconds: Floats, trial: NDArray[np.str_], planned: Floats) -> Floats:
     """Calibrated beliefs: those of a fold by what was fitted on the other folds.
 
-    Args:
-        p: ``[step, class]``, of classifiers that did not see the trial.
-        y: class ``[step]``.
-        fold: in which the step's trial was tested ``[step]``.
-        seconds: since the record began ``[step]``.
-        trial: of each step.
-        planned: median length of the records that did not test in a fold, s ``[fold]``.
+    Beliefs ``[step, class]`` are those of classifiers that did not see the trial, folds ``[step]`` those in which it
+    was tested; ``planned`` is the median length of the records that did not test in a fold, s.
     """
     out = np.empty_like(p)
     for number in np.unique(fold):
@@ -69,8 +61,6 @@ def errors(p: Floats, y: Ints, quarter: Ints, classes: tuple[str, ...], trial: N
         found[f"quarter {part + 1}"] = {
             "likeliest": metrics.calibration_error(p[mine], y[mine]),
             "likeliest interval": interval(top[mine], right[mine], trial[mine]),
-            "mean belief": float(top[mine].mean()),
-            "accuracy": metrics.accuracy(y[mine], p[mine].argmax(1)),
             "worst class": alone[worst],
             "worst class interval": interval(p[mine, worst], y[mine] == worst, trial[mine]),
             "classes": dict(zip(classes, alone, strict=True)),
@@ -120,8 +110,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
         "bins": BINS,
     }
     wanted = {name: partial(row, name, seed) for name in ("richer words", "richer words, thresholds / 256")}
-    command = f"python -m experiments.online.failure_calibration --seed {seed}"
-    Rows("failure_calibration", command, about, seed).fill(wanted, only)
+    Rows("failure_calibration", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

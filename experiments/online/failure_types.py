@@ -6,8 +6,7 @@ time and absolute level. The baseline is the most frequent class. With so many c
 with most votes of the pairs differ; both are reported. The weight of a complete record (twenty snapshots) and the cost
 of richer words were chosen on two of these folds, so expect a little less on new trials.
 
-Run: python -m experiments.online.failure_types --repeats 1 --seed 0
-Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.failure_types --repeats 1 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -21,8 +20,9 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.arrays import Floats
 from experiments._lib.benchmarks import recorded, with_interval
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.streams import described
 from experiments._lib.tasks import failure_types
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -50,8 +50,6 @@ FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the record
 GRID = replace(TRIAL_GRID, kernels=("rbf",), costs=(1.0, 10.0))
 RANKS = replace(GRID, costs=(1.0,), ranks=True)  # with ranks all costs from here on are much the same
 ENDS = 20  # snapshots that a complete record counts for: early ones have little information on the failure
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -172,9 +170,8 @@ def main(repeats: int = 1, seed: int = 0, only: Only = ALL_ROWS) -> None:
         "repeats": repeats,
         "complete record counts for": ENDS,
     }
-    command = f"python -m experiments.online.failure_types --repeats {repeats} --seed {seed}"
     wanted = {name: partial(row, recordings, m, repeats, seed) for name, m in METHODS.items()}
-    Rows("failure_types_online", command, about, seed).fill(wanted, only)
+    Rows("failure_types_online", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

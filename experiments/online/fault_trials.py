@@ -117,15 +117,7 @@ def batches(nominal: tuple[int, ...], per_kind: int) -> list[tuple[str, int, int
 
 
 def trials(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, seed: int) -> Trials:
-    """Simulate what is not in the folder yet, and read it all.
-
-    Args:
-        folder: of the stores.
-        preset: of the controller.
-        nominal: numbers of nominal trials, one store each.
-        per_kind: trials of each kind of fault.
-        seed: of the simulation.
-    """
+    """Simulate what is not in the folder yet, and read it all; each number of ``nominal`` trials is a store."""
     lots = [
         Lot(f"{preset}-{kind}-{grade}", kind, grade, count, spec_of(kind, grade))
         for kind, grade, count in batches(nominal, per_kind)

@@ -13,7 +13,6 @@ Simulated trials and their features are kept in the folder; run it again to go o
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,15 +20,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments._lib.benchmarks import rounded
 from experiments._lib.intervals import of_splits
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import given, write_result
 from experiments.online.fault_trials import GRADES, TAIL, Trials
 from experiments.online.fault_watch import CONFIG, Watched, alarms, monitor, watched
-from rcbht_jax.introspection.fault_monitor import NOMINAL, FaultMonitor
+from rcbht_jax.introspection.fault_monitor import NOMINAL
 from rcbht_jax.robots.snap_assembly import RECORDED
 
 TARGETS = {"detected before the end, per kind": 0.90, "false alarms per nominal trial": 0.02}
@@ -49,13 +49,6 @@ class Streamed:
         return np.minimum(self.first["words"], self.first["clock"])
 
 
-@dataclass(frozen=True)
-class Run(Streamed):
-    """One repeat, with the monitor that learned from the others."""
-
-    monitor: FaultMonitor
-
-
 def parts(those: Trials, seed: int) -> NDArray[np.bool_]:
     """Which trials train: half of each kind and grade, and more of the nominal ones."""
     rng, inside = np.random.default_rng(seed), np.zeros(len(those.kind), bool)
@@ -66,11 +59,10 @@ def parts(those: Trials, seed: int) -> NDArray[np.bool_]:
     return inside
 
 
-def run(w: Watched, seed: int) -> Run:
+def run(w: Watched, seed: int) -> Streamed:
     """Learn from one part, stream the other."""
     inside = parts(w.trials, seed)
-    learned = monitor(w, inside, seed)
-    return Run(inside, alarms(w, learned, ~inside), learned)
+    return Streamed(inside, alarms(w, monitor(w, inside, seed), ~inside))
 
 
 def in_time(those: Trials, alarm: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -138,7 +130,7 @@ def boundary(those: Trials, kind: str) -> list[int]:
     return sorted(mild)
 
 
-def table(those: Trials, runs: list[Run]) -> dict[str, Any]:
+def table(those: Trials, runs: list[Streamed]) -> dict[str, Any]:
     """Detection by kind, at the boundary of success, by grade and by cause, over the repeats."""
     out: dict[str, Any] = {}
     for name, grades in GRADES.items():
@@ -181,16 +173,11 @@ def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
     """Alarms in nominal trials that were streamed, over the repeats."""
     calm = [those.nominal & ~run.inside for run in runs]
     false = [int((mine & np.isfinite(run.alarm)).sum()) for mine, run in zip(calm, runs, strict=True)]
-    by = {
-        name: [int((mine & np.isfinite(run.first[name])).sum()) for mine, run in zip(calm, runs, strict=True)]
-        for name in ("words", "clock")
-    }
     streamed = [int(mine.sum()) for mine in calm]
     return {
         "nominal trials streamed in each repeat": streamed,
         "false alarms in each repeat": false,
         "false alarms per nominal trial": _share(false, streamed, (1 - NOMINAL_SHARE) / NOMINAL_SHARE),
-        "false alarms in each repeat, by watcher": by,
     }
 
 
@@ -201,41 +188,29 @@ def measure(w: Watched, repeats: int, seed: int) -> dict[str, Any]:
         "nominal trials": int((w.trials.kind == NOMINAL).sum()),
         "of them seated": int(w.trials.nominal.sum()),
         **false_alarms(w.trials, runs),
-        "hold of each repeat, s": [made.monitor.hold for made in runs],
-        "alarm levels of each repeat: insertion, mating, settled": [
-            [round(level, 3) for level in made.monitor.levels.values()] for made in runs
-        ],
-        "longest approach and insertion, s": [
-            [round(limit, 2) for limit in made.monitor.limits.values()] for made in runs
-        ],
         "moment about z in the last second of mating, Nm": moments(w.trials),
         "kinds": table(w.trials, runs),
     }
 
 
-def arguments(about: str | None) -> argparse.ArgumentParser:
-    """Options of both experiments on simulated faults."""
-    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("--preset", nargs="+", default=["hooked-B", "hooked-C", "hooked-A"])
-    parser.add_argument("--nominal", type=int, nargs="+", default=[300, 400], help="one store each")
-    parser.add_argument("--per-kind", type=int, default=40)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=2)
-    return parser
+@dataclass(frozen=True)
+class Options:
+    """Of both experiments on simulated faults."""
+
+    folder: Path
+    preset: tuple[str, ...] = ("hooked-B", "hooked-C", "hooked-A")
+    nominal: tuple[int, ...] = (300, 400)  # one store each
+    per_kind: int = 40
+    repeats: int = 5
+    seed: int = 2
+
+    def watched(self, preset: str) -> Watched:
+        """The trials of a preset."""
+        return watched(self.folder, preset, self.nominal, self.per_kind, self.seed)
 
 
-def main() -> None:
-    args = arguments(__doc__).parse_args()
+def main(options: Options) -> None:
     done: dict[str, Any] = {}
-    for preset in args.preset:
-        w = watched(args.folder, preset, tuple(args.nominal), args.per_kind, args.seed)
-        done[preset] = measure(w, args.repeats, args.seed)
-        keep(done, args, preset == args.preset[-1])
-
-
-def keep(done: dict[str, Any], args: argparse.Namespace, complete: bool) -> None:
-    """Write the presets that are done."""
     result = {
         "what": "failures noticed in the stream of simulated trials; one part trains, the other is streamed",
         "detected": "alarm after contact, or after the stop, and before the end of the failing sub-task as planned",
@@ -247,19 +222,18 @@ def keep(done: dict[str, Any], args: argparse.Namespace, complete: bool) -> None
             "words": CONFIG.false_alarms, "clock, approach and insertion each": CONFIG.clock_false_alarms,
         },
         "targets": TARGETS,
-        "complete": complete,
-        "presets": done,
     }  # fmt: skip
-    keep_faults("faults_online", "faults", result, args)
+    for preset in options.preset:
+        done[preset] = measure(options.watched(preset), options.repeats, options.seed)
+        keep("faults_online", "faults", result, done, options)
 
 
-def keep_faults(name: str, module: str, result: dict[str, Any], args: argparse.Namespace) -> None:
-    """Write a result with the command that makes it."""
-    presets, nominal = (" ".join(map(str, values)) for values in (args.preset, args.nominal))
-    sizes = f"--nominal {nominal} --per-kind {args.per_kind} --repeats {args.repeats} --seed {args.seed}"
-    command = f"python -m experiments.online.{module} --folder FOLDER --preset {presets} {sizes}"
-    write_result(name, command, result, args.seed, show=result["complete"])
+def keep(name: str, module: str, about: dict[str, Any], done: dict[str, Any], options: Options) -> None:
+    """Write the presets that are done, with the command that makes them."""
+    complete = len(done) == len(options.preset)
+    command = f"python -m experiments.online.{module}" + given(vars(options), dict.fromkeys(vars(options)))
+    write_result(name, command, about | {"complete": complete, "presets": done}, options.seed, show=complete)
 
 
 if __name__ == "__main__":
-    main()
+    main(tyro.cli(Options, description=__doc__))

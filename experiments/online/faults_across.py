@@ -26,13 +26,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments._lib.simulated import kept_arrays
 from experiments.online.fault_trials import GRADES, Trials
-from experiments.online.fault_watch import Watched, alarms, monitor, watched
-from experiments.online.faults import Streamed, arguments, cell, false_alarms, keep_faults, parts
+from experiments.online.fault_watch import Watched, alarms, monitor
+from experiments.online.faults import Options, Streamed, cell, false_alarms, keep, parts
 from rcbht_jax.introspection.fault_monitor import COLUMNS, FaultMonitor
 
 Rows = NDArray[np.bool_]
@@ -113,16 +114,15 @@ def measure(those: Trials, repeats: dict[str, list[dict[str, Streamed]]]) -> dic
     return out
 
 
-def main() -> None:
-    args = arguments(__doc__).parse_args()
-    sets = {p: watched(args.folder, p, tuple(args.nominal), args.per_kind, args.seed) for p in args.preset}
-    seeds = range(args.seed, args.seed + args.repeats)
-    lot = f"{'-'.join(str(count) for count in args.nominal)}-{args.per_kind}-{args.seed}"
+def main(options: Options) -> None:
+    sets = {preset: options.watched(preset) for preset in options.preset}
+    seeds = range(options.seed, options.seed + options.repeats)
+    lot = f"{'-'.join(str(count) for count in options.nominal)}-{options.per_kind}-{options.seed}"
 
     def one(preset: str, way: str, seed: int) -> dict[str, Streamed]:
         others = [other for name, other in sets.items() if name != preset]
         name = way.replace(" ", "-").replace(",", "")
-        path = args.folder / f"{''.join(args.preset)}-{preset}-{lot}-{name}-{seed}-alarms.npz"
+        path = options.folder / f"{''.join(options.preset)}-{preset}-{lot}-{name}-{seed}-alarms.npz"
         found = alarms_of(sets[preset], others, seed, way, path)
         bar.update()
         return found
@@ -131,9 +131,8 @@ def main() -> None:
     with tqdm(total=len(sets) * len(WAYS) * len(seeds), desc="learn", file=sys.stderr, disable=None) as bar:
         for preset, w in sets.items():
             done[preset] = measure(w.trials, {way: [one(preset, way, seed) for seed in seeds] for way in WAYS})
-            complete = len(done) == len(sets)
-            keep_faults("faults_across", "faults_across", {"what": WHAT, "complete": complete, "presets": done}, args)
+            keep("faults_across", "faults_across", {"what": WHAT}, done, options)
 
 
 if __name__ == "__main__":
-    main()
+    main(tyro.cli(Options, description=__doc__))

@@ -5,8 +5,7 @@ The beginnings are not given (``experiments.online.causal``). Options are the fa
 it, or of the head "state" with the beginnings that the filter detects. The best mean of the two step accuracies is
 frozen.
 
-Run: python -m experiments.online.frozen_stream_choice
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.frozen_stream_choice (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -61,22 +60,21 @@ def permitted(known: Recordings) -> Recordings:
 
 def row(data: Recordings, option: str) -> dict[str, Any]:
     method = frozen.FrozenMethod({"thresholds": "hiro", **ENCODER, "streamed": heads(option)})
-    found: dict[str, list[dict[str, float]]] = {}
+    found: dict[str, dict[str, list[float]]] = {}  # belief -> set -> scores
     for name, filters in (("SIM1", {"sources": (SIM1,)}), ("A", {"sources": (REAL,), "sessions": ("A",)})):
         stream = causal.Stream(method, data, **filters)
         for seed in range(SEED, SEED + REPEATS):
-            beliefs = causal.unaided(stream, False, halves(stream.items, seed), seed)
-            for belief, scores in beliefs.items():
-                found.setdefault(belief, []).append({name: scores["macro step accuracy"]})
-    return {belief: _means(scores) for belief, scores in found.items()}
+            for belief, scores in causal.unaided(stream, False, halves(stream.items, seed), seed).items():
+                found.setdefault(belief, {}).setdefault(name, []).append(scores["macro step accuracy"])
+    return {belief: _means(sets) for belief, sets in found.items()}
 
 
 ENCODER = {"encoders": {"W5": {"window": 5, "scale": 1.0}}}
 
 
-def _means(scores: list[dict[str, float]]) -> dict[str, float]:
-    sets = {name: float(np.mean([one[name] for one in scores if name in one])) for name in ("SIM1", "A")}
-    return rounded(sets | {"mean": float(np.mean(list(sets.values())))})
+def _means(sets: dict[str, list[float]]) -> dict[str, float]:
+    means = {name: float(np.mean(scores)) for name, scores in sets.items()}
+    return rounded(means | {"mean": float(np.mean(list(means.values())))})
 
 
 def main(only: Only = ALL_ROWS) -> None:

@@ -23,9 +23,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.arrays import Floats
 from experiments._lib.results_io import write_result
 from experiments._lib.simulated import assembled
 from experiments._lib.tasks import failure_types
@@ -61,8 +61,6 @@ LOSSES = (
     "approached on the wrong side",
     "no approach seated",
 )
-
-Floats = NDArray[np.float64]
 
 
 def simulate(offsets: Floats, seed: int, first: int) -> Rollouts:

@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
+from experiments._lib.arrays import Flags, Floats
 from experiments._lib.results_io import defaults_of, given, write_result
 from experiments.online.recovery import ATTEMPTS, DIRECTIONS, DOUBT, HOLD, MILD, PRESET, STEP, learn
 from rcbht_jax.introspection.introspector import FAILURE_TYPE
@@ -33,28 +33,19 @@ CERTAIN = 0.7  # belief in a failure above which an attempt is in doubt, where t
 SIZES = (0.006, 0.008, 0.010)  # m, of the faults
 FIRST = 2_000_000  # index of the first trial, beyond those of the training
 ENGINE, CONFIG = "mjx", env.EnvConfig(observe=("wrench", "beliefs"))
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Attempt:
     """Result of one attempt at every part."""
 
-    stopped: Bools  # [part] because of beliefs
-    seated: Bools  # [part] when it ended or was stopped
-    seconds: Floats  # [part] until then
+    stopped: Flags  # [part] because of beliefs
+    seated: Flags  # [part] when it ended or was stopped
     evidence: Floats  # [part, direction] logarithm of the beliefs in each direction
 
 
 class Bench:
-    """Parts in an environment, all assembled at once.
-
-    Args:
-        model: whose beliefs are observed.
-        faults: m, x and y of the hand from each part.
-        seed: of the trials.
-    """
+    """Parts in an environment, all assembled at once; ``faults`` are x and y of the hand from each part, m."""
 
     def __init__(self, model: IntrospectionModel, faults: Floats, seed: int) -> None:
         self.faults, self.seed = faults, seed
@@ -79,30 +70,28 @@ class Bench:
         params = replace(state.data.params, task=task)
         state = replace(state, data=replace(state.data, params=params))
         doubt, over, stopped, seated = np.zeros(count), *np.zeros((3, count), np.bool_)
-        seconds, obs = np.zeros(count), np.zeros(state.obs.shape)
+        obs = np.zeros(state.obs.shape)
         while not over.all():
             state = self.step(state, jnp.zeros((count, self.scene.action_size)))
             seen, done, tabs = jax.device_get((state.obs, state.done, state.metrics["seated"]))
             obs[~over], seated[~over] = seen[~over], tabs[~over] == 1.0
-            seconds[~over] += self.scene.dt
             doubt = np.where(seen[:, self.columns["outcome", "failure"]] > level, doubt + self.scene.dt, 0.0)
             stopped |= (doubt >= HOLD) & ~over
             over |= stopped | (done > 0.5)
         beliefs = np.stack([obs[:, self.columns[FAILURE_TYPE, kind]] for kind in DIRECTIONS], axis=1)
-        return Attempt(stopped, seated, seconds, np.log(np.maximum(beliefs, DOUBT)))
+        return Attempt(stopped, seated, np.log(np.maximum(beliefs, DOUBT)))
 
 
 def assemble(bench: Bench, attempts: int) -> dict[str, Any]:
     """Attempts until every part is believed done, or no attempts are left."""
     count = len(bench.faults)
     correction, evidence = np.zeros((count, 2)), np.zeros((count, len(DIRECTIONS)))
-    believed, seated, tries = np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.zeros(count, int)
+    believed, seated = np.zeros((2, count), np.bool_)
     first: Attempt | None = None
     for number in range(attempts):
         found = bench.attempt(number, correction)
         first = first or found
         open_ = ~believed
-        tries[open_] += 1
         seated[open_], believed[open_] = found.seated[open_], ~found.stopped[open_]
         evidence += found.evidence
         ways = np.array(list(DIRECTIONS.values()))[evidence.argmax(1)]
@@ -116,17 +105,10 @@ def assemble(bench: Bench, attempts: int) -> dict[str, Any]:
         "seated by one attempt that nothing stops": int(unstopped.seated.sum()),
         "stopped at the first attempt": int(first.stopped.sum()),
         "of them would have seated": int((first.stopped & unstopped.seated).sum()),
-        "seconds until stopped, median": _median(first.seconds[first.stopped]),
-        "seconds of attempts that ended, median": _median(first.seconds[~first.stopped]),
         "seated in the end": int(seated.sum()),
         "believed done": int(believed.sum()),
         "believed done, not seated": int((believed & ~seated).sum()),
-        "attempts per part": tries.tolist(),
     }
-
-
-def _median(values: Floats) -> float | None:
-    return round(float(np.median(values)), 2) if len(values) else None
 
 
 def main(

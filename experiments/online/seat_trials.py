@@ -49,14 +49,7 @@ def sets(session: str, per_kind: int) -> list[tuple[str, str, Ranges, int]]:
 
 
 def seat_trials(folder: Path, session: str, per_kind: int, seed: int) -> Trials:
-    """Simulate what is not in the folder yet, and read it all; an interrupted run goes on.
-
-    Args:
-        folder: of the stores.
-        session: whose controller, parts and sensor.
-        per_kind: trials of each kind, and without a fault.
-        seed: of the simulation.
-    """
+    """Simulate what is not in the folder yet, and read it all; an interrupted run goes on."""
     lots = [
         Lot(f"seat-{session}-{kind.replace(' ', '-')}-{fault}", kind, 0, count, drawn_from(fault, ranges))
         for kind, fault, ranges, count in sets(session, per_kind)

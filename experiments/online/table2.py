@@ -7,8 +7,7 @@ average) are given as well, at the paper's three rates.
 
 "relative" repeats everything with features without duration and absolute offset.
 
-Run: python -m experiments.online.table2 --repeats 50 --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.online.table2 --repeats 50 --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -19,30 +18,22 @@ from typing import Any
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.arrays import Floats
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, recorded, with_interval
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.streams import described, halves
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
+from experiments._lib.streams import Stream, halves
 from experiments._lib.tasks import states
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.features.online import names
 from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE
-from rcbht_jax.introspection.training import (
-    ENDS,
-    GRID,
-    Snapshots,
-    learn,
-    regular_snapshots,
-    training_snapshots,
-)
+from rcbht_jax.introspection.training import ENDS, GRID, Snapshots
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.probability import ProbabilisticSvm
-from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.learning.validation import repeat_seeds
+from rcbht_jax.types import Recordings
 
 KINDS = {"all": SUBTASK, "relative": SUBTASK_RELATIVE}
 MAIN_RATE = 10.0
@@ -59,8 +50,6 @@ PAPER = {"REAL": {FULL: 0.95, "OverallPr": 0.84, "m at .70": [0.95, 0.10, 0.36, 
 WHOLE = "beliefs and classes of full sequences"
 CHANCE = "ECE full sequences, were they calibrated perfectly"
 
-Floats = NDArray[np.float64]
-
 
 def certainty_rows(p: Floats, snapshots: Snapshots, items: LabelledIntervals) -> dict[str, Any]:
     """Counts and m of the streamed test intervals at every k."""
@@ -73,19 +62,6 @@ def certainty_rows(p: Floats, snapshots: Snapshots, items: LabelledIntervals) ->
         names = ("count_min", "count_mean", "count_max", "avg_len", "m_paper", "m_own")
         rows[f"k={k:.2f}"] = {name: getattr(c, name) for name in names}
     return rows
-
-
-def time_to_confidence(p: Floats, snapshots: Snapshots, items: LabelledIntervals, k: float, dt: float) -> Floats:
-    """Median seconds until a belief is first right and certain for good, per class; inf where most never are."""
-    seconds: list[list[float]] = [[] for _ in items.classes]
-    for s in np.unique(snapshots.interval):
-        mine = snapshots.interval == s
-        sure = (p[mine].argmax(1) == items.y[s]) & (p[mine].max(1) > k)
-        last_doubt = np.flatnonzero(~sure)
-        first = int(last_doubt[-1]) + 1 if last_doubt.size else 0
-        elapsed = (snapshots.now[mine] - snapshots.begin[mine]) * dt
-        seconds[items.y[s]].append(float(elapsed[first]) if first < len(elapsed) else np.inf)
-    return np.array([np.median(x) for x in seconds])
 
 
 def early(p: Floats, snapshots: Snapshots, items: LabelledIntervals) -> Floats:
@@ -101,36 +77,24 @@ def early(p: Floats, snapshots: Snapshots, items: LabelledIntervals) -> Floats:
     return np.divide(hits, total, out=np.full(size, np.nan), where=total > 0).reshape(-1, FRACTIONS)
 
 
-def half_split(
-    x: dict[str, Any], items: LabelledIntervals, families: tuple[str, ...], seed: int
-) -> tuple[ProbabilisticSvm, Snapshots, Floats]:
-    """A classifier of one half of the trials, the snapshots of the other half, and its probabilities there."""
-    inside = halves(items, seed)
-    columns = np.isin(x["family"], families)
-    rows = np.flatnonzero(inside[x["picked"].interval])
-    spec, train = FeatureSpec(families=families, balance=True), x["picked_x"][rows][:, columns]
-    machine = learn(train.astype(np.float64), x["picked"].take(rows), items, spec, GRID, ENDS, seed)
-    test = np.flatnonzero(~inside[x["streamed"].interval])
-    return machine, x["streamed"].take(test), machine.probability(x["streamed_x"][test][:, columns])
-
-
-def repeat(x: dict[str, Any], items: LabelledIntervals, families: tuple[str, ...], seed: int, dt: float) -> Any:
+def repeat(stream: Stream, relative: bool, seed: int) -> Any:
     """All numbers of one half-split."""
-    machine, seen, p = half_split(x, items, families, seed)
-    y_true, spec, whole = items.y[seen.interval], machine.svm.spec, seen.complete
+    items, inside = stream.items, halves(stream.items, seed)
+    seen, p = stream.given(relative, inside, seed)
+    y_true, whole, spec = (
+        items.y[seen.interval],
+        seen.complete,
+        stream.trained("state", relative, inside, seed).svm.spec,
+    )
     return {
-        "step accuracy": metrics.recall(y_true, p.argmax(1), len(items.classes)),
         "macro step accuracy": metrics.macro_step_accuracy(p, y_true),
         FULL: metrics.accuracy(y_true[whole], p[whole].argmax(1)),
         "OverallPr": metrics.overall_pr(p[whole], y_true[whole]),
         "ClassPr": metrics.class_pr(p[whole], y_true[whole]),
-        "streamed OverallPr": metrics.overall_pr(p, y_true),
         "ECE steps": metrics.calibration_error(p, y_true),
         "ECE full sequences": metrics.calibration_error(p[whole], y_true[whole]),
-        "seconds to lasting confidence at .70": time_to_confidence(p, seen, items, 0.70, dt),
         "accuracy by tenth of the sub-task": early(p, seen, items),
         "certainty": certainty_rows(p, seen, items),
-        "confusion of full sequences": metrics.confusion(y_true[whole], p[whole].argmax(1), len(items.classes)),
         "reliability": metrics.reliability(p, y_true),
         "chosen": f"{spec.kernel} C={spec.cost:g}",
         WHOLE: (p[whole], y_true[whole]),
@@ -161,9 +125,8 @@ def summary(runs: list[Any], items: int = 0) -> Any:
     stacked = np.asarray(runs, float)
     if stacked.ndim == 1 and len(runs) > 1:
         return with_interval(stacked, places=4, items=items)
-    # Unbounded: None = never in most repeats. Undefined (an empty bin): None.
-    middle = np.median(stacked, axis=0) if np.isinf(stacked).any() else _mean(stacked)
-    rounded: Any = np.where(np.isfinite(middle), middle.round(4), None)
+    middle: Any = _mean(stacked)
+    rounded: Any = np.where(np.isfinite(middle), middle.round(4), None)  # None: undefined, as in an empty bin
     return rounded.tolist()
 
 
@@ -174,31 +137,24 @@ def _mean(stacked: Floats) -> Floats:
     return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
 
 
-def watched(recordings: Any, items: LabelledIntervals, config: EncoderConfig, rate: float) -> dict[str, Any]:
-    """Features of all snapshots, made once for all repeats."""
-    spec, encoder = FeatureSpec(families=tuple(dict.fromkeys((*SUBTASK, *SUBTASK_RELATIVE)))), (config, preset())
-    every = round(1 / (rate * config.dt))
-    out: dict[str, Any] = {"picked": training_snapshots(items, every), "streamed": regular_snapshots(items, every)}
-    for part in ("picked", "streamed"):
-        out[f"{part}_x"] = described(recordings, out[part], spec, encoder, f"{part} snapshots at {rate:g} Hz")
-    out["family"] = np.array([name.split(".")[0] for name in names(spec)])
-    return out
+def streamed(recordings: Recordings, name: str, rate: float = MAIN_RATE) -> Stream:
+    """The trials of a set, with the encoder and the features of ``rcbht train-online``."""
+    heads = {"state": (FeatureSpec(SUBTASK, balance=True), GRID, ENDS)}
+    task = states(sources=(SETS[name],), arms="R")
+    return Stream(recordings, task, (EncoderConfig(dt=recordings.dt), preset()), heads, rate)
 
 
-def measure(recordings: Any, name: str, rate: float, repeats: int, seed: int) -> dict[str, Any]:
-    config = EncoderConfig(dt=recordings.dt)
-    items = labelled_intervals(recordings, states(sources=(SETS[name],), arms="R"))
-    x = watched(recordings, items, config, rate)
+def measure(recordings: Recordings, name: str, rate: float, repeats: int, seed: int) -> dict[str, Any]:
+    stream = streamed(recordings, name, rate)
+    items = stream.items
     result: dict[str, Any] = {
         "trials": len(np.unique(items.trial)),
         "left out": items.dropped,
         "classes": items.classes,
     }
-    for kind, families in KINDS.items():
-        if kind == "relative" and rate != MAIN_RATE:
-            continue
+    for kind in KINDS if rate == MAIN_RATE else ("all",):
         seeds = tqdm(repeat_seeds(seed, repeats), desc=f"{name} {kind}", file=sys.stderr, disable=None)
-        runs = [repeat(x, items, families, s, config.dt) for s in seeds]
+        runs = [repeat(stream, kind == "relative", one) for one in seeds]
         result[kind] = together(runs, seed) | summary(runs, len(items.y))
     return result
 
@@ -217,8 +173,7 @@ def main(repeats: int = 50, seed: int = 0, only: Only = ALL_ROWS) -> None:
         for rate in RATES
         for name in SETS
     }
-    command = f"python -m experiments.online.table2 --repeats {repeats} --seed {seed}"
-    Rows("table2", command, about, seed).fill(wanted, only)
+    Rows("table2", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

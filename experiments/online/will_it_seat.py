@@ -38,8 +38,9 @@ from numpy.typing import NDArray
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.metrics import roc_auc_score
 
+from experiments._lib.arrays import Flags, Floats, Ints
 from experiments._lib.benchmarks import FOLDS
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import of_auc
 from experiments._lib.simulated import kept_arrays
 from experiments.online.fault_trials import Trials
@@ -63,10 +64,6 @@ FAILED = 1  # class
 TARGETS = {"area of each kind, within a session": 0.95, "area of each kind, from session to session": 0.90}
 NOT_YET = 1e3  # s, in place of the beginning of a sub-task that has not begun
 EVERY = "every kind of fault"
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -274,9 +271,7 @@ def main(folder: Path, per_kind: int = 80, repeats: int = 2, seed: int = 9, only
             wanted[f"{a} to {b} | {name}"] = partial(across, get, (a, b), name, False, seed)
     for a, b in ACROSS:
         wanted[f"{a} to {b} | {OUTCOME}, own nominal"] = partial(across, get, (a, b), OUTCOME, True, seed)
-    sizes = f"--per-kind {per_kind} --repeats {repeats} --seed {seed}"
-    command = f"python -m experiments.online.will_it_seat --folder FOLDER {sizes}"
-    Rows("will_it_seat", command, about, seed).fill(wanted, only)
+    Rows("will_it_seat", command_of(main, locals(), "--folder FOLDER"), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,7 @@ effect of the tare alone. Nothing is chosen here: the method is the frozen one, 
 the set.
 
 Run: python -m experiments.online.zero_shot_stream FOLDER
-FOLDER keeps the simulated set; it is made if it is missing. Finished rows are stored; the same command resumes an
-interrupted run. Reads the recorded trials (RCBHT_DATA).
+FOLDER keeps the simulated set; it is made if it is missing. Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations

@@ -30,7 +30,6 @@ from experiments._lib.driven_objective import (
     driven_trial,
     explained,
     rows_with_angles,
-    units,
 )
 from experiments._lib.results_io import write_result
 from experiments.simulation.joint_fit import AROUND, SEEN, SHARED, cells, of_sessions, present, within
@@ -109,19 +108,12 @@ def scores(objective: DrivenObjective, values: Values) -> dict[str, Any]:
 
 
 def scores_of(objective: DrivenObjective, wrenches: list[Wrench]) -> dict[str, Any]:
-    """Explained share of the variance by axis, mean over trials, and root mean square errors."""
+    """Explained share of the variance by axis, mean over trials, and the sum of squares."""
     each = [explained(t, w).tolist() for t, w in zip(objective.trials, wrenches, strict=True)]
-    unit = units(objective.trials)
-    away = [
-        np.sqrt((np.nan_to_num(w - t.wrench, nan=99.0)[t.begin :] ** 2).mean(0))
-        for t, w in zip(objective.trials, wrenches, strict=True)
-    ]
     return {
         "trials": len(each),
         "explained": np.round(np.mean(each, axis=0), 3).tolist(),
-        "rms": np.round(np.mean(away, axis=0), 4).tolist(),
         "loss": float(np.sum(objective.residuals(wrenches) ** 2)),
-        "unit": unit.tolist(),
     }
 
 
@@ -134,8 +126,8 @@ def all_scores(data: Trials, objective: DrivenObjective, values: Values) -> dict
     return out
 
 
-def by_search(objective: DrivenObjective, how: Search, target: float, checkpoint: Path, start: float) -> dict[str, Any]:
-    """CMA-ES on the same sum of squares, and when it reached the target."""
+def by_search(objective: DrivenObjective, how: Search, checkpoint: Path, start: float) -> dict[str, Any]:
+    """CMA-ES on the same sum of squares."""
 
     def losses(candidates: list[Values]) -> Losses:
         return (objective(candidates) ** 2).sum(1)
@@ -149,11 +141,9 @@ def by_search(objective: DrivenObjective, how: Search, target: float, checkpoint
 
     found = system_id.fit(losses, how, checkpoint=checkpoint, progress=progress)
     best = np.minimum.accumulate([generation.best for generation in found.generations])
-    reached = np.flatnonzero(best <= target)
     return {
         "loss": found.loss,
         "candidates": len(best) * how.population,
-        "candidates_to_gauss_newton": int((reached[0] + 1) * how.population) if len(reached) else None,
         "loss_by_candidates": [[(i + 1) * how.population, round(float(best[i]), 4)] for i in range(0, len(best), 5)],
         "values": found.values,
     }
@@ -255,8 +245,7 @@ def main(
     result["alone"] = alone(data, scene, engine, iterations, begun)
     write_result("driven_fit", command, result, seed=seed, show=False)  # a search that is cut off leaves this much
     result["traces"] = traces(data, scene, how.start, result["gauss_newton"]["values"])
-    target = result["gauss_newton"]["loss"]
-    result["cma_es"] = by_search(objective, how, target, checkpoint, begun) if generations else None
+    result["cma_es"] = by_search(objective, how, checkpoint, begun) if generations else None
     if generations:
         pairs = result["gauss_newton"]["loss_by_candidates"]
         reached = next((count for count, loss in pairs if loss <= result["cma_es"]["loss"]), None)

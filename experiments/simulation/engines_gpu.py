@@ -51,14 +51,9 @@ def scene_of(options: argparse.Namespace) -> Scene:
     return scene
 
 
-def timed_parity(options: argparse.Namespace) -> dict[str, Any]:
+def compared(options: argparse.Namespace) -> dict[str, Any]:
     params, scene = trials_of(PARITY, LONGEST, preset=options.preset), scene_of(options)
-    (expected, contact), native = seconds_of(lambda: reference(scene, params))
-    found, first = seconds_of(lambda: engines.simulate(scene, params, options.engine))
-    return {
-        "native_seconds": round(native, 2), "first_run_seconds": round(first, 2),
-        **asdict(parity(expected, contact, found)),
-    }  # fmt: skip
+    return asdict(parity(*reference(scene, params), engines.simulate(scene, params, options.engine)))
 
 
 def throughput(batch: int, options: argparse.Namespace) -> dict[str, Any]:
@@ -66,16 +61,13 @@ def throughput(batch: int, options: argparse.Namespace) -> dict[str, Any]:
     params, scene = trials_of(batch, SHORT, 1.0, options.preset), scene_of(options)
     impl = engines.IMPLEMENTATIONS[options.engine]
     (_, first), (out, seconds) = (seconds_of(lambda: device.run(scene, params, impl)) for _ in range(2))
-    _, prepared = seconds_of(lambda: device.fields_of(scene, params))
     steps = int((out.phase < ENDED).sum()) * scene.substeps
     return {
         "batch": batch,
         "compile_s": round(first - seconds, 2),
         "seconds": round(seconds, 3),
-        "of_them_model_fields_on_the_host": round(prepared, 3),
         "simulated_s_per_trial": round(float(out.length.mean()) * CONTROL_PERIOD, 2),
         "steps_per_s": round(steps / seconds),
-        "steps_per_s_without_preparation": round(steps / (seconds - prepared)),
         "memory_peak_GB": round((jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 1e9, 2),
     }
 
@@ -191,7 +183,7 @@ def main() -> None:
     parser.add_argument("--preset", default=PRESET)
     options = parser.parse_args()
     work: dict[str, Callable[[], Any]] = {
-        "parity": lambda: timed_parity(options),
+        "parity": lambda: compared(options),
         "speed": lambda: throughput(BATCH, options),
         "synthesis": lambda: {str(count): synthesis(count, options) for count in options.trials},
         "sweep": lambda: [throughput(n, options) for n in SWEEP],

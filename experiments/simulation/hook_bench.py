@@ -58,15 +58,10 @@ class Curve:
 def press_and_pull(
     tabs: Sequence[Hook], lower: Sequence[float] | None = None, step: float = 1.25e-3
 ) -> tuple[Curve, Curve]:
-    """Press a part with these tabs down past its lips, and pull it out again.
+    """Press a part with these tabs in a row down past its lips, and pull it out again, with a value for every step.
 
-    Args:
-        tabs: one or more, in a row.
-        lower: m, how much later each tab touches than the first ones; None = all at once.
-        step: s, of the physics. With 2.5 ms a tab that flies back chatters, and peaks are wrong by up to 60 %.
-
-    Returns:
-        the press and the pull, with a value for every step.
+    Each tab touches ``lower`` m later than the first ones. With a physics step of 2.5 ms a tab that flies back
+    chatters, and peaks are wrong by up to 60 %.
 
     Example:
         >>> hook = Hook(8540.0, 0.8e-3, np.radians(30), np.radians(60), friction=0.2)

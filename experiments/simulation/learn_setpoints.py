@@ -27,6 +27,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from experiments._lib.arrays import Floats
 from experiments._lib.intervals import seated_share
 from experiments._lib.results_io import defaults_of, given, write_result
 from experiments.simulation import steered
@@ -43,7 +44,6 @@ LEARN, TEST = 1, 2  # seeds of the trials
 SPREAD = 0.15  # standard deviation at first, of the ranges
 ELITE, KEPT = 0.25, 0.3  # best share of a generation, and share of the old distribution that stays
 STRETCH = 40  # steps of the environment per call
-Floats = NDArray[np.float64]
 Scores = tuple[Floats, NDArray[np.bool_]]  # share of seated tabs, and all seated [trial]
 
 

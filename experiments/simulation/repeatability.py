@@ -28,19 +28,16 @@ DETERMINISTIC = "--xla_gpu_deterministic_ops=true"
 
 def compared(first: Rollouts, second: Rollouts) -> dict[str, Any]:
     """What is the same of the same trials simulated twice."""
-    equal, largest, begins = 0, 0.0, []
+    equal, largest = 0, 0.0
     for row, (a, b) in enumerate(zip(first.length, second.length, strict=True)):
         samples = min(a, b)
         off = np.abs(first.wrench[row, :samples] - second.wrench[row, :samples]).max(1)
         equal += int(a == b and not off.any())
         largest = max(largest, float(off.max()))
-        if off.any():
-            begins.append(int(np.argmax(off > 0)))
     return {
         "trials": len(first.length),
         "equal": equal,
         "largest_difference": largest,  # N or Nm
-        "median_first_different_sample": float(np.median(begins)) if begins else None,
         "same_outcome": int((first.seated == second.seated).all(1).sum()),
         "same_length": int((first.length == second.length).sum()),
     }

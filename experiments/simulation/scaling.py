@@ -162,7 +162,8 @@ def labels(count: int, window: int) -> list[dict[str, Any]]:
     parts, first = jax.device_put((limits, wrench, length), places), (limits, wrench[:count], length[:count])
 
     def compiled(layout: Format | None) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        return compiled_for(config, layout, first), jax.jit(shared, out_shardings=layout).lower(*parts).compile()
+        alone = jax.jit(partial(encode, config), out_shardings=layout)
+        return alone.lower(*first).compile(), jax.jit(shared, out_shardings=layout).lower(*parts).compile()
 
     # in the usual layout: JAX 0.11 reads back wrongly what several devices hold in one of the compiler's choice
     plain, plain_shared = compiled(None)
@@ -179,22 +180,12 @@ def labels(count: int, window: int) -> list[dict[str, Any]]:
         compared(partial(repeated, n, one, *first), partial(repeated, n, several, *parts), 1.0, same, calls=n, **about)
         for n in CALLS
     ]
-    pieces = [[piece.data for piece in part.addressable_shards] for part in parts]
-    tasks = [partial(compiled_for(config, Format(Layout.AUTO), given), *given) for given in zip(*pieces, strict=True)]
-    size = count * SAMPLES * parts[1].shape[-1]
-    return [
-        row | {"samples_per_s_one": rate(size, row), "seconds_each": each_alone(tasks, row["calls"])} for row in made
-    ]
+    return [row | {"samples_per_s_one": rate(count * SAMPLES * parts[1].shape[-1], row)} for row in made]
 
 
 def rate(samples: int, row: dict[str, Any]) -> float:
     """Samples a second of one device, each axis counted."""
     return float(f"{samples * row['calls'] / row['seconds_one']:.4g}")
-
-
-def compiled_for(config: EncoderConfig, layout: Format | None, given: tuple[Array, ...]) -> Callable[..., Any]:
-    """The encoder for one device, the one that holds what it is given."""
-    return jax.jit(partial(encode, config), out_shardings=layout).lower(*given).compile()
 
 
 def repeated(times: int, function: Callable[..., Any], *given: Any) -> Any:
@@ -203,13 +194,6 @@ def repeated(times: int, function: Callable[..., Any], *given: Any) -> Any:
     for _ in range(times):
         made = function(*given)
     return made
-
-
-def each_alone(tasks: list[Callable[[], Any]], times: int) -> list[float]:
-    """Seconds of as many calls of each device's task while the others rest, each timed in turn with the first."""
-    many = [lambda task=task: jax.block_until_ready(repeated(times, task)) for task in tasks]
-    timed = [interleaved(one, many[0]) for one in many]
-    return [round(found.seconds, 5) for found in timed]
 
 
 def same_bits(alone: Array, number: int, shared: Array) -> bool:

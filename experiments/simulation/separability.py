@@ -4,8 +4,7 @@ One half of a session's recordings against the other, whose mean in every state 
 by a share of its standard deviation between trials, or by the same force everywhere (moments by as much at 20 mm). Then
 simulated trials against the same trials with half the physics step, and against those of another seed.
 
-Run: python -m experiments.simulation.separability
-Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.simulation.separability (reads RCBHT_DATA)
 """
 
 from __future__ import annotations

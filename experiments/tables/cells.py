@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from experiments._lib.results_io import committed
+from experiments._lib.scores import ends_of, mean_of
 
 NONE = "–"
 Lines = Iterable[Sequence[str]]  # of a table, the first one its head
@@ -52,14 +53,14 @@ def ends(low: float, high: float, digits: int = 3) -> str:
     return f" ({low:.{digits}f} to {high:.{digits}f})" if low < high else ""
 
 
-def score(values: dict[str, float] | None, interval: bool = True) -> str:
+def score(values: dict[str, Any] | None, interval: bool = True) -> str:
     """A mean with its 95 % interval, or a dash."""
     if values is None:
         return NONE
-    limits = ends(values["low"], values["high"]) if interval and "low" in values else ""
-    return f"{values['mean']:.3f}{limits}"
+    limits = ends_of(values) if interval else None
+    return f"{mean_of(values):.3f}{ends(*limits) if limits else ''}"
 
 
-def streamed_score(values: dict[str, Any]) -> str:
-    """A mean of streamed beliefs with its interval, which these results hold as a pair."""
-    return f"{values['mean']:.3f}{ends(*values['interval'])}"
+def formatted(row: dict[str, Any], forms: dict[str, str]) -> list[str]:
+    """Values of a row, each in its format; a dash for those that it lacks."""
+    return [format(row[key], form) if key in row else NONE for key, form in forms.items()]

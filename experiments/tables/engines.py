@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import NONE, Lines, ends, table
+from experiments.tables.cells import NONE, Lines, ends, formatted, table
 
 WORDS_SAME = "same primitive / composition / behaviour, % of time"
 DEVICES = ("engines_gpu", "engines")
@@ -59,11 +59,11 @@ def hook_forces(result: Result) -> Lines:
 @table("snap-needs", "snap_needs")
 def snap_needs(result: Result) -> Lines:
     """Passes of the rear hooks of hooked-B, with one thing changed at a time."""
-    medians = ("s after mating began", "release, N", "fall, N")
+    medians = dict.fromkeys(("s after mating began", "release, N", "fall, N"), ".2f")
     yield ("", "trials", "seated", "fall of 7 N in mating", *medians)
     for name, row in result["rows"].items():
-        cells = (f"{row[key]:.2f}" if key in row else "–" for key in medians)
-        yield (name, str(row["trials"]), str(row["seated"]), str(row["fall of 7 N in mating"]), *cells)
+        counts = (str(row[key]) for key in ("trials", "seated", "fall of 7 N in mating"))
+        yield (name, *counts, *formatted(row, medians))
 
 
 @table("driven-fit", "driven_fit")
@@ -112,7 +112,7 @@ def snap_creep(result: Result) -> Lines:
 
 
 def _waits(row: Result) -> str:
-    seconds = f"{row['s after mating began']:.2f} s" if row["seated"] else "–"
+    seconds = f"{row['s after mating began']:.2f} s" if row["seated"] else NONE
     return f"{seconds} ({row['seated']} of {row['trials']})"
 
 
@@ -177,14 +177,14 @@ def separability(result: Result) -> Lines:
 
 def _measure(check: Result | None) -> str:
     if check is None or check["value"] is None:
-        return "–"
+        return NONE
     return f"{check['value']:.2f}" if check["holds"] else f"**{check['value']:.2f}**"
 
 
 ENCODED = ("time first", "row by row", "compact", "scan")
-SYNTHESIS = (  # measures and their digits
-    ("utilisation", 2), ("host_memory_peak_GB", 1), ("host_memory_with_writers_GB", 1), ("store_GB", 1),
-)  # fmt: skip
+SYNTHESIS = {
+    "utilisation": ".2f", "host_memory_peak_GB": ".1f", "host_memory_with_writers_GB": ".1f", "store_GB": ".1f",
+}  # fmt: skip
 
 
 @table("solver", *DEVICES)
@@ -214,20 +214,20 @@ def synthesis(result: Result) -> Lines:
     """Stores of labelled trials from GPUs, from the command to the last byte."""
     yield "", "GPU", "seconds", "trials a second", "lanes busy", "host memory, GB", "with writers, GB", "store, GB"
     for name, row in result["rows"].items():
-        rest = [f"{row[key]:.{digits}f}" if key in row else "–" for key, digits in SYNTHESIS]
-        yield (name, row["card"], f"{row['seconds']:.0f}", f"{row['trials'] / row['seconds']:.0f}", *rest)
+        rate = f"{row['trials'] / row['seconds']:.0f}"
+        yield (name, row["card"], f"{row['seconds']:.0f}", rate, *formatted(row, SYNTHESIS))
 
 
 @table("native-cores", "native_cores")
 def native_cores(result: Result) -> Lines:
     """The native engine on many cores, by processes and their threads."""
-    keys = (
-        ("processes", ",d"), ("threads", ",d"), ("trials", ",d"), ("seconds", ".2f"), ("processor_seconds", ".2f"),
-        ("trials_of_15_s_per_minute", ",.0f"),
-    )  # fmt: skip
+    forms = {
+        "processes": ",d", "threads": ",d", "trials": ",d", "seconds": ".2f", "processor_seconds": ".2f",
+        "trials_of_15_s_per_minute": ",.0f",
+    }  # fmt: skip
     yield "processes", "threads of each", "trials", "seconds", "processor seconds", "trials of 15 s a minute"
     for row in result["rows"]:
-        yield tuple(format(row[key], form) for key, form in keys)
+        yield formatted(row, forms)
 
 
 @table("scaling", "scaling")
@@ -238,7 +238,7 @@ def scaling(result: Result) -> Lines:
     counts = ", ".join(f"{simulated[which]['trials']:,}" for which in ("one", "all"))
     seconds = [f"{simulated[which]['of_work']:.1f}" for which in ("one", "all")]
     title = f"trials of {simulated['preset']} with labels, stored: {counts}"
-    yield (title, *seconds, f"{simulated['of linear']:.2f}", "–")
+    yield (title, *seconds, f"{simulated['of linear']:.2f}", NONE)
     shared = [(f"search: {found['candidates']:,} thresholds on {found['trials']} trials", found)]
     for row in result["labels"]:
         kind = "compact labels" if "compact" in row else "dense labels"
@@ -269,7 +269,7 @@ def encoder_speed(result: Result) -> Lines:
     yield ("recordings", "window", *how, "compilation, s")
     for window, rows in result["windows"].items():
         for count, row in rows.items():
-            cells = [f"{row[how]['samples_per_s'] / 1e9:.2f}" if how in row else "–" for how in ENCODED]
+            cells = [f"{row[how]['samples_per_s'] / 1e9:.2f}" if how in row else NONE for how in ENCODED]
             yield (f"{int(count):,}", window.removeprefix("W"), *cells, f"{row['time first']['compile_s']:.0f}")
 
 
@@ -294,16 +294,16 @@ def step_kernels(result: Result) -> Lines:
 @table("large-store-read", "large_store")
 def large_store_read(result: Result) -> Lines:
     """Describing a store and reading one of its recordings, by the number of recordings."""
-    keys = (("store_GB", 1), ("info_s", 2), ("one_trial_ms", 0), ("one_trial_p95_ms", 0))
+    forms = {"store_GB": ".1f", "info_s": ".2f", "one_trial_ms": ".0f", "one_trial_p95_ms": ".0f"}
     yield "recordings", "store, GB", "`rcbht info`, s", "one recording, ms", "95th percentile, ms"
     for count, row in result["read"].items():
-        yield (f"{int(count):,}", *(f"{row[key]:.{digits}f}" for key, digits in keys))
+        yield (f"{int(count):,}", *formatted(row, forms))
 
 
 @table("large-store-worked", "large_store")
 def large_store_worked(result: Result) -> Lines:
     """Encoding and classifying a whole store, by the number of recordings."""
-    keys = ("encode_s", "encode_GB", "classify_s", "classify_GB")
+    forms = dict.fromkeys(("encode_s", "encode_GB", "classify_s", "classify_GB"), ".2f")
     yield "recordings", "encode, s", "encode, GB", "classify, s", "classify, GB"
     for count, row in result["worked"].items():
-        yield (f"{int(count):,}", *(f"{row[key]:.2f}" for key in keys))
+        yield (f"{int(count):,}", *formatted(row, forms))

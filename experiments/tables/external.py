@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from experiments.figures.early import SETS
 from experiments.tables.cells import NONE, Lines, score, table
 
-SETS = {"lp1": "LP1", "lp2": "LP2", "lp4": "LP4"}
 SCORES = {
     "accuracy": "accuracy", "macro_f1": "macro F1", "f1@10": "F1@10", "f1@25": "F1@25", "f1@50": "F1@50",
     "edit": "edit", "covering": "covering",
@@ -51,8 +51,7 @@ def caps(result: dict[str, Any]) -> Lines:
     rows = result["rows"]
     yield ("", *SCORES.values())
     for name, row in rows.items():
-        cells = {key: (row["score"][key], row["interval"][key]) for key in SCORES}
-        yield [name, *(score({"mean": mean, "low": low, "high": high}) for mean, (low, high) in cells.values())]
+        yield [name, *(score({"mean": row["score"][key], "interval": row["interval"][key]}) for key in SCORES)]
     yield ["*most frequent class*", f"{rows['causal']['majority']:.3f}", *[NONE] * (len(SCORES) - 1)]
 
 
@@ -67,13 +66,9 @@ def kitting(result: dict[str, Any], more: dict[str, Any]) -> Lines:
     for title, row in (named | {name: row for name, row in more["rows"].items() if "skills" in row}).items():
         skills = row["skills"].values()
         late = [cell["delay_median"] for cell in skills if cell["delay_median"] is not None]
-        values = [score(_auroc(cell)) for cell in skills]
+        values = [score({"mean": cell["auroc"], "interval": cell["auroc_interval"]}) for cell in skills]
         shares = (score(row["alarms"][kind]) for kind in ("nominal", "anomalous"))
         yield (title, *values, *shares, f"{max(late):.2f}")
-
-
-def _auroc(cell: dict[str, Any]) -> dict[str, float]:
-    return {"mean": cell["auroc"], **dict(zip(("low", "high"), cell["auroc_interval"], strict=True))}
 
 
 @table("external-kitting-types", "kitting_more")

@@ -8,10 +8,7 @@ from experiments._lib.intervals import by_trial
 from experiments.tables.cells import NONE, Lines, score, table
 
 Result = dict[str, Any]
-KINDS = {
-    "jamming": "jamming", "wedging": "wedging", "missing-tab": "missing tab", "moved-part": "moved part",
-    "early-stop": "early stop",
-}  # fmt: skip
+KINDS = {kind: kind.replace("-", " ") for kind in ("jamming", "wedging", "missing-tab", "moved-part", "early-stop")}
 EVERY = "every kind of fault"
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from experiments._lib.headline_rows import MEASURE, SHORT_LIST, SOURCES, HeadlineRow, headline_rows
-from experiments.tables.cells import NONE, Lines, ends, score, table
+from experiments.tables.cells import NONE, Lines, score, table
 
 Result = dict[str, Any]
 SHORT = 12  # digits of a digest that are shown
@@ -75,4 +75,4 @@ def failure_calibration(result: Result) -> Lines:
 
 
 def _with_ends(row: Result, name: str) -> str:
-    return f"{row[name]:.3f}{ends(*row[f'{name} interval'])}"
+    return score({"mean": row[name], "interval": row[f"{name} interval"]})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import NONE, Lines, score, streamed_score, table
+from experiments.tables.cells import NONE, Lines, score, table
 
 Result = dict[str, Any]
 FALSE = "false alarms per nominal trial"
@@ -23,7 +23,7 @@ def online(result: Result) -> Lines:
             if scores := rows[f"{name} at 10 Hz"].get(kind):
                 keys = ("macro step accuracy", "full-sequence accuracy", "OverallPr", "ECE steps", "ECE full sequences")
                 own = min(scores["certainty"]["k=0.70"]["m_own"])
-                *right, steps, full = (streamed_score(scores[key]) for key in keys)
+                *right, steps, full = (score(scores[key]) for key in keys)
                 yield (f"{title}, {features}", *right, f"{own:.2f}", steps, full)
 
 
@@ -122,7 +122,7 @@ def detected(result: Result) -> Lines:
     for title, key in ways.items():
         yield (
             title,
-            *(streamed_score(rows[name][f"macro step accuracy, {key}"]) for name in ("REAL | paper", "SIM1 | paper")),
+            *(score(rows[name][f"macro step accuracy, {key}"]) for name in ("REAL | paper", "SIM1 | paper")),
         )
 
 
@@ -139,7 +139,7 @@ def abnormal(result: Result) -> Lines:
     for name, title in names.items():
         for kind, addition in (("all features", ""), ("time alone", ": elapsed time alone")):
             scores = result["rows"][name][kind]
-            moments = (streamed_score(scores[key]) for key in ("every tenth of a second", "after 1 s", "at 100%"))
+            moments = (score(scores[key]) for key in ("every tenth of a second", "after 1 s", "at 100%"))
             # Two sessions of successes contain no failure to raise an alarm about.
             alarms = "" if name == "sessions" else f"{scores['successes alarmed']['mean']:.0%}"
             yield (title + addition, *moments, alarms)
@@ -152,5 +152,5 @@ def failure_types(result: Result) -> Lines:
     yield ("accuracy", *parts, "calibration error, steps")
     keys = ("at 50%", "at 75%", "at 100%", "at 100%, votes of pairs", "calibration error of steps")
     for name, row in result["rows"].items():
-        yield (name, *(streamed_score(row[key]) for key in keys))
+        yield (name, *(score(row[key]) for key in keys))
     yield ("the most frequent class", *[f"{result['most frequent class']:.3f}"] * 4, "")

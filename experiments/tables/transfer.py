@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from experiments.figures.sim_to_real import TITLES_OF_ROWS
-from experiments.tables.cells import Lines, ends, score, table
+from experiments.tables.cells import Lines, score, table
 
 BOUNDARIES = ("merged", "harmonised")  # three states, four states
 Result = dict[str, Any]
@@ -19,8 +19,7 @@ def _transfers(result: Result, groups: tuple[str, ...]) -> Lines:
     for name in [name for group in groups for name in rows if name.split(" | ")[0] == group]:
         draws = rows[name]
         worst = {key: min((row[key] for row in draws), key=lambda one: one["A+B"]["accuracy"]) for key in BOUNDARIES}
-        scores = [worst[key][on] for key in BOUNDARIES for on in ("A", "B", "A+B")]
-        cells = [f"{one['accuracy']:.3f}{ends(*one['interval'])}" for one in scores]
+        cells = [score(worst[key][on]) for key in BOUNDARIES for on in ("A", "B", "A+B")]
         title = TITLES_OF_ROWS.get(name, name.replace(" | ", ": "))
         yield (title, str(draws[0]["merged"]["trials"]), *cells)
 
@@ -33,9 +32,9 @@ def simulated_draws(result: dict[str, Any]) -> Lines:
     yield ("learner", "states", *draws)
     for name in names:
         for states in result["rows"][f"{name} | {next(iter(draws))}"]:
-            scores = (result["rows"][f"{name} | {draw}"][states] for draw in draws)
+            accuracies = (result["rows"][f"{name} | {draw}"][states] for draw in draws)
             title = "frozen method, zero shot" if name == "zero shot" else f"words alone: {name}"
-            yield (title, states, *(f"{score:.3f}" for score in scores))
+            yield (title, states, *(f"{one:.3f}" for one in accuracies))
 
 
 @table("zero-shot", "zero_shot")
@@ -60,7 +59,7 @@ def _by_draw(rows: dict[str, Any]) -> dict[str, list[Any]]:
     """Rows with scores on both sessions, and several draws of the training trials together."""
     groups: dict[str, list[Any]] = {}
     for name, row in rows.items():
-        if "A+B" in row.get("merged", {}):
+        if "A+B" in row["merged"]:
             title, _, drawn = name.partition(", draw")
             groups.setdefault(f"{title}, worst draw" if drawn else title, []).append(row)
     return groups

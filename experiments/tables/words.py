@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import NONE, Lines, ends, score, streamed_score, table
+from experiments.tables.cells import NONE, Lines, ends, score, table
 
 TARGET = "0.01"  # residual at which methods are compared
 APPROACH = ("approach_constant", "approach_constant_inside", "approach_fixed_inside")
@@ -115,7 +115,7 @@ def streamed(result: dict[str, Any]) -> Lines:
     yield ("words", *(f"{one}, {way}" for one in sets for way in ways))
     for kind in kinds:
         rows = [result["rows"][f"{one} | {kind}"] for one in sets]
-        yield (kind, *(streamed_score(row[f"macro step accuracy, {key}"]) for row in rows for key in ways.values()))
+        yield (kind, *(score(row[f"macro step accuracy, {key}"]) for row in rows for key in ways.values()))
 
 
 @table("fit-transfer", "fit_sim_to_real")
@@ -124,8 +124,7 @@ def transfer(result: dict[str, Any]) -> Lines:
     yield "words", "4 states, A", "4 states, B", "4 states, both", "3 states, both"
     for kind, row in result["rows"].items():
         four, three = row["harmonised"], row["merged"]
-        cells = [*(four[one] for one in ("A", "B", "A+B")), three["A+B"]]
-        yield (kind, *(f"{cell['accuracy']:.3f}{ends(*cell['interval'])}" for cell in cells))
+        yield (kind, *(score(four[one]) for one in ("A", "B", "A+B")), score(three["A+B"]))
 
 
 @table("words-rate", "rate_distortion")
@@ -198,6 +197,5 @@ def snap_events(result: dict[str, Any]) -> Lines:
             delays = row["ms after the pass, 5 50 95 %"]
             late = NONE if delays is None else f"{delays[2]:.0f}"
             found = (row[which] for which in ("recall", "precision"))
-            shares = (NONE if one is None else f"{one['mean']:.3f}{ends(one['low'], one['high'])}" for one in found)
             counts = (str(row[what]) for what in ("trials", "passes", "found in time", "seen", "false"))
-            yield (name, kind.replace("|F|", "all force"), *counts, *shares, late)
+            yield (name, kind.replace("|F|", "all force"), *counts, *map(score, found), late)

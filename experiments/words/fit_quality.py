@@ -9,8 +9,7 @@ contact, that is in the annotated approach, a primitive should be constant. The 
 begins, and the annotation ends after the first touch; so the share is also given without a quarter of a second at
 either end.
 
-Run: python -m experiments.words.fit_quality
-Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.words.fit_quality (reads RCBHT_DATA)
 """
 
 from __future__ import annotations

@@ -8,8 +8,7 @@ limits. Each trial is judged by a forest of other trials of its set, so the fore
 on, which the fit rule does not. Its settings are the library's but for the size of a leaf. A first try lacked the two
 features that count words and name the last published one.
 
-Run: python -m experiments.words.foretold [--sets REAL SIM1 two-arm]
-Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.words.foretold [--sets REAL SIM1 two-arm] (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
+from experiments._lib.arrays import Floats
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded, rounded
 from experiments._lib.intervals import of_sums, sums
 from experiments._lib.results_io import defaults_of, given, write_result
@@ -43,8 +43,6 @@ from rcbht_jax.types import LabelTrack, Recordings
 RECENT = 40  # samples of the axis
 TREES, LEAF, FOLDS, SEED = 400, 3, 7, 0
 SETS = {"REAL": REAL, "SIM1": SIM1, "two-arm": SIM2}
-
-Floats = NDArray[np.float64]
 
 
 def described(trial: Trial, limits: FitLimits) -> Floats:

@@ -13,8 +13,7 @@ to be in. Two labels that do not depend on the run are compared with them: alway
 word published last. How provisional labels look ahead was chosen on the even trials of session A of REAL alone.
 Intervals come from trials drawn with replacement.
 
-Run: python -m experiments.words.latency
-Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.words.latency (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -216,13 +215,11 @@ def of_rule(trials: list[Trial], axis: int, dt: float) -> dict[str, Any]:
         for trial in trials
         for force in [trial.wrench[:, axis]]
     ]
-    late = [seconds for trial in each for seconds in trial]
     seen = [sum(seconds <= SEEN * dt for seconds in trial) for trial in each]
     old = {layer: np.concatenate([ages(getattr(trial.published, layer), dt) for trial in trials]) for layer in LAYERS}
     return {
-        "contacts": len(late),
+        "contacts": sum(map(len, each)),
         "contacts_seen_within_50_ms": of_sums(np.array(seen, float), np.array(list(map(len, each)), float)),
-        "seconds_to_see_median": float(np.median(late)),
         "newest_published_age": {layer: np.percentile(values, (50, 95)).tolist() for layer, values in old.items()},
         "revised": {layer: shares["revised"] for layer, shares in labels_shown(trials)["shown"].items()},
     }

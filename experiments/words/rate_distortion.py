@@ -7,8 +7,7 @@ window of the published rules and of SAX, a penalty of the optimum. Stability: t
 and copies at other rates, for both rules and for the bottom-up lines, which see the whole recording.
 
 Run: python -m experiments.words.rate_distortion --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_DATA and RCBHT_EXTERNAL; the rows of
-SAX and ABBA need tslearn and fABBA (make peers).
+Reads RCBHT_DATA and RCBHT_EXTERNAL; the rows of SAX and ABBA need tslearn and fABBA (make peers).
 """
 
 from __future__ import annotations
@@ -22,9 +21,10 @@ import numpy as np
 import tyro
 
 from experiments._lib import piecewise, symbolic
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.arrays import Floats
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.intervals import drawn
-from experiments._lib.piecewise import Approximation, Floats
+from experiments._lib.piecewise import Approximation
 from experiments.words import stability
 from experiments.words.fit_quality import residuals
 from experiments.words.sets import COUNTS, Part, part
@@ -119,16 +119,16 @@ def bottom_up(data: Part, small: bool) -> Curve:
     return curve
 
 
+def of_each(data: Part, at: str, make: Callable[..., Approximation], of_axes: Iterable[Sequence[float]]) -> Point:
+    """The point of a method that takes every axis by itself, with some numbers of that axis."""
+    numbers = list(of_axes)
+    found = [[make(y, *own) for y, own in zip(row, numbers, strict=True)] for row in data.signals]
+    return of_approximations(data, at, found)
+
+
 def by_tolerance(data: Part, make: Callable[[Floats, float], Approximation], knobs: Sequence[float], at: str) -> Curve:
     """A method whose knob is a multiple of the default tolerance."""
-    return [
-        of_approximations(
-            data,
-            f"{at} x{knob:g}",
-            [[make(y, t * knob) for y, t in zip(row, data.tolerance.tolist(), strict=True)] for row in data.signals],
-        )
-        for knob in knobs
-    ]
+    return [of_each(data, f"{at} x{knob:g}", make, ([t * knob] for t in data.tolerance.tolist())) for knob in knobs]
 
 
 def by_width(
@@ -137,15 +137,8 @@ def by_width(
     """A method whose knob is the samples of a window; it knows mean and deviation of every axis."""
     every = [np.concatenate(parts) for parts in zip(*data.signals, strict=True)]
     scale = [(float(y.mean()), float(y.std()) or 1.0) for y in every]
-    return [
-        of_approximations(
-            data,
-            f"window {width}",
-            [[make(y, width, *known) for y, known in zip(row, scale, strict=True)] for row in data.signals],
-        )
-        for width in widths
-        if 2 * width <= data.recordings.length.max()
-    ]
+    fitting = [width for width in widths if 2 * width <= data.recordings.length.max()]
+    return [of_each(data, f"window {width}", make, ((width, *known) for known in scale)) for width in fitting]
 
 
 def optimum(data: Part) -> Curve:
@@ -186,10 +179,6 @@ def needed(curve: Iterable[tuple[float, float]], target: float) -> float | None:
     """Words per second at which a curve reaches a residual: a line on logarithmic scales between its points.
 
     None where no point of it does, or where all do. A point counts only if no point with fewer words is better.
-
-    Args:
-        curve: words per second and residual of each point.
-        target: the residual.
     """
     best: list[tuple[float, float]] = []
     for rate, left in sorted(curve):
@@ -247,11 +236,10 @@ def about() -> dict[str, Any]:
 
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     """Measure every method on every set, and how stable words are."""
-    command = f"python -m experiments.words.rate_distortion --seed {seed}"
     wanted: dict[str, Callable[[], Any]] = {
         f"rate | {name} | {method}": partial(rate_row, name, method) for method in METHODS for name in COUNTS
     }
-    Rows("rate_distortion", command, about(), seed).fill(wanted | stability.rows(seed), only)
+    Rows("rate_distortion", command_of(main, locals()), about(), seed).fill(wanted | stability.rows(seed), only)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from experiments._lib.benchmarks import rounded
 from experiments._lib.word_stability import Words, agreement, best_lines, noisy, resampled, words_of
 from experiments.words.sets import OURS, Part, part
 from rcbht_jax.labels import LAYERS
-from rcbht_jax.types import LabelTracks, Recordings
+from rcbht_jax.types import Recordings
 
 NOISE = (0.125, 0.25, 0.5, 1.0, 2.0)  # deviation, as a share of the tolerance
 RATES = (40, 100, 200, 500, 1000)  # Hz
@@ -37,54 +37,41 @@ def of_noise(name: str, rule: str, seed: int) -> dict[str, Any]:
     data, found = part(name), {}
     window = round(WINDOW / data.recordings.dt)
     for level in NOISE:
-        rng = np.random.default_rng([seed, round(1000 * level)])
-        copies = [noisy(data.recordings, data.tolerance * level, rng) for _ in range(2)]
-        if rule == BEST:
-            first, second = (_best(data, copy, window) for copy in copies)
-            found[f"{level:g}"] = {
-                "primitive": rounded(agreement(zip(first, second, strict=True), WINDOW, len(data.tolerance)))
-            }
-        else:
-            first, second = (_labels(data, rule, copy, window) for copy in copies)
-            found[f"{level:g}"] = _agreement(first, second, data, WINDOW)
+        first, second = (_words(data, rule, copy, window) for copy in noisy_copies(data, level, seed))
+        found[f"{level:g}"] = _agreement(first, second, data, WINDOW)
     return found
+
+
+def noisy_copies(data: Part, level: float, seed: int) -> list[Recordings]:
+    """Two copies with independent noise, its deviation a share of the tolerance."""
+    rng = np.random.default_rng([seed, round(1000 * level)])
+    return [noisy(data.recordings, data.tolerance * level, rng) for _ in range(2)]
 
 
 def of_rates(name: str, rule: str) -> dict[str, Any]:
     """Agreement with the recordings at their own rate; breaks may move by the longer one of both windows."""
     data, found = part(name), {}
-    own = _labels(data, rule, data.recordings, round(WINDOW / data.recordings.dt))
+    own = _words(data, rule, data.recordings, round(WINDOW / data.recordings.dt))
     for rate in RATES:
         copy, window = resampled(data.recordings, rate), max(2, round(WINDOW * rate))
-        labels = _labels(data, rule, copy, window)
-        found[f"{rate}"] = _agreement(own, labels, data, max(WINDOW, window / rate), copy.dt)
+        found[f"{rate}"] = _agreement(own, _words(data, rule, copy, window), data, max(WINDOW, window / rate))
     return found
 
 
-def _labels(data: Part, rule: str, copy: Recordings, window: int) -> LabelTracks:
-    if rule == PAPER:
-        return data.words("paper", window, of=copy)
-    return data.words("fit", window, None if rule == OWN else data.tolerance, copy)
+def _words(data: Part, rule: str, copy: Recordings, window: int) -> dict[str, list[Words]]:
+    """Words of each layer; the bottom-up lines are primitives alone."""
+    if rule == BEST:
+        return {"primitive": _best(data, copy, window)}
+    tolerance = None if rule == OWN else data.tolerance
+    tracks = data.words("paper" if rule == PAPER else "fit", window, tolerance, copy)
+    return {layer: words_of(getattr(tracks, layer), copy.dt) for layer in LAYERS}
 
 
 def _agreement(
-    first: LabelTracks, second: LabelTracks, data: Part, within: float, dt: float | None = None
+    first: dict[str, list[Words]], second: dict[str, list[Words]], data: Part, within: float
 ) -> dict[str, Any]:
-    """Of every layer."""
-    return {
-        layer: rounded(
-            agreement(
-                zip(
-                    words_of(getattr(first, layer), data.recordings.dt),
-                    words_of(getattr(second, layer), dt or data.recordings.dt),
-                    strict=True,
-                ),
-                within,
-                len(data.tolerance),
-            )
-        )
-        for layer in LAYERS
-    }
+    pairs = {layer: zip(words, second[layer], strict=True) for layer, words in first.items()}
+    return {layer: rounded(agreement(both, within, len(data.tolerance))) for layer, both in pairs.items()}
 
 
 def _best(data: Part, copy: Recordings, window: int) -> list[Words]:

@@ -10,8 +10,7 @@ differences, at rest or not.
 Curves have windows of two samples, words under noise those of 25 ms; sets, copies and measures are those of
 experiments.words.rate_distortion. Window, memory and factor were fixed before; nothing was tuned.
 
-Run: python -m experiments.words.tried --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+Run: python -m experiments.words.tried --seed 0 (reads RCBHT_DATA)
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ import numpy as np
 import tyro
 
 from experiments._lib.benchmarks import rounded
-from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows, command_of
 from experiments._lib.fit_variants import SumsOfAxes, Variant, breaks, words_of
-from experiments._lib.word_stability import Words, agreement, noisy
+from experiments._lib.word_stability import Words, agreement
 from experiments.words.rate_distortion import TARGETS, needed, significant
 from experiments.words.sets import OURS, Part, part
-from experiments.words.stability import NOISE, WINDOW
+from experiments.words.stability import NOISE, WINDOW, noisy_copies
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.types import Recordings
 
@@ -89,9 +88,7 @@ def of_noise(name: str, kind: str, seed: int) -> dict[str, Any]:
     """Agreement of the primitives of two copies at every level of noise."""
     data, found = part(name), {}
     for level in NOISE:
-        rng = np.random.default_rng([seed, round(1000 * level)])
-        copies = [noisy(data.recordings, data.tolerance * level, rng) for _ in range(2)]
-        first, second = (_words(data, copy, STABLE[kind]) for copy in copies)
+        first, second = (_words(data, copy, STABLE[kind]) for copy in noisy_copies(data, level, seed))
         agreed = rounded(agreement(zip(first, second, strict=True), WINDOW, len(data.tolerance)))
         rate = np.mean([len(one.label) for one in first]) * len(data.recordings) / data.seconds
         found[f"{level:g}"] = agreed | {"words per second": significant(float(rate))}
@@ -120,7 +117,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
     }
     wanted |= {f"clean | {name} | {kind}": partial(of_clean, name, kind) for name in OURS for kind in STABLE}
     wanted |= {f"noise | {name} | {kind}": partial(of_noise, name, kind, seed) for name in OURS for kind in STABLE}
-    Rows("fit_tried", f"python -m experiments.words.tried --seed {seed}", about, seed).fill(wanted, only)
+    Rows("fit_tried", command_of(main, locals()), about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from sklearn.metrics import r2_score
 
-from experiments._lib import frozen, intervals
+from experiments._lib import frozen, intervals, streams
 from experiments._lib.results_io import COMMITTED, committed
 from experiments.classification import frozen_choice, headline
 from experiments.classification.frozen_choice import CLOSE, OPTIONS, option_name
-from experiments.online import causal, detected_starts, frozen_stream_choice
+from experiments.online import causal, detected_starts, frozen_stream_choice, table2
 from experiments.tables.headline import SHORT
 from rcbht_jax import StateClassifier
 from rcbht_jax.errors import InputError
@@ -233,6 +233,22 @@ def test_a_stream_trains_on_one_side_and_is_scored_on_the_other(stream: Spoilt) 
     beliefs = causal.unaided(stream, False, stream.inside, SEED)
     assert set(beliefs) == {"phase", "filter", "state"}
     assert beliefs["phase"]["macro step accuracy"] > 0.6
+
+
+def test_halves_never_divide_a_trial(stream: Spoilt) -> None:
+    trial = stream.items.trial
+    assert all(len(set(stream.inside[trial == one].tolist())) == 1 for one in trial)
+    assert stream.inside.sum() == len(trial) / 2
+    assert not np.array_equal(stream.inside, streams.halves(stream.items, SEED + 1))
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_table2_trains_on_one_half_and_scores_the_other(stream: Spoilt, relative: bool) -> None:
+    result = table2.repeat(stream, relative, SEED)
+    probability, y_true = result[table2.WHOLE]
+    assert np.isfinite(probability).all()
+    np.testing.assert_array_equal(y_true, stream.items.y[~stream.inside])
+    assert result["full-sequence accuracy"] > 0.8
 
 
 def test_detected_beginnings_are_scored_on_the_half_that_is_streamed(stream: Spoilt) -> None:

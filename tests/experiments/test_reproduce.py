@@ -17,6 +17,7 @@ from experiments import reproduce
 from experiments._lib import agreement, checkpointed_rows, results_io
 from experiments._lib.catalogue import EXPERIMENTS, Experiment
 from experiments._lib.report_rows import NAME
+from experiments.classification import table1_ours
 from experiments.reproduce import Form, Spent
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,8 +40,9 @@ NOT_NAMED = {"only", "parts", "tasks", "methods", "checkpoint", "gradient"}  # t
 
 @pytest.mark.parametrize("module", sorted({experiment.module for experiment in EXPERIMENTS}))
 def test_a_result_names_every_option_that_made_it(module: str) -> None:
+    by_program = re.search(r"\b(given|command_of)\(", MODULES[module])
     for function in ast.walk(ast.parse(MODULES[module])):
-        if isinstance(function, ast.FunctionDef) and function.name == "main" and "given(" not in MODULES[module]:
+        if isinstance(function, ast.FunctionDef) and function.name == "main" and not by_program:
             known = function.args.args[len(function.args.args) - len(function.args.defaults) :]
             options = {one.arg.replace("_", "-") for one in known}
             assert options - NOT_NAMED <= set(re.findall(r"--([a-z-]+) {", MODULES[module]))
@@ -53,6 +55,12 @@ def test_options_of_a_command_are_those_that_are_not_the_defaults() -> None:
     assert results_io.given({**defaults, "folder": Path("a")}, defaults) == ""
     values = {"trials": 3, "store": Path("/here/x.zarr"), "stands": True}
     assert results_io.given(values, defaults) == " --trials 3 --store FOLDER --stands"
+
+
+def test_the_command_of_rows_has_every_option_but_their_choice() -> None:
+    values = {"folder": Path("a"), "repeats": 3, "seed": 0, "only": ("A to B",)}
+    command = checkpointed_rows.command_of(table1_ours.main, values, "FOLDER")
+    assert command == "python -m experiments.classification.table1_ours FOLDER --repeats 3 --seed 0"
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
