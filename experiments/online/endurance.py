@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import random
 import resource
@@ -26,6 +27,7 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 from scipy.stats import linregress
 
 from experiments._lib.faulty_stream import HERTZ, readings
@@ -49,6 +51,7 @@ WINDOW = 50  # samples, 100 ms
 RATE = 10.0  # beliefs per second of stream
 HOUR, MINUTE = 3600, 60
 QUARTERS = 4
+QUANTILES = {"median": 0.5, "p99": 0.99}
 WARM = 60  # minutes of stream after which memory must not grow
 
 
@@ -78,19 +81,26 @@ class Day:
         self.session.introspector.warm_up()
         self.memory = [megabytes()]  # after each minute
         self.processor: list[float] = []  # s of each minute
+        # s of single readings, of a second each minute; all there from the start, so that it is no growth
+        self.latency = np.full((math.ceil(seconds / MINUTE), 2 * HERTZ), np.nan)
         self.readings = self.beliefs = self.wrong = self.done = 0
 
     def minute(self) -> bool:
         """Feed one minute; returns whether there was one."""
         start = time.process_time()
-        for _ in range(MINUTE):
+        for second in range(MINUTE):
             block = next(self._stream, None)
             if block is None:
                 return False
             self.readings += len(block)
             self.done += 1
-            for reading in block:
-                for event in self.session.feed(reading):
+            times = self.latency[self.done // MINUTE] if second == 0 else None
+            for k, reading in enumerate(block):
+                began = time.perf_counter()
+                events = self.session.feed(reading)
+                if times is not None:
+                    times[k] = time.perf_counter() - began
+                for event in events:
                     if isinstance(event, Belief):
                         self.beliefs += 1
                         self.wrong += not abs(sum(event.probabilities) - 1) < 1e-3  # NaN is wrong, too
@@ -115,6 +125,7 @@ class Day:
             "notices": {name: counts[name] for name in ("gap", "late", "jitter", "malformed")},
             "memory, MB": memory_summary(self.memory),
             "processor seconds per simulated minute, median by quarter": _quarters(self.processor),
+            "one reading, ms": [_latency(part) for part in np.array_split(self.latency, QUARTERS)],
         }
 
 
@@ -133,6 +144,12 @@ def memory_summary(memory: list[float]) -> dict[str, Any]:
 
 def _quarters(values: list[float]) -> list[float]:
     return [round(float(np.median(part)), 3) for part in np.array_split(values, QUARTERS) if len(part)]
+
+
+def _latency(times: NDArray[np.float64]) -> dict[str, float]:
+    """Quantiles, empty where nothing has been timed."""
+    known = times[np.isfinite(times)]
+    return {name: round(float(np.quantile(known, q)) * 1e3, 3) for name, q in QUANTILES.items() if len(known)}
 
 
 def hostile_line(rng: random.Random) -> bytes:
