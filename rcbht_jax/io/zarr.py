@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import uninterrupted
 from rcbht_jax._util.optional import MissingPackage, needs_extra, require
-from rcbht_jax._util.untrusted import MAX_BYTES, MAX_JSON_BYTES, load_json
+from rcbht_jax._util.untrusted import MAX_BYTES, MAX_JSON_BYTES, SMALL, check_declared, load_json
 from rcbht_jax._util.url_path import url_of
 from rcbht_jax.errors import InputError
 
@@ -299,12 +299,28 @@ def _local_array(group: Group, name: str) -> Array[Any] | None:
 @uninterrupted()
 def read_array(group: Group, name: str, dtype: str | None) -> NDArray[Any]:
     """Read a whole array, strings as fixed-width NumPy strings; ``dtype`` None accepts any."""
-    values = np.asarray(member(group, name)[...])
+    array = member(group, name)
+    if array.nbytes > SMALL:
+        check_declared(path_of(array), array.nbytes, array.nbytes_stored())
+    values = np.asarray(array[...])
     if dtype == "string":
-        return np.array(values.tolist(), np.str_)
+        return fixed_width(values, path_of(array))
     if dtype is not None and values.dtype != dtype:
         raise InputError(f"{path_of(group)}: {name} is {values.dtype}; expected {dtype}.")
     return values
+
+
+def fixed_width(texts: NDArray[Any], path: Path) -> NDArray[np.str_]:
+    """Texts of any length as NumPy strings, all of which take the memory of the longest.
+
+    Raises:
+        InputError: that is too much.
+    """
+    values = texts.reshape(-1).tolist()
+    longest = max(map(len, values), default=0)
+    if 4 * longest * len(values) > MAX_BYTES:
+        raise damaged(f"{path} has {len(values)} texts, the longest of {longest} characters; that is no table.")
+    return np.array(values, np.str_).reshape(texts.shape)
 
 
 def subgroup(group: Group, name: str) -> Group:
