@@ -149,12 +149,16 @@ def _fsspec(path: Path) -> Any:
 def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a group, which one process has at a time; the kernel releases it however the process ends.
 
-    It is on the description of the group, opened for writing: NFS and Lustre know no locks of folders.
+    It is on the description of the group, opened for writing: NFS and Lustre know no locks of folders. One that may
+    only be read, which writers replace, is locked so, which local file systems allow.
     """
     file = folder / META
     with ExitStack() as handles:
         while True:
-            handle = handles.enter_context(file.open("rb+"))
+            try:
+                handle = handles.enter_context(file.open("rb+"))
+            except PermissionError:
+                handle = handles.enter_context(file.open("rb"))
             fcntl.flock(handle, fcntl.LOCK_EX)
             if os.path.samestat(os.fstat(handle.fileno()), file.stat()):  # else replaced by who held the lock
                 break
