@@ -321,7 +321,8 @@ def each(check: Callable[[int], T], numbers: Iterable[int]) -> list[T]:
 def _rows(array: zarr_io.Array[Any], rows: slice | NDArray[np.int64], stops: tuple[int, ...]) -> NDArray[Any]:
     chosen = np.arange(*rows.indices(array.shape[0])) if isinstance(rows, slice) else rows
     declared = len(chosen) * math.prod(stops) * array.dtype.itemsize
-    if declared > MAX_BYTES and declared > MAX_RATIO * array.nbytes_stored():  # a part of any size may be sound
+    many = len(chosen) > MAX_FILES * (array.shards or array.chunks)[0]  # a file holds the rows of a part
+    if many or (declared > MAX_BYTES and declared > MAX_RATIO * array.nbytes_stored()):  # a large part may be sound
         raise zarr_io.damaged(f"{zarr_io.path_of(array)} declares {declared} bytes, far more than its files hold.")
     chunks = chunk_reader.chunks_of(array)
     if chunks is not None and (not len(chosen) or 0 <= chosen.min() <= chosen.max() < array.shape[0]):

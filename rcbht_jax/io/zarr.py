@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,9 +156,10 @@ def locked(folder: Path) -> Iterator[None]:
     with ExitStack() as handles:
         while True:
             try:
-                handle = handles.enter_context(file.open("rb+"))
+                handle: IO[bytes] = file.open("rb+")
             except PermissionError:
-                handle = handles.enter_context(file.open("rb"))
+                handle = file.open("rb")
+            handles.enter_context(handle)
             fcntl.flock(handle, fcntl.LOCK_EX)
             if os.path.samestat(os.fstat(handle.fileno()), file.stat()):  # else replaced by who held the lock
                 break

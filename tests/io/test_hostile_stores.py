@@ -190,13 +190,22 @@ def test_a_chunk_declares_the_texts_that_it_holds(path: Path, content: bytes, wa
         reading_of(path, way)
 
 
+def redeclare_rows(path: Path, rows: int, part: int) -> None:
+    redeclare(path, part_sha256=[rows // part, 32], length=[rows])
+    content = json.loads((path / "zarr.json").read_text())
+    content["attributes"] |= {"rows": rows, "part_rows": part}
+    (path / "zarr.json").write_text(json.dumps(content))
+
+
+def test_rows_are_in_no_more_files_than_a_folder_may_have(path: Path) -> None:
+    redeclare_rows(path, 10**6, 100)  # but in chunks of 4
+    with pytest.raises(InputError, match=r"length declares 4000000 bytes, far more than its files hold"):
+        store.read_lengths(path)
+
+
 @pytest.mark.parametrize("way", WAYS)
 def test_no_reader_believes_a_thousand_million_rows(path: Path, way: str) -> None:
-    rows = 10**9
-    redeclare(path, part_sha256=[rows // 4, 32])
-    content = json.loads((path / "zarr.json").read_text())
-    content["attributes"]["rows"] = rows
-    (path / "zarr.json").write_text(json.dumps(content))
+    redeclare_rows(path, 10**9, 4)
     with pytest.raises(InputError, match=r"1000000000 rows in 250000000 parts; expected at most 10000000"):
         reading_of(path, way)
 
