@@ -45,6 +45,7 @@ DECODER_PATIENCE = 300.0  # s by the clock, or 10 times as long as the processor
 DECODER_MEMORY = 2**30  # bytes beyond those of its arrays, of which it may hold three copies
 # Counts.
 MAX_FILES = 200_000  # in a folder
+MAX_ROWS = 10_000_000  # of a table in parts
 MAX_MEMBERS = 10_000  # arrays of a file
 MAX_COLUMNS = 4096  # of a table
 MAX_CHANNELS = 10_000  # records of channels and their schemas in a bag

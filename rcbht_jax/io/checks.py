@@ -76,7 +76,8 @@ def check_padding(padded: int, longest: int) -> None:
         )
 
 
-def _check_text(what: str, texts: Iterable[str]) -> None:
+def check_text(what: str, texts: Iterable[str]) -> None:
+    """Raise an error for a text of a recording that cannot be written as UTF-8; ``what`` names the column."""
     for row, text in enumerate(texts):
         try:
             text.encode()
@@ -92,7 +93,7 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
         if array.shape != shape or not matches:
             raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}.")
         if dtype == "string":
-            _check_text(name, array.tolist())
+            check_text(name, array.tolist())
     for name, values in recordings.columns.items():
         kind = np.asarray(values).dtype
         if np.shape(values) != (count,) or kind.kind not in "Ubiuf" or (kind.kind == "f" and kind.itemsize > 8):
@@ -108,4 +109,4 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
                 f"{' or '.join(RESERVED)}."
             )
         if np.asarray(values).dtype.kind == "U":
-            _check_text(f"column {name}", values.tolist())
+            check_text(f"column {name}", values.tolist())

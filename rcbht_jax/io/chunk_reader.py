@@ -5,7 +5,7 @@ that another program laid out are read by Zarr.
 
 Either way, chunks unpack to no more than they can hold: an untrusted store may pack gigabytes into kilobytes. Stores of
 all versions pack their chunks in one way: bytes or texts, Zstandard, CRC-32C, some within shards. Zarr allocates as
-many bytes as a packed chunk declares; here the declared size is checked first.
+many bytes as a packed chunk declares, and as many texts; here both are checked first.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ with needs_extra("store"):
 
 _CHECKSUM = 4  # bytes of a CRC-32C
 _MAGIC, _HEADER = b"\x28\xb5\x2f\xfd", 18  # how a frame of Zstandard begins, and bytes until its content
+_COUNT = 4  # bytes of the number of texts, and of the length of each, in a chunk of texts
 _PLACE = 16  # bytes of a chunk's offset and size in the index of a shard
 
 
@@ -96,8 +97,10 @@ def read(chunks: Chunks, rows: NDArray[np.int64], stops: tuple[int, ...]) -> NDA
 
 def _grouped(rows: NDArray[np.int64], size: int) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.int64]]]:
     """Blocks of so many rows that hold any of the rows: number, places of these rows, and rows within the block."""
-    for number in np.unique(rows // size).tolist():
-        mine = np.flatnonzero(rows // size == number)
+    numbers = rows // size
+    order = np.argsort(numbers, kind="stable")
+    found, first = np.unique(numbers[order], return_index=True)
+    for number, mine in zip(found.tolist(), np.split(order, first[1:]), strict=False):  # of no row: one split, no block
         yield number, mine, rows[mine] - number * size
 
 
@@ -191,13 +194,23 @@ def _bounded(codecs: tuple[Codec, ...], array: zarr.Array[Any]) -> tuple[Codec, 
 
 
 class _Zstd(ZstdCodec):
-    """Zstandard that refuses a chunk that is too large before it allocates memory for it."""
+    """Zstandard that refuses a chunk that declares too much, before memory is allocated for its bytes or its texts."""
 
     def _decode_sync(self, chunk_bytes: Buffer, chunk_spec: ArraySpec) -> Buffer:
-        dtype = chunk_spec.dtype.to_native_dtype()
-        most = None if dtype.kind in "TUO" else math.prod(chunk_spec.shape) * dtype.itemsize
-        _unpacked_size(chunk_bytes[:_HEADER].to_bytes(), len(chunk_bytes), most)
-        return super()._decode_sync(chunk_bytes, chunk_spec)
+        dtype, count = chunk_spec.dtype.to_native_dtype(), math.prod(chunk_spec.shape)
+        texts = dtype.kind in "TO"  # of varying length
+        _unpacked_size(chunk_bytes[:_HEADER].to_bytes(), len(chunk_bytes), None if texts else count * dtype.itemsize)
+        unpacked = super()._decode_sync(chunk_bytes, chunk_spec)
+        if texts:
+            _check_texts(unpacked[:_COUNT].to_bytes(), len(unpacked), count)
+        return unpacked
+
+
+def _check_texts(head: bytes, size: int, wanted: int) -> None:
+    """Raise an error for a chunk of another number of texts than its shape has, or than its bytes can hold."""
+    count = int.from_bytes(head, "little")
+    if count != wanted or _COUNT * (1 + count) > size:  # the length of each stands before it
+        raise ValueError(f"a chunk of {size} bytes declares {count} texts; expected the {wanted} of its shape")
 
 
 def _unpacked_size(head: bytes, packed: int, most: int | None) -> int:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Int
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ def create(
     """Create label tracks, all of whose parts are missing.
 
     Args:
-        folder: to create.
+        folder: to create; in a store that is being written, :func:`require_group` comes first.
         layout: of the table.
         sample: some of the label tracks, ``[recording, axis, slot]``.
         attrs: how the labels are made: JSON values.
@@ -48,20 +49,6 @@ def create(
     group = zarr_io.create_group(folder, {**attrs, "rcbht_jax_version": rcbht_jax.__version__, "created": date})
     axes, real = np.shape(sample.llb.label)[1], str(np.asarray(sample.llb.avg).dtype)
     parts.create(group, layout, _fields(axes, real))
-
-
-def create_in(
-    path: Path,
-    name: str,
-    layout: Layout,
-    sample: LabelTracks,
-    attrs: Mapping[str, Any],
-    *,
-    created: str | None = None,
-) -> None:
-    """Create label tracks in a store that is being written; arguments as of :func:`create`."""
-    require_group(path)
-    create(path / LABELS / name, layout, sample, attrs, created=created)
 
 
 def require_group(path: Path) -> None:
@@ -181,16 +168,12 @@ def joined(batches: list[LabelTracks]) -> LabelTracks:
     """Label tracks, concatenated along recordings, as wide as the widest."""
     if len(batches) == 1:
         return batches[0]
-    layers = []
-    for layer in LAYERS:
-        some = [getattr(batch, layer) for batch in batches]
-        width = max(np.shape(track.label)[2] for track in some)
-        arrays = {
-            name: np.concatenate([_padded(np.asarray(getattr(track, name)), width) for track in some])
-            for name in FIELDS
-        }
-        layers.append(LabelTrack(**arrays))
-    return LabelTracks(*layers)
+
+    def one(*parts: NDArray[Any]) -> NDArray[Any]:
+        width = max(np.shape(part)[2] for part in parts)
+        return np.concatenate([np.pad(part, ((0, 0), (0, 0), (0, width - np.shape(part)[2]))) for part in parts])
+
+    return jax.tree.map(one, *(replace(batch, info=None) for batch in batches))
 
 
 def taken(tracks: LabelTracks, rows: slice | NDArray[np.int64]) -> LabelTracks:
@@ -263,13 +246,5 @@ def _count(tracks: LabelTracks) -> int:
     return int(np.shape(tracks.llb.label)[0])
 
 
-def _padded(values: NDArray[Any], width: int) -> NDArray[Any]:
-    return np.pad(values, ((0, 0), (0, 0), (0, width - values.shape[2])))
-
-
-def _mapped(tracks: LabelTracks, change: Any) -> LabelTracks:
-    layers = [
-        replace(track, **{name: change(np.asarray(getattr(track, name))) for name in FIELDS})
-        for track in (getattr(tracks, layer) for layer in LAYERS)
-    ]
-    return LabelTracks(*layers)
+def _mapped(tracks: LabelTracks, change: Callable[[NDArray[Any]], NDArray[Any]]) -> LabelTracks:
+    return jax.tree.map(lambda values: change(np.asarray(values)), replace(tracks, info=None))

@@ -162,9 +162,6 @@ def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any
     >>> tracks, attrs = read_tracks(Path("trials.zarr"), "online-W5")
     >>> tracks.primitive.label.shape[:2]  # [recording, axis]
     (4, 6)
-
-    Raises:
-        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     path = as_path(path)
     attrs, table = read_tracks_attrs(path, name), read_table(path)
@@ -183,9 +180,6 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
     >>> batches = read_batches(Path("trials.zarr"), "online-W5", [3, 1])  # of a store of 4 recordings
     >>> [len(batch.mc.label) for batch in batches]
     [3, 1]
-
-    Raises:
-        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     folder, rows = _folder(path, name), recording_rows(path)
     attrs = own_attrs(path, name)
@@ -198,11 +192,7 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
 
 
 def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
-    """Label tracks of some recordings, by ascending number; only the parts that hold them are read.
-
-    Raises:
-        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
-    """
+    """Label tracks of some recordings, by ascending number; only the parts that hold them are read."""
     if "part_rows" in own_attrs(path, name):
         return label_parts.joined(list(label_parts.read(_folder(path, name), recording_rows(path)[numbers])))
     return label_parts.taken(_whole(path, name), numbers)
@@ -232,11 +222,7 @@ def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
 
 
 def verify_tracks(path: Path, name: str) -> None:
-    """Read a set of label tracks, part by part, and compare it with its checksums and the collected metadata.
-
-    Raises:
-        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
-    """
+    """Read a set of label tracks, part by part, and compare it with its checksums and the collected metadata."""
     for _ in read_batches(path, name, part_sizes(count_recordings(path))):
         pass
     if "part_rows" in read_tracks_attrs(path, name):
@@ -247,9 +233,6 @@ def uncollected_tracks(path: Path) -> list[str]:
     """Names of the label tracks that xarray misses, since the process that wrote them was killed.
 
     :func:`collect` mends that.
-
-    Raises:
-        InputError: ``path`` is not a store, or is damaged.
     """
     return [name for name in list_tracks(path) if zarr_io.uncollected(path, f"{LABELS}/{name}")]
 
@@ -287,11 +270,7 @@ def copy_tracks(source: Path, target: Path, name: str) -> None:
 
 
 def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
-    """How a set of label tracks was made.
-
-    Raises:
-        InputError: ``path`` is not a store, or has no such tracks.
-    """
+    """How a set of label tracks was made."""
     open_store(path)
     folder = _folder(path, name)
     if name not in zarr_io.subfolders(folder.parent):
@@ -353,11 +332,7 @@ def choose_name(path: Path, name: str = "") -> str:
 
 
 def list_tracks(path: Path | str) -> list[str]:
-    """Names of the label tracks in a store, sorted, including damaged ones.
-
-    Raises:
-        InputError: ``path`` is not a store.
-    """
+    """Names of the label tracks in a store, sorted, including damaged ones."""
     path = as_path(path)
     open_store(path)
     return sorted(name for name in zarr_io.subfolders(path / LABELS) if NAME.fullmatch(name))

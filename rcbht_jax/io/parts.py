@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_write, delete, flush_all, uninterrupted
 from rcbht_jax._util.digest import content_hash
-from rcbht_jax._util.untrusted import read_object
+from rcbht_jax._util.untrusted import MAX_BYTES, MAX_FILES, MAX_RATIO, MAX_ROWS, read_object
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import chunk_files, chunk_reader
 from rcbht_jax.io import zarr as zarr_io
@@ -104,12 +104,27 @@ def layout_of(group: zarr_io.Group) -> Layout:
         raise zarr_io.damaged(
             f"{zarr_io.path_of(group)} declares {layout.rows} rows in parts of {layout.part}, but has others."
         )
+    _check_size(group, layout)
     return layout
+
+
+def _check_size(group: zarr_io.Group, layout: Layout) -> None:
+    """Raise an error for a table that no reader takes: each of its rows costs memory, and each of its parts files."""
+    if layout.rows > MAX_ROWS or len(layout) > MAX_FILES:
+        raise InputError(
+            f"{zarr_io.path_of(group)} has {layout.rows} rows in {len(layout)} parts; expected at most {MAX_ROWS} in "
+            f"{MAX_FILES}. Split it."
+        )
 
 
 @uninterrupted()
 def create(group: zarr_io.Group, layout: Layout, fields: Mapping[str, Field]) -> None:
-    """Create the arrays of a table, without rows; a name such as ``columns/mass`` is an array of a group inside."""
+    """Create the arrays of a table, without rows; a name such as ``columns/mass`` is an array of a group inside.
+
+    Raises:
+        InputError: it has too many rows or parts.
+    """
+    _check_size(group, layout)
     for folder in sorted({name.rpartition("/")[0] for name in fields} - {""}):
         group.require_group(folder)
     for name, made in fields.items():
@@ -254,6 +269,7 @@ def digest_file(number: int) -> str:
 
 def digests(group: zarr_io.Group) -> list[str | None]:
     """Digest of each part, None = it is missing."""
+    layout_of(group)  # has as many parts as it declares
     stored = np.asarray(zarr_io.member(group, DIGESTS)[...])
     return [row.tobytes().hex() if row.any() else None for row in stored]
 
@@ -285,11 +301,11 @@ def read(
     if (axis := made.grows) is not None and width is not None:
         stops[axis - 1] = min(width, stops[axis - 1])
     values = _rows(array, rows, tuple(stops))
-    wanted = len(range(*rows.indices(rows.stop))) if isinstance(rows, slice) and rows != slice(None) else len(values)
+    wanted = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
     if len(values) != wanted:
         where = zarr_io.path_of(group)
         raise zarr_io.damaged(f"{where}: {name} has {len(values)} of {wanted} rows.")
-    return np.array(values.tolist(), np.str_).reshape(values.shape) if made.dtype == "string" else values
+    return zarr_io.fixed_width(values, zarr_io.path_of(array)) if made.dtype == "string" else values
 
 
 def each(check: Callable[[int], T], numbers: Iterable[int]) -> list[T]:
@@ -304,6 +320,10 @@ def each(check: Callable[[int], T], numbers: Iterable[int]) -> list[T]:
 
 def _rows(array: zarr_io.Array[Any], rows: slice | NDArray[np.int64], stops: tuple[int, ...]) -> NDArray[Any]:
     chosen = np.arange(*rows.indices(array.shape[0])) if isinstance(rows, slice) else rows
+    declared = len(chosen) * math.prod(stops) * array.dtype.itemsize
+    many = len(chosen) > MAX_FILES * (array.shards or array.chunks)[0]  # a file holds the rows of a part
+    if many or (declared > MAX_BYTES and declared > MAX_RATIO * array.nbytes_stored()):  # a large part may be sound
+        raise zarr_io.damaged(f"{zarr_io.path_of(array)} declares {declared} bytes, far more than its files hold.")
     chunks = chunk_reader.chunks_of(array)
     if chunks is not None and (not len(chosen) or 0 <= chosen.min() <= chosen.max() < array.shape[0]):
         return chunk_reader.read(chunks, chosen, stops)

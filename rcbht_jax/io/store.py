@@ -159,9 +159,6 @@ def read_batches(path: Path | str, most: int | None = None) -> Iterator[Recordin
     Args:
         path: the store; of version 1 it is read whole.
         most: bytes of wrenches in a batch; default 64 MiB.
-
-    Raises:
-        InputError: as for :func:`read_recordings`.
     """
     stored, most = _open(path := as_path(path)), BATCH_BYTES if most is None else most
     for batch in [stored] if isinstance(stored, Recordings) else store_reader.read_parts(stored, most):
@@ -176,9 +173,6 @@ def read_table(path: Path | str) -> Recordings:
 
     Returns:
         recordings whose ``wrench`` has no samples ``[recording, 0, axis]``.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
     stored = _open(as_path(path))
     return stored if isinstance(stored, Recordings) else store_reader.read_table(stored)
@@ -188,20 +182,13 @@ def read_summary(path: Path) -> Summary:
     """The summary of a store (:func:`rcbht_jax.io.summary.summary_of`), as far as it is written; no row is read.
 
     A store of version 1 is read whole.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
     stored = _open(path)
     return summary_of(stored) if isinstance(stored, Recordings) else store_reader.read_summary(stored)
 
 
 def longest_of(path: Path) -> int:
-    """Samples to which :func:`read_recordings` pads all recordings.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
-    """
+    """Samples to which :func:`read_recordings` pads all recordings."""
     return store_reader.padded_to(path, open_store(path))
 
 
@@ -211,9 +198,6 @@ def progress_of(path: Path) -> tuple[int, int, dict[str, str], int]:
     Returns:
         recordings that are there; how many there will be (some of them gaps, while it is being written); the axes and
         their units; and bytes of the wrenches, padded.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
     group, there = open_store(path), count_recordings(path)
     with zarr_io.reading(path):
@@ -234,9 +218,6 @@ def read_sample(path: Path, most: int | None = None) -> tuple[Recordings, NDArra
 
     Returns:
         the recordings, and their numbers.
-
-    Raises:
-        InputError: as for :func:`read_recordings`.
     """
     length, group = read_lengths(path), open_store(path)
     with zarr_io.reading(path):
@@ -249,11 +230,7 @@ def read_sample(path: Path, most: int | None = None) -> tuple[Recordings, NDArra
 
 
 def verify(path: Path | str) -> None:
-    """Read everything but the label tracks, part by part, and compare it with its checksums.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
-    """
+    """Read everything but the label tracks, part by part, and compare it with its checksums."""
     stored = _open(path := as_path(path))
     if isinstance(stored, Recordings):
         if SIMULATION in open_store(path):
@@ -267,11 +244,7 @@ def verify(path: Path | str) -> None:
 
 
 def is_finished(path: Path) -> bool:
-    """Whether all of a store has been written.
-
-    Raises:
-        InputError: ``path`` does not exist or is not a store of this format.
-    """
+    """Whether all of a store has been written."""
     return HASH in open_store(path).attrs
 
 
@@ -286,11 +259,7 @@ def read_simulation(path: Path, *names: str) -> dict[str, NDArray[Any]]:
 
 
 def read_simulation_batches(path: Path, *names: str) -> Iterator[dict[str, NDArray[Any]]]:
-    """As :func:`read_simulation`, of consecutive recordings in batches: the parts of the store.
-
-    Raises:
-        InputError: as there.
-    """
+    """As :func:`read_simulation`, of consecutive recordings in batches: the parts of the store."""
     group = open_store(path)
     sub = group.get(SIMULATION)
     if not isinstance(sub, zarr_io.Group):
@@ -303,11 +272,7 @@ def read_simulation_batches(path: Path, *names: str) -> Iterator[dict[str, NDArr
 
 
 def read_digests(path: Path) -> NDArray[np.uint8]:
-    """SHA-256 of the samples of each recording ``[recording, 32]``: equal ones are copies.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
-    """
+    """SHA-256 of the samples of each recording ``[recording, 32]``: equal ones are copies."""
     stored = _open(path)
     if isinstance(stored, Recordings):
         return wrench_digests(stored.wrench, stored.length)
@@ -315,11 +280,7 @@ def read_digests(path: Path) -> NDArray[np.uint8]:
 
 
 def read_attrs(path: Path) -> dict[str, Any]:
-    """The store's attributes: provenance, ``dt``, ``import_report`` and so on.
-
-    Raises:
-        InputError: ``path`` does not exist or is not a store of this format.
-    """
+    """The store's attributes: provenance, ``dt``, ``import_report`` and so on."""
     return dict(open_store(path).attrs)
 
 
@@ -342,11 +303,7 @@ def unchanged(path: Path) -> Iterator[None]:
 
 
 def count_recordings(path: Path) -> int:
-    """Number of recordings in a store; while it is being written, of those that are there.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
-    """
+    """Number of recordings in a store; while it is being written, of those that are there."""
     group = open_store(path)
     if in_parts(group) and HASH in group.attrs:
         return len(Stored.of(path, group).rows())
@@ -354,11 +311,7 @@ def count_recordings(path: Path) -> int:
 
 
 def read_lengths(path: Path) -> NDArray[np.int32]:
-    """Samples of each recording; while the store is being written, of those that are there.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
-    """
+    """Samples of each recording; while the store is being written, of those that are there."""
     group = open_store(path)
     with zarr_io.reading(path):
         if in_parts(group):
@@ -367,11 +320,7 @@ def read_lengths(path: Path) -> NDArray[np.int32]:
 
 
 def recording_rows(path: Path) -> NDArray[np.int64]:
-    """Row in the store of each recording: ascending, and without gaps where no recording is missing.
-
-    Raises:
-        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
-    """
+    """Row in the store of each recording: ascending, and without gaps where no recording is missing."""
     group = open_store(path)
     return Stored.of(path, group).rows() if in_parts(group) else np.arange(count_recordings(path))
 

@@ -188,7 +188,8 @@ def read_summary(stored: Stored) -> Summary:
     """The summary of the parts that are written."""
     with zarr_io.reading(stored.path):
         there = None if stored.finished else parts.digests(stored.group)  # before texts of parts that are finished now
-        texts = parts.read(stored.group, SUMMARIES, slice(None), Field("string")).tolist()
+        every = slice(0, len(stored.schema.layout))
+        texts = parts.read(stored.group, SUMMARIES, every, Field("string")).tolist()
         return merged(parse_json(text, finite=False) for row, text in enumerate(texts) if there is None or there[row])
 
 

@@ -10,14 +10,14 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import uninterrupted
 from rcbht_jax._util.optional import MissingPackage, needs_extra, require
-from rcbht_jax._util.untrusted import MAX_BYTES, MAX_JSON_BYTES, load_json
+from rcbht_jax._util.untrusted import MAX_BYTES, MAX_JSON_BYTES, SMALL, check_declared, load_json
 from rcbht_jax._util.url_path import url_of
 from rcbht_jax.errors import InputError
 
@@ -149,12 +149,17 @@ def _fsspec(path: Path) -> Any:
 def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a group, which one process has at a time; the kernel releases it however the process ends.
 
-    It is on the description of the group, opened for writing: NFS and Lustre know no locks of folders.
+    It is on the description of the group, opened for writing: NFS and Lustre know no locks of folders. One that may
+    only be read, which writers replace, is locked so, which local file systems allow.
     """
     file = folder / META
     with ExitStack() as handles:
         while True:
-            handle = handles.enter_context(file.open("rb+"))
+            try:
+                handle: IO[bytes] = file.open("rb+")
+            except PermissionError:
+                handle = file.open("rb")
+            handles.enter_context(handle)
             fcntl.flock(handle, fcntl.LOCK_EX)
             if os.path.samestat(os.fstat(handle.fileno()), file.stat()):  # else replaced by who held the lock
                 break
@@ -299,12 +304,28 @@ def _local_array(group: Group, name: str) -> Array[Any] | None:
 @uninterrupted()
 def read_array(group: Group, name: str, dtype: str | None) -> NDArray[Any]:
     """Read a whole array, strings as fixed-width NumPy strings; ``dtype`` None accepts any."""
-    values = np.asarray(member(group, name)[...])
+    array = member(group, name)
+    if array.nbytes > SMALL:
+        check_declared(path_of(array), array.nbytes, array.nbytes_stored())
+    values = np.asarray(array[...])
     if dtype == "string":
-        return np.array(values.tolist(), np.str_)
+        return fixed_width(values, path_of(array))
     if dtype is not None and values.dtype != dtype:
         raise InputError(f"{path_of(group)}: {name} is {values.dtype}; expected {dtype}.")
     return values
+
+
+def fixed_width(texts: NDArray[Any], path: Path) -> NDArray[np.str_]:
+    """Texts of any length as NumPy strings, all of which take the memory of the longest.
+
+    Raises:
+        InputError: that is too much.
+    """
+    values = texts.reshape(-1).tolist()
+    longest = max(map(len, values), default=0)
+    if 4 * longest * len(values) > MAX_BYTES:
+        raise damaged(f"{path} has {len(values)} texts, the longest of {longest} characters; that is no table.")
+    return np.array(values, np.str_).reshape(texts.shape)
 
 
 def subgroup(group: Group, name: str) -> Group:

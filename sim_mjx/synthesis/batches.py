@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.printable import plural
+from rcbht_jax.io import label_parts
 from rcbht_jax.types import LabelTracks
 from sim_mjx.assembly.rollout import Rollouts, batch_size
 
@@ -59,9 +60,7 @@ def joined(parts: Sequence[tuple[Rollouts, LabelTracks | None]]) -> tuple[Rollou
     outs, tracks = [out for out, _ in parts], [labels for _, labels in parts if labels is not None]
     names = [field.name for field in fields(Rollouts)]
     whole = {name: _joined([getattr(out, name) for out in outs], _PADDED.get(name)) for name in names}
-    if not tracks:
-        return Rollouts(**whole), None
-    return Rollouts(**whole), jax.tree.map(lambda *leaves: _joined([np.asarray(leaf) for leaf in leaves], 2), *tracks)
+    return Rollouts(**whole), label_parts.joined(tracks) if tracks else None
 
 
 def _parts(params: Any, trials: int, most: int) -> list[Any]:

@@ -17,6 +17,7 @@ Whether a holder lives is decided by two means, because neither alone is enough:
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -235,9 +236,14 @@ def _read(path: Path) -> tuple[dict[str, Any], float, bool | None]:
 
 
 def _now(folder: Path) -> float:
-    """The file system's time, s."""
-    with tempfile.NamedTemporaryFile(dir=folder, prefix=".clock-") as probe:
-        return os.fstat(probe.fileno()).st_mtime
+    """The file system's time, s; this machine's for who may only look at the folder."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=".clock-") as probe:
+            return os.fstat(probe.fileno()).st_mtime
+    except OSError as error:
+        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+            raise
+        return time.time()
 
 
 @cache

@@ -127,8 +127,9 @@ class Draft:
             schema = schema_of(recordings, simulation, layout.rows, layout.part)
             store_writer.create(empty, schema, attrs, CREATED)
             if tracks is not None:
-                how = label_attrs(self.job)
-                label_parts.create_in(empty, self._labels.name, layout, tracks, how, created=CREATED)
+                label_parts.require_group(empty)
+                own = empty / self._labels.relative_to(self.path)
+                label_parts.create(own, layout, tracks, label_attrs(self.job), created=CREATED)
             descriptions.keep(self.folder, empty)
             empty.rename(self.path)
         except OSError:

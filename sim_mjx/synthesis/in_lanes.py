@@ -25,7 +25,6 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.device import Outcome
 from sim_mjx.engines.lanes import Lanes
 from sim_mjx.synthesis import records
-from sim_mjx.synthesis.passes import passes_of
 from sim_mjx.synthesis.records import Arrays
 from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
 
@@ -191,17 +190,11 @@ def _tilt(joints: Float[Array, "trial time joint"]) -> Float[Array, "trial time"
 def to_host(there: Measured, program: Program) -> Arrays:
     """Stored arrays of trials, as of :func:`sim_mjx.synthesis.records.of_trials`, copied from the device."""
     here = jax.device_get(there)
-    onset = program.onsets(here.entered)
-    better, notes = onset, np.full(len(onset), "")
-    if here.tilt is not None:
-        better, notes = records.harmonised(onset, here.length, here.diverged, partial(_degrees, here.tilt))
     samples, tabs = here.length.max(), here.seated.shape[1]
     past = np.unpackbits(here.past[:, :samples], axis=2, count=tabs, bitorder="little").astype(np.bool_)
-    return {
-        "wrench": here.wrench[:, :samples], "length": here.length,
-        "onset": onset, "onset_harmonised": better, "note": notes, "seated": here.seated,
-        "passes": passes_of(past, np.where(here.diverged, 0, here.length)), "diverged": here.diverged,
-    }  # fmt: skip
+    wrench, onset = here.wrench[:, :samples], program.onsets(here.entered)
+    angles = None if here.tilt is None else partial(_degrees, here.tilt)
+    return records.stored(wrench, here.length, onset, here.seated, past, here.diverged, angles)
 
 
 def _degrees(tilt: Float32[np.ndarray, "trial time"], spans: list[records.Span]) -> list[records.Degrees]:

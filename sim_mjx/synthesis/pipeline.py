@@ -33,14 +33,7 @@ from sim_mjx.registry import Scenario
 from sim_mjx.synthesis import claims, records, shards, workers
 from sim_mjx.synthesis.batches import Halving
 from sim_mjx.synthesis.draft import Draft
-from sim_mjx.synthesis.plan import (
-    SynthesisConfig,
-    check,
-    encoder_config,
-    label_limits,
-    manifest_of,
-    provenance,
-)
+from sim_mjx.synthesis.plan import SynthesisConfig, check, encoder_config, label_limits, manifest_of, provenance
 from sim_mjx.synthesis.regroup import Shard
 from sim_mjx.synthesis.workers import Labelled, SynthesisProgress, Tally
 
@@ -249,16 +242,9 @@ def _work(
 
             at_once = min(max(job.shard, GROUP), count)
             return simulate_in_lanes(
-                scene,
-                batches,
-                job.engine,
-                count,
-                at_once,
-                *labels,
-                recorded=scenario.recorded,
-                ready=ready,
-                room=room,
-            )
+                scene, batches, job.engine, count, at_once, *labels,
+                recorded=scenario.recorded, ready=ready, room=room,
+            )  # fmt: skip
 
         made = workers.work_in_lanes(draft, stream, count, tally, share)
     return made + workers.work(draft, Halving(_labelled(job, scenario, simulate), notice), tally)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.digest import content_hash, files_hash
+from rcbht_jax._util.untrusted import MAX_FILES, MAX_ROWS
 from rcbht_jax.encoding import thresholds
 from rcbht_jax.encoding.choices import plain
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -33,7 +34,7 @@ _WIDEST = {
     "AVX-512": {"AVX512_SKX", "X86_V4"}, "AVX2": {"AVX2", "X86_V3"}, "AVX": {"AVX"}, "SVE": {"SVE"}, "NEON": {"ASIMD"},
 }  # fmt: skip
 _OF_THE_LIBRARY = ("_util/compiling.py", "io/hiro/onsets.py")  # what trials and their stored starts depend on
-MOST = 10**9  # trials: more would fill any disk
+MOST = MAX_ROWS // 2  # trials, of up to two arms, a row of the store each
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,11 @@ def check(job: SynthesisConfig) -> Scenario:
     for name, value in (("number of trials", job.trials), ("shard's number of trials", job.shard)):
         if value < 1:
             raise InputError(f"The {name} is {value}; expected 1 or more.")
-    if job.trials > MOST:
-        raise InputError(f"The number of trials is {job.trials}; expected at most {MOST}.")
+    if job.trials > min(MOST, MAX_FILES * job.shard):
+        raise InputError(
+            f"The number of trials is {job.trials}, in shards of {job.shard}; expected at most {MOST}, in {MAX_FILES} "
+            "shards."
+        )
     engines.check(job.engine)
     if job.window is not None:
         encoder_config(job)

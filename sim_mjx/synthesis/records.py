@@ -39,18 +39,30 @@ def of_trials(out: Rollouts, recorded: bool = True) -> Arrays:
         out: of the engine.
         recorded: whether it is the recorded assembly, whose ends of rotation are moved as in recorded trials.
     """
-    diverged = _diverged(out)
-    if recorded:
-        better, notes = harmonised(out.onset, out.length, diverged, partial(tilts, out.joints))
-    else:
-        better, notes = out.onset, np.full(len(out.onset), "")
-    wrench = out.wrench
+    diverged, wrench = _diverged(out), out.wrench
     if (diverged & ~out.diverged).any():  # whose wrench an engine has not emptied
         wrench = np.where(diverged[:, None, None], np.float32(0), wrench)
+    angles = partial(tilts, out.joints) if recorded else None
+    return stored(wrench, out.length, out.onset, out.seated, out.past, diverged, angles)
+
+
+def stored(
+    wrench: Float[np.ndarray, "trial time reading"],
+    length: Int[np.ndarray, " trial"],
+    onset: Float64[np.ndarray, "trial state"],
+    seated: Bool[np.ndarray, "trial tab"],
+    past: Bool[np.ndarray, "trial time tab"],
+    diverged: Bool[np.ndarray, " trial"],
+    tilts: Callable[[list[Span]], list[Degrees]] | None,
+) -> Arrays:
+    """The arrays by name; ``tilts`` as for :func:`harmonised`, None = the ends of rotations stay as they are."""
+    better, notes = onset, np.full(len(onset), "")
+    if tilts is not None:
+        better, notes = harmonised(onset, length, diverged, tilts)
     return {
-        "wrench": wrench, "length": out.length,
-        "onset": out.onset, "onset_harmonised": better, "note": notes, "seated": out.seated,
-        "passes": passes_of(out.past, np.where(diverged, 0, out.length)), "diverged": diverged,
+        "wrench": wrench, "length": length,
+        "onset": onset, "onset_harmonised": better, "note": notes, "seated": seated,
+        "passes": passes_of(past, np.where(diverged, 0, length)), "diverged": diverged,
     }  # fmt: skip
 
 

@@ -18,17 +18,19 @@ from rcbht_jax._util import compile_cache
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
+from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.chunk_reader import content_size
 from tests.support.store_cases import encoded_store, same, simple
 
 
-def declare(path: Path, samples: int) -> None:
-    """Have the wrench declare another number of samples, also where the metadata are collected."""
-    for file in (path / "wrench" / "zarr.json", path / "zarr.json"):
-        content = json.loads(file.read_text())
-        collected = content.get("consolidated_metadata", {"metadata": {"wrench": content}})
-        collected["metadata"]["wrench"]["shape"][1] = samples
-        file.write_text(json.dumps(content))
+def redeclare(path: Path, **shapes: list[int]) -> None:
+    """Have arrays declare other shapes, also where the metadata are collected."""
+    for name, shape in shapes.items():
+        for file in (path / name / "zarr.json", path / "zarr.json"):
+            content = json.loads(file.read_text())
+            collected = content.get("consolidated_metadata", {"metadata": {name: content}})
+            collected["metadata"][name]["shape"] = shape
+            file.write_text(json.dumps(content))
 
 
 @pytest.fixture
@@ -40,7 +42,7 @@ def path(tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def encoded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = encoded_store(tmp_path_factory.mktemp("encoded") / "trials.zarr", simple(3, 200))
-    declare(path, 10**12)
+    redeclare(path, wrench=[3, 10**12, 6])
     return path
 
 
@@ -72,7 +74,7 @@ def test_a_huge_time_axis_is_one_sentence(
 
 @pytest.mark.parametrize("read", [store.longest_of, store.read_recordings, lambda path: list(store.read_batches(path))])
 def test_no_reader_believes_a_huge_time_axis(path: Path, read: object) -> None:
-    declare(path, 2**62)
+    redeclare(path, wrench=[3, 2**62, 6])
     with pytest.raises(InputError, match=r"trials\.zarr holds contradictory recordings: the wrench has 4611686\d+"):
         read(path)  # type: ignore[operator]
     with pytest.raises(InputError, match="the longest recording 200"):
@@ -163,3 +165,77 @@ def test_a_description_is_no_larger_than_json_may_be(path: Path) -> None:
         file.truncate(2**26 + 1)
     with pytest.raises(InputError, match="not a regular file of at most"):
         store.read_recordings(path)
+
+
+def reading_of(path: Path, way: str) -> None:
+    """Read a store as one of three ways does: from its files, with its collected metadata, at a URL."""
+    if way == "collected":
+        store.read_rows(path, [0])
+    elif way == "files":
+        store.read_table(path)
+    else:
+        memory = pytest.importorskip("fsspec").filesystem("memory")
+        memory.put(str(path), f"/{path.parent.name}", recursive=True)
+        store.read_table(f"memory://{path.parent.name}")
+
+
+WAYS = ("files", "collected", "URL")
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("content", [b"\xff\xff\xff\x7f", (4).to_bytes(4, "little")], ids=["many", "more than bytes"])
+def test_a_chunk_declares_the_texts_that_it_holds(path: Path, content: bytes, way: str) -> None:
+    (path / "trial" / "c" / "0").write_bytes(sealed(compress(content, 1)))
+    with pytest.raises(InputError, match=r"a chunk of 4 bytes declares \d+ texts; expected the 4 of its shape"):
+        reading_of(path, way)
+
+
+def redeclare_rows(path: Path, rows: int, part: int) -> None:
+    redeclare(path, part_sha256=[rows // part, 32], length=[rows])
+    content = json.loads((path / "zarr.json").read_text())
+    content["attributes"] |= {"rows": rows, "part_rows": part}
+    (path / "zarr.json").write_text(json.dumps(content))
+
+
+def test_rows_are_in_no_more_files_than_a_folder_may_have(path: Path) -> None:
+    redeclare_rows(path, 10**6, 100)  # but in chunks of 4
+    with pytest.raises(InputError, match=r"length declares 4000000 bytes, far more than its files hold"):
+        store.read_lengths(path)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_no_reader_believes_a_thousand_million_rows(path: Path, way: str) -> None:
+    redeclare_rows(path, 10**9, 4)
+    with pytest.raises(InputError, match=r"1000000000 rows in 250000000 parts; expected at most 10000000"):
+        reading_of(path, way)
+
+
+@pytest.mark.parametrize(
+    ("shapes", "said"),
+    [
+        ({"axis": [10**9]}, "axis declares arrays of 16000000000 bytes; expected at most"),
+        ({"simulation/part_sha256": [10**9, 32]}, "declares 3 rows in parts of 4, but has others"),
+        ({"simulation/x": [3, 10**9]}, "declares 24000000000 bytes, far more than its files hold"),
+    ],
+)
+def test_an_array_declares_about_as_much_as_its_files_hold(
+    tmp_path: Path, shapes: dict[str, list[int]], said: str
+) -> None:
+    path = tmp_path / "x.zarr"
+    store.write_recordings(path, simple(3, 20), {}, simulation={"x": np.zeros((3, 2))})
+    redeclare(path, **shapes)
+    with pytest.raises(InputError, match=said):
+        store.verify(path)
+
+
+def test_as_many_summaries_are_read_as_there_are_parts(path: Path) -> None:
+    before = store.read_summary(path)
+    redeclare(path, part_summary=[10**9])
+    assert store.read_summary(path) == before
+
+
+def test_texts_as_wide_as_the_longest_are_bounded(tmp_path: Path) -> None:
+    assert zarr_io.fixed_width(np.array([["a", ""]], np.dtypes.StringDType()), tmp_path).tolist() == [["a", ""]]
+    texts = np.array(["a" * 2**20, *[""] * 600], np.dtypes.StringDType())
+    with pytest.raises(InputError, match="601 texts, the longest of 1048576 characters"):
+        zarr_io.fixed_width(texts, tmp_path)

@@ -238,6 +238,18 @@ def test_the_lock_of_a_store_is_one_that_other_machines_see(path: Path) -> None:
         second.result()
 
 
+def test_a_description_that_may_only_be_read_is_locked(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_only(self: Path, mode: str = "r", *others: Any, **more: Any) -> Any:
+        if self == path / "zarr.json" and "+" in mode:
+            raise PermissionError(self)
+        return opened(self, mode, *others, **more)
+
+    opened = Path.open
+    monkeypatch.setattr(Path, "open", read_only)
+    label_store.write_tracks(path, "a", label_tracks(), {})
+    assert label_store.uncollected_tracks(path) == []
+
+
 def test_labels_kept_under_another_name_are_collected(path: Path) -> None:
     """Of two that write the same name at the same time, the later one made a store that doctor calls damaged."""
 

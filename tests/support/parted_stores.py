@@ -71,7 +71,8 @@ def begun(path: Path, gaps: tuple[int, ...] = ()) -> Path:
     """A store without parts, and label tracks in it."""
     schema = schema_of(ragged(gaps=gaps), truth(), COUNT, PART)
     store_writer.create(path, schema, {"importer": "none"}, "then")
-    label_parts.create_in(path, "x", schema.layout, tracks_of(), {"window": 5}, created="then")
+    label_parts.require_group(path)
+    label_parts.create(path / "labels" / "x", schema.layout, tracks_of(), {"window": 5}, created="then")
     return path
 
 

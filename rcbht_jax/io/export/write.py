@@ -16,6 +16,7 @@ from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.cells import cell
 from rcbht_jax.annotations import nearest_samples
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.checks import check_text
 from rcbht_jax.io.export import tables
 from rcbht_jax.io.export.card import write_card
 from rcbht_jax.io.export.dataset import Block, DataSet, codes_at_samples
@@ -80,11 +81,8 @@ def _check_names(data: DataSet, kind: str) -> None:
     if taken := sorted(beside & set(data.recordings.axes)):
         raise InputError(f"The axis {taken[0]} would take the place of a column of {kind} files; rename it first.")
     for field in (*tables.TEXTS, *data.recordings.columns):
-        for row, text in enumerate(data.recordings.column(field).tolist()):
-            try:
-                str(text).encode()
-            except UnicodeEncodeError:
-                raise InputError(f"The {field} of recording {row} is {text!r}, which is not valid Unicode.") from None
+        if (texts := data.recordings.column(field)).dtype.kind == "U":
+            check_text(f"The {field}", texts.tolist())
     try:
         json.dumps([dict(data.attrs), dict(data.tracks_attrs)], ensure_ascii=False).encode()
     except UnicodeEncodeError:

@@ -242,6 +242,8 @@ def test_a_logger_that_goes_on_sees_the_stopped_robot_until_the_planned_end(pres
     assert same(replace(nominal, rest=np.array(0.0)), sample(ONE_ARM[preset], 2, 0, NOMINAL)[0].task)
     with pytest.raises(InputError, match="logger goes on for -1"):
         sample(ONE_ARM[preset], 0, 0, replace(NOMINAL, logs_on=-1.0))
+    with pytest.raises(InputError, match="expected 0 to 600 s"):
+        sample(ONE_ARM[preset], 0, 0, replace(NOMINAL, logs_on=600.5))
 
 
 def test_longest_cuts_every_trial() -> None:

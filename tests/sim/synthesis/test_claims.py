@@ -90,6 +90,16 @@ def test_holders_of_other_machines_live_as_long_as_their_lease(folder: Path, tex
     assert claims.take(folder, "7") is None
 
 
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS])
+def test_who_may_only_look_sees_the_claims(folder: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    def refused(**_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    foreign(folder, claims.LEASE - 60)
+    monkeypatch.setattr(claims.tempfile, "NamedTemporaryFile", refused)
+    assert [one.state for one in claims.attempts(folder, "7")] == ["held"]
+
+
 def test_where_there_are_no_locks_the_lease_tells(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")

@@ -28,7 +28,7 @@ def outcome(seed: int) -> Outcome:
     wrench[1, 0, 2], wrench[2, 0, 0], wrench[3, 0, 5] = np.nan, 3000.0, 1e6
     joints[4, 0, 1], joints[5, 1:, 3] = np.nan, 4.0
     phase[6, -1] = ONE_ARM.ended
-    wrench[6, -1], joints[6, -1] = np.nan, 4.0  # after its end
+    wrench[6, -1], joints[6, -1] = np.nan, np.nan  # after its end
     past = np.cumsum(rng.random((TRIALS, SAMPLES, 4)) < 0.05, axis=1) % 2 == 1  # in and out again
     return Outcome(
         jnp.asarray(wrench, jnp.float32), jnp.asarray(joints, jnp.float32), jnp.asarray(phase, jnp.int32),

@@ -45,6 +45,13 @@ def _as_pipe(path: Path, _: Path) -> None:
     os.mkfifo(path)
 
 
+def test_only_the_store_in_a_work_folder_becomes_another(begun: Path, tmp_path: Path) -> None:
+    work = shards.folder_of(begun / "trials.zarr")
+    assert shards.target_of(shards.store_of(work)) == begun / "trials.zarr"
+    other = Path(shutil.copytree(work, tmp_path / "trials.zarr.kept"))
+    assert shards.target_of(shards.store_of(other)) == shards.store_of(other)
+
+
 @pytest.mark.parametrize(
     ("name", "change"),
     [

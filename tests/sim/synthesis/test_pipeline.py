@@ -162,6 +162,7 @@ def test_nothing_is_stored_when_all_diverged(tmp_path: Path) -> None:
         ({"preset": "D"}, "openhrp"),
         ({"trials": 0}, "number of trials"),
         ({"trials": 10**18}, "number of trials is 1000000000000000000"),
+        ({"trials": 200_001, "shard": 1}, "in shards of 1; expected at most 5000000, in 200000 shards"),
         ({"shard": 0}, "shard"),
         ({"seed": -1}, "seed"),
         ({"engine": "abacus"}, "native"),
