@@ -25,6 +25,7 @@ from rcbht_jax.types import Array, LabelTrack, LabelTracks
 _SLOTS = 1, 4, 16, 64, 128  # few, because each number compiles programs of its own
 _STEP_LANES = 64  # lanes that take as long as what a piece costs whatever their number
 _PIECE_WINDOWS, _PIECE_SAMPLES = 64, 4096  # fewer windows where the data have fewer, but so many samples
+_LONG_PIECE = 256  # windows, where recordings are 16 times as long on average: pieces of 64 take up to twice the time
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ def encode_batch(
     limits, axes = _checked(config, thresholds, wrench, length), wrench.shape[2]
     rule = rule_of(config)
     whole = 1 << max(-(-int(length.max()) // config.window) - 1, 0).bit_length()  # a power of two: few programs
-    schedule = plan(length, min(_PIECE_WINDOWS, max(whole, _PIECE_SAMPLES // config.window)) * config.window, axes)
+    most = _LONG_PIECE if length.mean() >= 16 * _LONG_PIECE * config.window else _PIECE_WINDOWS
+    schedule = plan(length, min(most, max(whole, _PIECE_SAMPLES // config.window)) * config.window, axes)
     slots = schedule.recording.shape[1]
     state = rule.init(config, (slots * axes,), jax.dtypes.canonicalize_dtype(wrench.dtype))
     rows = _Rows(axes)
