@@ -165,7 +165,7 @@ def flush(
 ) -> LabelTracks:
     """End of the stream, as :func:`rcbht_jax.encoding.encoder.flush`: labels ``[*lanes, slot]`` with 1 + 5 slots.
 
-    For a stream that goes on see :mod:`rcbht_jax.encoding.provisional`.
+    Limits are those of :func:`step`. For a stream that goes on see :mod:`rcbht_jax.encoding.provisional`.
     """
     state, out = step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
