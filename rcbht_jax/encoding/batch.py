@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,10 +22,10 @@ from rcbht_jax.encoding.thresholds import Thresholds, limits_of, of_lanes
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
-_FIELDS = tuple(f.name for f in fields(LabelTrack))
 _SLOTS = 1, 4, 16, 64, 128  # few, because each number compiles programs of its own
 _STEP_LANES = 64  # lanes that take as long as what a piece costs whatever their number
 _PIECE_WINDOWS, _PIECE_SAMPLES = 64, 4096  # fewer windows where the data have fewer, but so many samples
+_LONG_PIECE = 256  # windows, where recordings are 16 times as long on average: pieces of 64 take up to twice the time
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ def encode_batch(
     limits, axes = _checked(config, thresholds, wrench, length), wrench.shape[2]
     rule = rule_of(config)
     whole = 1 << max(-(-int(length.max()) // config.window) - 1, 0).bit_length()  # a power of two: few programs
-    schedule = plan(length, min(_PIECE_WINDOWS, max(whole, _PIECE_SAMPLES // config.window)) * config.window, axes)
+    most = _LONG_PIECE if length.mean() >= 16 * _LONG_PIECE * config.window else _PIECE_WINDOWS
+    schedule = plan(length, min(most, max(whole, _PIECE_SAMPLES // config.window)) * config.window, axes)
     slots = schedule.recording.shape[1]
     state = rule.init(config, (slots * axes,), jax.dtypes.canonicalize_dtype(wrench.dtype))
     rows = _Rows(axes)
@@ -181,35 +183,32 @@ class _Rows:
 
     def __init__(self, axes: int) -> None:
         self._axes = axes
-        self._parts: tuple[list[dict[str, NDArray[np.generic]]], ...] = ([], [], [])
+        self._parts: tuple[list[tuple[NDArray[np.int64], LabelTrack]], ...] = ([], [], [])  # lanes, their labels
 
     def add(self, tracks: LabelTracks, recording: NDArray[np.int64]) -> None:
         """Keep the labels of the slots whose recording is not -1."""
-        lane = np.repeat(recording, self._axes) * self._axes + np.tile(np.arange(self._axes), len(recording))
-        used = np.repeat(recording >= 0, self._axes)
+        lane = (recording[:, None] * self._axes + np.arange(self._axes)).ravel()  # negative where there is none
         for parts, track in zip(self._parts, (tracks.primitive, tracks.mc, tracks.llb), strict=True):
-            label = np.asarray(track.label)
-            where = np.nonzero((label != 0) & used[:, None])
-            columns = {name: np.asarray(getattr(track, name))[where] for name in _FIELDS}
-            parts.append({"lane": lane[where[0]], **columns})
+            track = jax.tree.map(np.asarray, track)
+            where = np.nonzero((track.label != 0) & (lane >= 0)[:, None])
+            parts.append((lane[where[0]], jax.tree.map(lambda leaf, where=where: leaf[where], track)))
 
     def compact(self, recordings: int) -> LabelTracks:
         """Tracks ``[recording, axis, slot]``, each as long as its longest sentence."""
         return LabelTracks(*(self._layer(parts, recordings) for parts in self._parts))
 
-    def _layer(self, parts: list[dict[str, NDArray[np.generic]]], recordings: int) -> LabelTrack:
-        columns = {name: np.concatenate([part[name] for part in parts]) for name in ("lane", *_FIELDS)}
-        lane = columns["lane"].astype(np.int64)
+    def _layer(self, parts: list[tuple[NDArray[np.int64], LabelTrack]], recordings: int) -> LabelTrack:
+        lane, labels = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
         order = np.argsort(lane, kind="stable")  # pieces came in order of time
-        lane = lane[order]
         counts = np.bincount(lane, minlength=recordings * self._axes)
         slot = np.arange(len(lane)) - np.repeat(np.cumsum(counts) - counts, counts)
-        arrays = {}
-        for name in _FIELDS:
-            padded = np.zeros((recordings * self._axes, max(int(counts.max()), 1)), columns[name].dtype)
-            padded[lane, slot] = columns[name][order]
-            arrays[name] = padded.reshape(recordings, self._axes, -1)
-        return LabelTrack(**arrays)
+
+        def padded(values: NDArray[np.generic]) -> NDArray[np.generic]:
+            rows = np.zeros((recordings * self._axes, max(int(counts.max()), 1)), values.dtype)
+            rows[lane[order], slot] = values[order]
+            return rows.reshape(recordings, self._axes, -1)
+
+        return jax.tree.map(padded, labels)
 
 
 # Sizes are rounded up, so that few programs are compiled: slots of a compact track to this, ...
@@ -276,11 +275,11 @@ def begin_encoding(
     if spare or tail:  # a program of its own: those that encode take long to compile
         wrench, length = _padded(spare, tail, wrench, length)
     encoded, shortened = (_packed, _trimmed) if _by_kernels(config, wrench) else (_dense, _compacted)
-    tracks, used, longest = encoded(config, limits, wrench, length)
+    tracks, longest = encoded(config, limits, wrench, length)
 
     def ended() -> LabelTracks:
         widths = tuple(max(-(-int(n) // WIDTH), 1) * WIDTH for n in np.asarray(longest))
-        return shortened(widths, (count, axes), tracks, used)
+        return shortened(widths, (count, axes), tracks)
 
     return ended
 
@@ -339,18 +338,18 @@ def _joined(count: int, pieces: Sequence[LabelTracks]) -> LabelTracks:
 
 
 @partial(jax.jit, static_argnums=0)
-def _packed(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[list[Array], Array, Array]:
-    """Packed labels of each layer, how many each lane has ``[3, lane]``, and the most."""
+def _packed(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[Any, Array]:
+    """Packed labels of each layer and how many each lane has ``[3, lane]``; and the most."""
     from rcbht_jax.encoding import gpu
 
     limits = _limits_of_each(limits, len(wrench)).astype(wrench.dtype)
     by_lane = jnp.moveaxis(limits, -1, 0).reshape(limits.shape[-1], -1)
     packed, used = gpu.encode_packed(config, by_lane, wrench, length.astype(jnp.int32))
-    return packed, used, used.max(-1)
+    return (packed, used), used.max(-1)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _trimmed(widths: tuple[int, int, int], shape: tuple[int, int], packed: list[Array], used: Array) -> LabelTracks:
+def _trimmed(widths: tuple[int, int, int], shape: tuple[int, int], packed: Any) -> LabelTracks:
     """Tracks ``[recording, axis, slot]`` of packed labels, without slots that no lane uses; the others end in zeros."""
     from rcbht_jax.encoding import gpu
 
@@ -362,21 +361,19 @@ def _trimmed(widths: tuple[int, int, int], shape: tuple[int, int], packed: list[
         words = jnp.where(there[: recordings * axes, :, None], words, 0)
         return gpu.unpacked(words.reshape(recordings, axes, width, -1))
 
-    return LabelTracks(*(layer(*each) for each in zip(widths, packed, used, strict=True)))
+    return LabelTracks(*(layer(*each) for each in zip(widths, *packed, strict=True)))
 
 
 @jit(static_argnums=0)
-def _dense(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[LabelTracks, Array, Array]:
-    """Dense labels ``[recording, axis, slot]``; then as :func:`_packed`."""
+def _dense(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[LabelTracks, Array]:
+    """Dense labels ``[recording, axis, slot]``, and how many a lane has at most in each layer."""
     dense = encode(config, _limits_of_each(limits, len(wrench)), wrench, length)
-    used = jnp.stack([(track.label != 0).sum(-1).ravel() for track in (dense.primitive, dense.mc, dense.llb)])
-    return dense, used, used.max(-1)
+    return dense, jnp.stack([(track.label != 0).sum(-1).max() for track in (dense.primitive, dense.mc, dense.llb)])
 
 
 @jit(static_argnums=(0, 1))
-def _compacted(widths: tuple[int, int, int], shape: tuple[int, int], dense: LabelTracks, used: Array) -> LabelTracks:
+def _compacted(widths: tuple[int, int, int], shape: tuple[int, int], dense: LabelTracks) -> LabelTracks:
     """As :func:`_trimmed`, of dense labels."""
-    del used
     tracks = (jax.tree.map(lambda leaf: leaf[: shape[0]], track) for track in (dense.primitive, dense.mc, dense.llb))
     return LabelTracks(*(_compact(width, track) for width, track in zip(widths, tracks, strict=True)))
 
@@ -393,4 +390,4 @@ def _compact(width: int, track: LabelTrack) -> LabelTrack:
     def chosen(values: Array) -> Array:
         return jnp.where(there, jnp.take_along_axis(values, slot, axis=-1), jnp.zeros((), values.dtype))
 
-    return LabelTrack(**{field.name: chosen(getattr(track, field.name)) for field in fields(LabelTrack)})
+    return jax.tree.map(chosen, track)

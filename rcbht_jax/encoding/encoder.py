@@ -193,13 +193,8 @@ def flush(
     Raises:
         InputError: as :func:`step`.
     """
-    shape, lanes = state.time.shape, state.time.size
-    state = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[: leaf.ndim - len(shape)], lanes), state)
-    rest, count = rest.reshape(rest.shape[0], lanes), count.reshape(lanes)
-    limits = by_lane(limits_of(thresholds), 4, shape, state.reals.dtype).reshape(4, lanes)
-    state, out = step_partial(config, limits.T, state, rest, count)
-    joined = join_tracks(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
-    return jax.tree.map(lambda leaf: leaf.reshape(*shape, leaf.shape[-1]), joined)
+    state, out = step_partial(config, thresholds, state, rest, count)
+    return join_tracks(jax.tree.map(lambda leaf: leaf[..., None], unpack(out)), drain(config, state))
 
 
 def encode(
@@ -314,12 +309,13 @@ def chain(config: EncoderConfig, held: Sequence[Segment], x: Segment) -> tuple[l
 
 
 def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:
-    """All held segments in order, each layer drained into the next.
+    """All held segments in order, each layer drained into the next: labels ``[*lanes, slot]``, 2, 5 and 8 slots."""
 
-    State lanes ``[lane]``; labels ``[lane, slot]`` with 2, 5 and 8 slots.
-    """
-    layers = drain_segments(config, unpack_segments(state.ints, state.reals))
-    return LabelTracks(*(_last_axis_track(stack(layer), state.time) for layer in layers))
+    def track(layer: Sequence[Segment]) -> LabelTrack:
+        held = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), stack(layer))
+        return track_of(held, jnp.broadcast_to(state.time[..., None], held.label.shape))
+
+    return LabelTracks(*map(track, drain_segments(config, unpack_segments(state.ints, state.reals))))
 
 
 Push = Callable[[Any, Segment], tuple[Any, Segment]]  # (held, arrival) -> (held, what leaves)
@@ -363,11 +359,6 @@ def stack(parts: Sequence[Segment]) -> Segment:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
 
 
-def _last_axis_track(stacked: Segment, time: Array) -> LabelTrack:
-    stacked = jax.tree.map(lambda leaf: leaf.T, stacked)
-    return track_of(stacked, jnp.broadcast_to(time[:, None], stacked.label.shape))
-
-
 def pack_segments(held: Sequence[Segment]) -> tuple[Array, Array]:
     ints = jnp.stack([leaf for x in held for leaf in (x.label, x.t0, x.t1)])
     reals = jnp.stack([leaf for x in held for leaf in (x.vmax, x.vmin, x.area, x.rise)])
@@ -375,10 +366,9 @@ def pack_segments(held: Sequence[Segment]) -> tuple[Array, Array]:
 
 
 def unpack_segments(ints: Array, reals: Array) -> list[Segment]:
-    count = ints.shape[0] // _INTS
     return [
         Segment(*(ints[_INTS * k + i] for i in range(_INTS)), *(reals[_REALS * k + i] for i in range(_REALS)))
-        for k in range(count)
+        for k in range(ints.shape[0] // _INTS)
     ]
 
 

@@ -121,7 +121,7 @@ def step(
     state: EncoderState,
     window: Float[Array, " window *lanes"],
 ) -> tuple[EncoderState, PackedLabels]:
-    """One full window of samples for every lane.
+    """One full window of samples for every lane; results and errors as of :func:`rcbht_jax.encoding.encoder.step`.
 
     Args:
         config: static configuration.
@@ -129,12 +129,6 @@ def step(
             :meth:`rcbht_jax.encoding.tolerance.FitLimits.stacked`.
         state: of the same lanes, the last of which are the axes.
         window: ``config.window`` samples, N and Nm; they are taken in the precision of the state.
-
-    Returns:
-        the new state and at most one label per layer and lane, packed; see :func:`rcbht_jax.encoding.encoder.unpack`.
-
-    Raises:
-        InputError: the window has another number of samples, or limits of other axes.
 
     Example:
         >>> limits = jnp.array([[70.0, 46.0, 23.0, 1.0, 0.1]])
@@ -169,19 +163,9 @@ def flush(
     rest: Float[Array, " window *lanes"],
     count: Int[Array, "*lanes"],
 ) -> LabelTracks:
-    """End of the stream: the last partial window, then all that is still held.
+    """End of the stream, as :func:`rcbht_jax.encoding.encoder.flush`: labels ``[*lanes, slot]`` with 1 + 5 slots.
 
-    The state stays as it is; for a stream that goes on see :mod:`rcbht_jax.encoding.provisional`.
-
-    Args:
-        config: static configuration.
-        limits: ``[axis, 5]`` or ``[*lanes, 5]``.
-        state: of the same lanes.
-        rest: the samples that did not fill a window, then anything.
-        count: how many of them there are, < window.
-
-    Returns:
-        labels ``[*lanes, slot]`` with 1 + 5 slots: the window's, then the drained ones.
+    Limits are those of :func:`step`. For a stream that goes on see :mod:`rcbht_jax.encoding.provisional`.
     """
     state, out = step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
@@ -195,18 +179,7 @@ def scan_lanes(
     samples: Float[Array, "time lane"],
     count: Int[Array, " lane"],
 ) -> tuple[EncoderState, LabelTracks]:
-    """Scan one piece of a recording per lane; pieces but the last must be multiples of the window.
-
-    Args:
-        config: static configuration.
-        limits: of every lane, in the dtype of the samples.
-        state: of the lanes.
-        samples: N or Nm.
-        count: samples that count; the last count % window of them are the partial window.
-
-    Returns:
-        the new state, and labels ``[lane, slot]`` with one slot per window.
-    """
+    """As :func:`rcbht_jax.encoding.encoder.scan_lanes`."""
     state, out = _scan(config, limits, state, samples, count, _published)
     return state, unpack(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out))
 
@@ -303,13 +276,8 @@ def advance(
 ) -> tuple[EncoderState, list[Segment]]:
     """State and each stage's output after ``count`` new samples: the run goes on, or ends at the break that saves most.
 
-    Args:
-        config: static configuration.
-        limits: gradient limits and tolerance ``[5, *lanes]``.
-        state: of the same lanes.
-        samples: those that are kept, then the window ``[kept + window, *lanes]``.
-        after: their residuals, see :func:`residuals_after`.
-        count: new samples; fewer than a window only at the end, none after it.
+    Limits are ``[5, *lanes]``; ``samples`` are those that are kept, then the window, and ``after`` their residuals
+    (:func:`residuals_after`), ``[kept + window, *lanes]``. Only at the end of a stream are fewer than a window new.
     """
     kept, window = config.kept, config.window
     t0, t1, line, held = opened(state)
@@ -351,17 +319,9 @@ def primitive_of(config: FitConfig, limits: Array, t0: Array, t1: Array, line: L
 def _above(
     config: FitConfig, held: list[Segment], x: Segment, now: Array, force: int | None = None
 ) -> tuple[list[Segment], list[Segment]]:
-    """A primitive, or none, through both composers and accumulators.
+    """A primitive, or none, through both composers and accumulators: what these hold, and what the five stages give.
 
-    Args:
-        config: static configuration.
-        held: the four segments of the state, in order.
-        x: the primitive; an empty one lets time pass.
-        now: samples received.
-        force: at the end of the stream nothing is late; number 1 to 4 of the held segments leaves.
-
-    Returns:
-        the four segments held afterwards and one segment of each stage: primitive, composer, accumulator, twice.
+    With ``force``, at the end of the stream, nothing is late; number 1 to 4 of the held segments leaves.
     """
     hm, bm, hl, bl = held
 

@@ -21,14 +21,7 @@ from jax.experimental.pallas import triton
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import segments
-from rcbht_jax.encoding.encoder import (
-    FLUSH_SLOTS,
-    EncoderConfig,
-    Push,
-    chain,
-    drain_segments,
-    track_of,
-)
+from rcbht_jax.encoding.encoder import FLUSH_SLOTS, EncoderConfig, Push, chain, drain_segments, track_of
 from rcbht_jax.encoding.segments import Divide
 from rcbht_jax.types import Array, LabelTrack, LabelTracks, Segment
 
@@ -53,13 +46,7 @@ Scan = Callable[[EncoderConfig, Array, Array, Array], LabelTracks]
 
 
 def encode_where_gpu(config: EncoderConfig, scan: Scan, limits: Array, wrench: Array, length: Array) -> LabelTracks:
-    """Labels ``[trial, axis, slot]``: by the kernel where the program runs on a CUDA GPU, by ``scan`` elsewhere.
-
-    Args:
-        config: static configuration.
-        scan: the same from (config, limits, wrench, length), also for derivatives.
-        limits: ``[4, lane]``. wrench: ``[trial, time, axis]``. length: ``[trial]``.
-    """
+    """Labels ``[trial, axis, slot]``: by the kernels on a CUDA GPU, by ``scan`` elsewhere and for derivatives."""
     columns = iter(_leaves_where_gpu(config, scan, limits, wrench, length))
     return LabelTracks(*(LabelTrack(*(next(columns) for _ in _FIELDS)) for _ in FLUSH_SLOTS))
 
@@ -225,17 +212,13 @@ class _Lanes:
         return row + there.astype(jnp.int32)
 
 
-class _Publisher:
-    """Where the layers' labels go: a row per window, or packed."""
-
-    def __init__(self, own: _Lanes, columns: Sequence[Any], windows: int, packed: bool) -> None:
-        self._own, self._columns, self._windows, self._packed = own, columns, windows, packed
-
-    def publish(self, layer: int, row: Any, track: LabelTrack) -> Any:
-        """Write a layer's labels; returns the row of the next ones."""
-        if self._packed:
-            return self._own.append(self._columns[layer], self._windows + FLUSH_SLOTS[layer], row, track)
-        return self._own.write(self._columns[layer * len(_FIELDS) : (layer + 1) * len(_FIELDS)], row, track)
+def _publish(
+    own: _Lanes, columns: Sequence[Any], windows: int, packed: bool, layer: int, row: Any, track: LabelTrack
+) -> Any:
+    """Write a layer's labels, into a row per window or packed; returns the row of the next ones."""
+    if packed:
+        return own.append(columns[layer], windows + FLUSH_SLOTS[layer], row, track)
+    return own.write(columns[layer * len(_FIELDS) : (layer + 1) * len(_FIELDS)], row, track)
 
 
 def _walk(
@@ -245,7 +228,7 @@ def _walk(
     """One block of lanes from the first window to the last."""
     *columns, ints_ref, reals_ref, count_ref, time_ref = outputs
     own = _Lanes(lanes, block)
-    publisher = _Publisher(own, columns, -(-samples // config.window), packed)
+    publish = partial(_publish, own, columns, -(-samples // config.window), packed)
     trial = own.number // axes
     first = trial * (samples * axes) + (own.number - trial * axes)
     limits = tuple(own.row(limits_ref, row) for row in range(4))
@@ -284,7 +267,7 @@ def _walk(
         x = Segment(label, time, time + size, x.vmax, x.vmin, x.area, x.rise)
         held, out = chain(config, held, x)
         rows = [
-            publisher.publish(layer, row, track_of(segment, time + size, divide))
+            publish(layer, row, track_of(segment, time + size, divide))
             for layer, (row, segment) in enumerate(zip(rows, out, strict=True))
         ]
         return time + size, held, following, rows
@@ -304,16 +287,16 @@ def _end(config: EncoderConfig, windows: int, lanes: int, block: int, divide: Di
     time_ref, *outputs = refs[len(refs) // 2 :]  # before them the same memory as inputs
     *columns, ints_ref, reals_ref, count_ref = outputs
     own = _Lanes(lanes, block)
-    publisher = _Publisher(own, columns, windows, packed)
+    publish = partial(_publish, own, columns, windows, packed)
     queue, time = _Queue(own, ints_ref, reals_ref), own.row(time_ref, 0)
     held = [queue.read(place) for place in range(_HELD)]
     for layer, ends in enumerate(drain_segments(config, held, queue.pushed)):
         queue.fill(ends)
 
-        def publish(place: Array, row: Array, layer: int = layer) -> Array:
-            return publisher.publish(layer, row, track_of(queue.read(place), time, divide))
+        def each(place: Array, row: Array, layer: int = layer) -> Array:
+            return publish(layer, row, track_of(queue.read(place), time, divide))
 
-        count = jax.lax.fori_loop(0, len(ends), publish, own.row(count_ref, layer))
+        count = jax.lax.fori_loop(0, len(ends), each, own.row(count_ref, layer))
         own.store(count_ref, layer, count)
 
 

@@ -9,18 +9,7 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax.encoding.rules import AnyLimits
-from rcbht_jax.encoding.thresholds import (
-    FIT_VERSION,
-    FORMAT_VERSION,
-    LIMITS,
-    TOLERANCE,
-    GradientThresholds,
-    check_rows,
-    limits_of,
-    read_rows,
-    write_rows,
-    write_thresholds,
-)
+from rcbht_jax.encoding.thresholds import GradientThresholds, check_rows, read_rows, write_rows, write_thresholds
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
@@ -33,17 +22,9 @@ def write_limits(
     axes: Sequence[str] = AXES,
     units: Sequence[str] = (),
 ) -> None:
-    """Write limits ``[axis, 4]``, and the tolerances ``[axis]`` of the fit rule, as a whole file or not at all.
+    """Write limits of either rule: ``[axis, 4]``, and by the fit rule tolerances ``[axis]``.
 
-    Args:
-        path: file to write; an existing one is replaced.
-        limits: of either rule.
-        provenance: how they were found; JSON values.
-        axes: their names.
-        units: of the axes, such as Nmm; "" = not stated, () = none is.
-
-    Raises:
-        InputError: wrong shape, not in order, not positive, another number of units, or the folder does not exist.
+    Other arguments and errors are those of :func:`rcbht_jax.encoding.thresholds.write_thresholds`.
 
     Example:
         >>> import tempfile
@@ -58,13 +39,11 @@ def write_limits(
         ...     read_limits(Path(folder) / "fit.json", ["My"], ["Nm"])[0].tolerance.tolist()
         [0.0005]
     """
-    if not isinstance(limits, FitLimits):
-        write_thresholds(path, GradientThresholds(limits_of(limits)), provenance, axes, units)
-        return
-    gradients = np.asarray(limits.gradients, np.float64)
-    check_rows(gradients, path, axes)
-    columns = dict(zip((*LIMITS, TOLERANCE), limits.stacked().T, strict=True))
-    write_rows(path, FIT_VERSION, axes, columns, provenance, units, rule="fit")
+    if isinstance(limits, FitLimits):
+        check_rows(np.asarray(limits.gradients, np.float64), path, axes)
+        write_rows(path, limits.stacked(), provenance, axes, units)
+    else:
+        write_thresholds(path, limits, provenance, axes, units)
 
 
 def read_limits(
@@ -72,37 +51,23 @@ def read_limits(
 ) -> tuple[AnyLimits, dict[str, Any]]:
     """Limits of some axes, by name, and their provenance: GradientThresholds, or FitLimits of a file of the fit rule.
 
-    Args:
-        path: the file.
-        axes: names of those to read.
-        units: of the axes; what the file has in other units is converted. "" = as in the file, () = all are.
-        rule: that they are for.
-
-    Raises:
-        InputError: not such a file, its numbers are not positive and in order for each of the axes, a unit that cannot
-            be converted, or limits of single windows at rest for the fit rule.
+    Arguments and errors are those of :func:`rcbht_jax.encoding.thresholds.read_thresholds`. ``rule`` is what the limits
+    are for: by the fit rule, limits of single windows at rest are an InputError.
     """
-    version, columns, provenance = read_rows(path, axes, units)
-    limits = np.stack([columns[name] for name in LIMITS], axis=-1)
-    check_rows(limits, path, axes)
-    if version == FORMAT_VERSION:
+    limits, tolerance, provenance = read_rows(path, axes, units)
+    if tolerance is None:
         if rule == "fit" and provenance.get("method") == "rest":
             raise InputError(
                 f"{path} has limits of single windows at rest, which are for --rule paper; choose that, or make the "
                 "file with --rule fit."
             )
         return GradientThresholds(limits), provenance
-    found = FitLimits(limits, columns[TOLERANCE])
+    found = FitLimits(limits, tolerance)
     try:
         found.stacked()
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return found, provenance
-
-
-def has_tolerances(path: Path | str) -> bool:
-    """Whether a file of limits that the fit rule can use has tolerances; errors as of :func:`read_limits`."""
-    return isinstance(read_limits(path, (), rule="fit")[0], FitLimits)
 
 
 def taken_from_start(rule: str, robot: str, thresholds: Path | str | None, tolerance: object = None) -> list[str]:
@@ -121,5 +86,7 @@ def taken_from_start(rule: str, robot: str, thresholds: Path | str | None, toler
     (['thresholds'], ['tolerances'])
     """
     learned = not thresholds and robot == "auto"
-    measured = rule == "fit" and not tolerance and not (thresholds and has_tolerances(thresholds))
+    measured = rule == "fit" and not tolerance
+    if measured and thresholds:
+        measured = not isinstance(read_limits(thresholds, (), rule=rule)[0], FitLimits)
     return ["thresholds"] * learned + ["tolerances"] * measured

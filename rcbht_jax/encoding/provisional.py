@@ -32,20 +32,7 @@ def labels(
     rest: Float[Array, " window *lanes"],
     count: Int[Array, "*lanes"],
 ) -> LabelTracks:
-    """Provisional labels of a stream that goes on; the state stays as it is.
-
-    Args:
-        config: static configuration.
-        limits: gradient limits and tolerance ``[axis, 5]`` or ``[*lanes, 5]``, N/s or Nm/s and N or Nm.
-        state: of the same lanes.
-        rest: the samples that did not fill a window, then anything.
-        count: how many of them there are, < window.
-
-    Returns:
-        labels ``[*lanes, slot]`` with 1 + 5 slots, as of :func:`rcbht_jax.encoding.fit.flush`.
-
-    Raises:
-        InputError: as :func:`rcbht_jax.encoding.fit.step`.
+    """Provisional labels of a stream that goes on, with arguments and shapes of :func:`rcbht_jax.encoding.fit.flush`.
 
     Example:
         >>> config, limits = FitConfig(), jnp.array([[70.0, 46.0, 23.0, 1.0, 0.1]])
@@ -62,23 +49,19 @@ def labels(
     t0, t1, line, held = fit.running(config, state)
     saved = jnp.where(first.primitive.label[..., 0] > 0, 0.0, saved)  # the rest began a new run
 
-    def later(missing: Array) -> Segment:
+    def later(more: Array) -> Segment:
+        missing = jnp.round(more).astype(jnp.int32)
         ahead = _ahead(config, line, samples, config.kept + count, missing)
         return primitive_of(config, lanes, t0, t1 + missing, join(line, ahead))
 
     missing, lasts = jnp.maximum(config.needed - saved, 0), round(LASTS / config.dt)
     trust = jnp.maximum(1 - fenced(saved * (1 / (DOUBTED * config.needed))), 0)
     young = (lasts - line.count).astype(trust.dtype) * trust
-    rounds = [stages[::2] for stages in fit.drain_stages(config, lanes, state, later(_whole(missing)))]
-    longer = later(_whole(jnp.where(line.count < lasts, young, missing)))
-    rounds[0][0] = pipe.keep(t1 > t0, longer)
+    rounds = [stages[::2] for stages in fit.drain_stages(config, lanes, state, later(missing))]
+    rounds[0][0] = pipe.keep(t1 > t0, later(jnp.where(line.count < lasts, young, missing)))
     parts = [*held, primitive_of(config, lanes, t0, t1, line)]
     rounds = [[_so_far(word, parts, state.time) for word in layers] for layers in rounds]
     return join_tracks(first, fit.tracks_of(rounds, state.time))
-
-
-def _whole(samples: Array) -> Array:
-    return jnp.round(samples).astype(jnp.int32)
 
 
 def _saved(tolerance: Array, state: EncoderState, samples: Array, kept: int, count: Array) -> Array:

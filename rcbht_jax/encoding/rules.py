@@ -16,7 +16,7 @@ from rcbht_jax.encoding import encoder, fit, provisional
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, host_limits, limits_of, of_lanes, validate
-from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
+from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance, stacked_limits
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTracks
 
@@ -115,14 +115,7 @@ def limits_for(
         thresholds = GradientThresholds(thresholds.gradients)
     gradients = of_lanes(host_limits(thresholds).astype(np.float64), 4, wrench.shape[::2])
     found = auto_tolerance(wrench, length, config.needed) if learned else _numbers(tolerance)
-    try:
-        limits = FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]))
-    except ValueError:
-        raise InputError(
-            f"Tolerances have shape {found.shape}; expected one, or one for each of {gradients.shape[-2]} axes."
-        ) from None
-    limits.stacked()
-    return limits
+    return FitLimits(gradients, stacked_limits(gradients, found)[..., 4])
 
 
 def _numbers(tolerance: Any) -> NDArray[np.float64]:

@@ -84,9 +84,10 @@ def soft_encode(
     lane_limits = jnp.broadcast_to(jnp.asarray(limits, wrench.dtype)[None], (trials, *limits.shape))
     lane_limits = lane_limits.reshape(trials * axes, limits.shape[1])
     if isinstance(config, FitConfig):
-        lanes = jnp.swapaxes(wrench, 0, 1).reshape(samples, trials * axes)
-        stages = jax.lax.stop_gradient(_fit_spans(config, lane_limits, lanes, jnp.repeat(length, axes)))
-        p, _ = soft_runs.soft_primitives(config, lane_limits, lanes, jnp.repeat(length, axes), temperature)
+        lanes, count = jnp.swapaxes(wrench, 0, 1).reshape(samples, trials * axes), jnp.repeat(length, axes)
+        hard = fit.scan_stages(config, lane_limits.T, lanes, count.astype(jnp.int32))
+        stages = jax.lax.stop_gradient(tuple(_on_grid(stage, samples, 1) for stage in hard))
+        p, _ = soft_runs.soft_primitives(config, lane_limits, lanes, count, temperature)
         parts = _vote(p, stages[0].label, stages[0])
     else:
         stages = jax.lax.stop_gradient(_hard_spans(config, limits, wrench, length))
@@ -149,25 +150,18 @@ def _hard_spans(config: EncoderConfig, limits: Array, wrench: Array, length: Arr
         flat = jax.tree.map(lambda leaf: leaf.reshape(trials * axes, -1).T, track)
         return Segment(flat.label.astype(jnp.int32), flat.t0, flat.t1, flat.vmax, flat.vmin, flat.avg, flat.grad)
 
+    def append(spans: Segment, last: Segment) -> Segment:
+        return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), spans, last)
+
     push_primitive = partial(composition.push_primitive, gate=config.gate, lead=config.lead)
     push_composition = partial(composition.push_composition, short=config.short)
     p, m, l = (lanes(track) for track in (tracks.primitive, tracks.mc, tracks.llb))
     empty = jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), p)
     held, pairs = jax.lax.scan(push_primitive, empty, p)
-    pairs = _append(pairs, composition.single_composition(held))
+    pairs = append(pairs, composition.single_composition(held))
     held, joints = jax.lax.scan(push_composition, empty, m)
-    joints = _append(joints, composition.single_behaviour(held, config.short))
+    joints = append(joints, composition.single_behaviour(held, config.short))
     return tuple(_on_grid(stage, windows, config.window) for stage in (p, pairs, m, joints, l))
-
-
-def _fit_spans(config: FitConfig, limits: Array, samples: Array, count: Array) -> tuple[_Spans, ...]:
-    """The same stages by the fit rule, on the grid of samples; limits ``[lane, 5]``, samples ``[time, lane]``."""
-    stages = fit.scan_stages(config, limits.T, samples, count.astype(jnp.int32))
-    return tuple(_on_grid(stage, samples.shape[0], 1) for stage in stages)
-
-
-def _append(spans: Segment, last: Segment) -> Segment:
-    return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), spans, last)
 
 
 def _on_grid(spans: Segment, windows: int, window: int) -> _Spans:

@@ -120,14 +120,9 @@ class WindowBuffer(Copyable):
 def held(
     config: AnyConfig, limits: Float[Array, "axis limit"], state: EncoderState, buffer: WindowBuffer, ends: bool = False
 ) -> LabelTracks:
-    """Words that a stream holds, as host arrays ``[axis, slot]``; nothing changes.
+    """Words that a stream holds, provisional or as its end would publish them, as host arrays ``[axis, slot]``.
 
-    Args:
-        config: static configuration.
-        limits: of every axis.
-        state: at the end of the last complete window.
-        buffer: the samples since then.
-        ends: the labels are those that an end of the stream would publish, in place of provisional ones.
+    The state is that at the end of the last complete window; nothing changes.
 
     Raises:
         InputError: a stream in double precision, where JAX's 64-bit mode is off.
@@ -198,9 +193,8 @@ class Encoder(Copyable):
         """Like :meth:`push`, but yields one entry at a time: in between, the stream is at the end of the window."""
         chunk = self._buffer.checked(read_chunk(samples, self._config.dt))
         while len(chunk):
-            chunk = self._buffer.fill(chunk, self._config.window)
-            if not self._buffer.room:
-                window, self._buffer.count = self._buffer.samples.copy(), 0
+            windows, chunk = self._buffer.complete(chunk, 1)
+            for window in windows:
                 self._state, packed = _step(self._config, self._limits, self._state, window)
                 yield jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(packed))
 

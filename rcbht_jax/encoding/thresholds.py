@@ -230,36 +230,29 @@ def write_thresholds(
         raise InputError("These limits have tolerances; write them with rcbht_jax.encoding.limit_files.write_limits.")
     limits = host_limits(thresholds).astype(np.float64)
     check_rows(limits, path, axes)
-    write_rows(path, FORMAT_VERSION, axes, dict(zip(LIMITS, limits.T, strict=True)), provenance, units)
+    write_rows(path, limits, provenance, axes, units)
 
 
 def write_rows(
     path: Path | str,
-    version: int,
-    axes: Sequence[str],
-    columns: Mapping[str, NDArray[np.float64]],
+    numbers: NDArray[np.float64],
     provenance: Mapping[str, Any],
-    units: Sequence[str] = (),
-    **more: Any,
+    axes: Sequence[str],
+    units: Sequence[str],
 ) -> None:
-    """Write numbers ``[axis]`` by name as a file of thresholds; ``more`` are entries at its top.
-
-    Raises:
-        InputError: the folder does not exist, two axes have the same name, there is another number of units, or
-            ``provenance`` is not JSON.
-    """
+    """Write limits ``[axis, 4]``, or ``[axis, 5]`` with the tolerance last; errors as of :func:`write_thresholds`."""
+    version = FORMAT_VERSION if numbers.shape[1] == len(LIMITS) else FIT_VERSION
     path, axes = as_path(path), distinct(axes)
     expect("The provenance", provenance, Mapping)
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder; make it, or choose another file.")
-    lists = {name: values.tolist() for name, values in columns.items()}
     rows: dict[str, dict[str, Any]] = {}
-    for row, (axis, unit) in enumerate(zip(axes, units_of(axes, units), strict=True)):
-        rows[axis] = {name: values[row] for name, values in lists.items()} | ({"unit": unit} if unit else {})
+    for axis, unit, row in zip(axes, units_of(axes, units), numbers.tolist(), strict=True):
+        rows[axis] = dict(zip(COLUMNS[version], row, strict=True)) | ({"unit": unit} if unit else {})
     content = {
         "format": FORMAT,
         "format_version": version,
-        **more,
+        **({"rule": "fit"} if version == FIT_VERSION else {}),
         "units": "limits: unit of the axis per second; tolerance: unit of the axis",
         "limits": rows,
         "rcbht_jax_version": rcbht_jax.__version__,
@@ -296,32 +289,28 @@ def read_thresholds(
         ...     read_thresholds(Path(folder) / "hiro.json")[0].limits[0].tolist()
         [70.0, 46.0, 23.0, 1.0]
     """
-    version, columns, provenance = read_rows(path, axes, units)
-    if version != FORMAT_VERSION:
+    limits, tolerance, provenance = read_rows(path, axes, units)
+    if tolerance is not None:
         raise InputError(f"{path} holds limits of the fit rule, with tolerances; the paper's rule cannot use them.")
-    limits = np.stack([columns[name] for name in LIMITS], axis=-1)
-    check_rows(limits, path, axes)
     return GradientThresholds(limits), provenance
 
 
 def read_rows(
-    path: Path | str, axes: Sequence[str], units: Sequence[str] = ()
-) -> tuple[int, dict[str, NDArray[np.float64]], dict[str, Any]]:
-    """Version, numbers ``[axis]`` by name, converted to the units, and provenance of a file of thresholds.
-
-    Raises:
-        InputError: not such a file, it has nothing for one of the axes, something that is no number, no names, or a
-            unit that cannot be converted.
-    """
+    path: Path | str, axes: Sequence[str], units: Sequence[str]
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, dict[str, Any]]:
+    """Limits ``[axis, 4]``, tolerances ``[axis]`` of the fit rule, provenance; errors as of :func:`read_thresholds`."""
     axes = texts(axes) if axes else ()  # none: only the version is asked for
     with _file_of_thresholds(path) as (version, rows, provenance):
         if missing := [axis for axis in axes if axis not in rows]:
             raise InputError(f"{path} has no thresholds for {', '.join(missing)}; it has {', '.join(rows)}.")
         pairs = zip(axes, units_of(axes, units), strict=True)
         factors = np.array([_factor(path, axis, _unit(path, axis, rows[axis]), unit) for axis, unit in pairs])
-        found = {name: np.array([_number(path, rows, axis, name) for axis in axes]) for name in COLUMNS[version]}
-        columns = {name: values * factors for name, values in found.items()}
-    return version, columns, provenance
+        names = COLUMNS[version]
+        found = [[checked_number(f"{path}: {name} of {axis}", rows[axis][name]) for name in names] for axis in axes]
+        numbers = np.reshape(found, (len(axes), len(names))) * factors[:, None]
+    limits, tolerance = numbers[:, : len(LIMITS)], numbers[:, -1] if version == FIT_VERSION else None
+    check_rows(limits, path, axes)
+    return limits, tolerance, provenance
 
 
 def units_in(path: Path | str) -> dict[str, str]:
@@ -354,10 +343,6 @@ def _file_of_thresholds(path: Path | str) -> Iterator[tuple[int, Mapping[str, An
         raise InputError(f'{path} is not a file of thresholds, as "rcbht calibrate" writes them.') from None
 
 
-def _number(path: Path | str, rows: Mapping[str, Any], axis: str, name: str) -> float:
-    return checked_number(f"{path}: {name} of {axis}", rows[axis][name])
-
-
 def _unit(path: Path | str, axis: str, row: Mapping[str, Any]) -> str:
     expect(f"{path}: unit of {axis}", unit := row.get("unit", ""), str)
     return str(unit)
@@ -369,12 +354,8 @@ def _factor(path: Path | str, axis: str, stated: str, unit: str) -> float:
     return factor
 
 
-def check_rows(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path | str, axes: Sequence[str]) -> None:
-    """Check the limits ``[axis, 4]`` of a file.
-
-    Raises:
-        InputError: limits of another shape, not positive or out of order; the message names the file.
-    """
+def check_rows(limits: NDArray[np.float64], path: Path | str, axes: Sequence[str]) -> None:
+    """Refuse limits of a file that are not ``[axis, 4]``, not positive or out of order; the message names the file."""
     if limits.shape != (len(axes), len(LIMITS)):
         raise InputError(f"Thresholds for {path} have shape {limits.shape}; expected [{len(axes)}, 4].")
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -48,21 +49,26 @@ class FitLimits(ByValue):
             >>> FitLimits(np.array([[70.0, 46.0, 23.0, 1.0]]), np.array([0.5])).stacked().tolist()
             [[70.0, 46.0, 23.0, 1.0, 0.5]]
         """
-        gradients = numbers_of(self.gradients, "A table of limits").astype(np.float64)
-        tolerance = numbers_of(self.tolerance, "A list of tolerances").astype(np.float64)
-        validate(gradients)
-        try:
-            tolerance = np.broadcast_to(tolerance, gradients.shape[:-1])
-        except ValueError:
-            raise InputError(
-                f"Tolerances have shape {tolerance.shape}; expected one, or one for each of {gradients.shape[-2]} axes."
-            ) from None
-        if not positive(tolerance):
-            raise InputError(
-                f"Tolerances are {tolerance.min():g} to {tolerance.max():g}; expected positive numbers of 1.2e-38 to "
-                "3.4e38, which single precision holds."
-            )
-        return np.concatenate([gradients, tolerance[..., None]], axis=-1)
+        return stacked_limits(self.gradients, self.tolerance)
+
+
+def stacked_limits(gradients: Any, tolerance: Any) -> NDArray[np.float64]:
+    """As :meth:`FitLimits.stacked`; a single tolerance is that of all axes."""
+    gradients = numbers_of(gradients, "A table of limits").astype(np.float64)
+    tolerance = numbers_of(tolerance, "A list of tolerances").astype(np.float64)
+    validate(gradients)
+    try:
+        tolerance = np.broadcast_to(tolerance, gradients.shape[:-1])
+    except ValueError:
+        raise InputError(
+            f"Tolerances have shape {tolerance.shape}; expected one, or one for each of {gradients.shape[-2]} axes."
+        ) from None
+    if not positive(tolerance):
+        raise InputError(
+            f"Tolerances are {tolerance.min():g} to {tolerance.max():g}; expected positive numbers of 1.2e-38 to "
+            "3.4e38, which single precision holds."
+        )
+    return np.concatenate([gradients, tolerance[..., None]], axis=-1)
 
 
 def noise_of(parts: Sequence[Float[np.ndarray, "_time axis"]]) -> Float[np.ndarray, " axis"]:

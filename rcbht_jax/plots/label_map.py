@@ -83,8 +83,7 @@ def label_map(
     check_rows(recordings, tracks)
     rows = _sorted_rows(recordings, select)
     chosen: LabelTrack = getattr(tracks, layer)
-    states = _states(recordings, track) if by == "state" else ()
-    codes = _by_word(chosen, rows) if by == "word" else _by_state(chosen, rows, recordings, track, states)
+    states, codes = ((), _by_word(chosen, rows)) if by == "word" else _by_state(chosen, rows, recordings, track)
     caption = _CAPTIONS[by]
     if words is not None:
         codes, caption = _cut(codes, words, caption)
@@ -112,11 +111,10 @@ def label_map(
 def _named(states: tuple[str, ...], inches: float) -> tuple[tuple[str, ...], float, float]:
     r"""Names of states below a panel of a width, in lines where they would overlap, or leaning if they need too many.
 
+    Then their rotation in degrees, and the inches below the panel that they take beyond a line.
+
     >>> _named(("near", "a longer name", "far"), 2.0)
     (('near', '\na longer name', 'far'), 0.0, 0.19)
-
-    Returns:
-        the names; their rotation in degrees; inches below the panel that they take beyond a line.
     """
     names = tuple(cut(state, LONG_STATE) for state in states)
     if not names:
@@ -168,16 +166,11 @@ def _cut(codes: Codes, words: int, caption: str) -> tuple[Codes, str]:
     return codes[..., :words], f"{caption}; {longer} of {codes[..., 0].size} rows are truncated"
 
 
-def _states(recordings: Recordings, track: str) -> tuple[str, ...]:
-    name = recordings.annotations.choose(track)
-    if not name:
+def _by_state(track: LabelTrack, rows: Rows, recordings: Recordings, annotated: str) -> tuple[tuple[str, ...], Codes]:
+    """States, and their codes, ``POINTS_PER_STATE`` columns each: 0 where one is missing, the first of several."""
+    if not (name := recordings.annotations.choose(annotated)):
         raise InputError("The data set has no annotations; a label map by state needs a track of them.")
-    return recordings.annotations.labels[name]
-
-
-def _by_state(track: LabelTrack, rows: Rows, recordings: Recordings, annotated: str, states: tuple[str, ...]) -> Codes:
-    """Codes by state, ``POINTS_PER_STATE`` columns each, 0 where a state is missing; the first of several."""
-    name, axes = recordings.annotations.choose(annotated), len(recordings.axes)
+    states, axes = recordings.annotations.labels[name], len(recordings.axes)
     codes = np.zeros((len(rows), axes, len(states), POINTS_PER_STATE), np.int8)
     fractions = (np.arange(POINTS_PER_STATE) + 0.5) / POINTS_PER_STATE
     for row, index in enumerate(rows.tolist()):
@@ -191,7 +184,7 @@ def _by_state(track: LabelTrack, rows: Rows, recordings: Recordings, annotated: 
             moments = start + fractions * max(stop - start, 0.0)
             for axis in range(axes):
                 codes[row, axis, state] = _codes_at(track, index, axis, moments)
-    return codes.reshape(len(rows), axes, -1)
+    return states, codes.reshape(len(rows), axes, -1)
 
 
 def _codes_at(

@@ -9,11 +9,10 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from rcbht_jax.calibration.dataset import CalibrationData
-from rcbht_jax.encoding.thresholds import GradientThresholds
+from rcbht_jax.encoding.thresholds import LIMITS, GradientThresholds
 from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.plots.canvas import new_figure, plain
 
-_NAMES = ("impulse", "big", "medium", "small")
 _COLORS = ("#67000d", "#d94801", "#fdae6b", "#08519c")
 
 
@@ -55,7 +54,7 @@ def threshold_figure(
                 0.02, 0.96, _zones(inside, limits), transform=panel.transAxes, fontsize=6, va="top", color="0.25"
             )
             for k, limit in enumerate(limits):
-                label = _NAMES[k] if (row, column) == (0, 0) else None
+                label = LIMITS[k] if (row, column) == (0, 0) else None
                 panel.axvline(limit, color=_COLORS[k], linewidth=1.6, label=label)
                 if base is not None:
                     panel.axvline(np.asarray(base.limits)[row, k], color=_COLORS[k], linewidth=1.0, linestyle=":")
@@ -91,4 +90,4 @@ def _zones(slopes: Float[np.ndarray, " slope"], limits: Float[np.ndarray, 4]) ->
     """Percentage of the windows between the limits, one line per zone, smallest slopes first."""
     zone = (slopes[:, None] >= limits[::-1]).sum(1)
     share = 100 * np.bincount(zone, minlength=5) / max(len(zone), 1)
-    return "\n".join(f"{value:.0f} % {name}" for value, name in zip(share, ("constant", *_NAMES[::-1]), strict=True))
+    return "\n".join(f"{value:.0f} % {name}" for value, name in zip(share, ("constant", *LIMITS[::-1]), strict=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
 
@@ -41,7 +41,6 @@ MARGIN = 0.24  # inches above the title
 LINE, ROOM, MOST_ROWS = 16, 2, 14  # of names of states: points of a row, rows that fit into the head, most rows
 LONG = 17, 22  # letters that fit beside a panel in the usual size, and in the small one
 WIDE = 80, 125  # letters that fit into the two lines of the title, the first one beside the key
-_FIELDS = tuple(field.name for field in fields(LabelTrack))
 _BAND_TITLES = ("primitive", "MC", "LLB")
 _RED = "#b2182b"  # of the state boundaries
 _STYLE: dict[bool, Any] = {False: "solid", True: (0, (4, 3))}  # by Mark.dashed
@@ -178,20 +177,13 @@ def _view(recordings: Recordings, index: int, seconds: tuple[float, float] | Non
 
 def _lane(track: LabelTrack, index: int, axis: int, view: _View) -> LabelTrack:
     """The labels of one axis that are in view, without empty slots."""
-    columns = {field: np.asarray(getattr(track, field))[index, axis] for field in _FIELDS}
-    visible = (columns["t1"] * view.dt > view.start) & (columns["t0"] * view.dt < view.stop)
-    visible &= columns["label"] > 0
-    return LabelTrack(**{field: values[visible] for field, values in columns.items()})
+    lane = LabelTrack(**{field: np.asarray(values)[index, axis] for field, values in vars(track).items()})
+    visible = (lane.label > 0) & (lane.t1 * view.dt > view.start) & (lane.t0 * view.dt < view.stop)
+    return LabelTrack(**{field: values[visible] for field, values in vars(lane).items()})
 
 
 def _canvas(axes: tuple[str, ...], head: float, bands: bool) -> tuple[Figure, list[tuple[Axes, ...]]]:
-    """A figure, and for each axis the signal, above its bands if there are some; all panels have one time axis.
-
-    Args:
-        axes: names.
-        head: inches above the first panel.
-        bands: whether there are labels to show.
-    """
+    """A figure, ``head`` inches below its top the signal of each axis, above its bands if there are some."""
     foot, panel = (FOOT, PANEL) if bands else (BARE_FOOT, PANEL * SIGNAL / (SIGNAL + 1))
     height = round(head + foot + len(axes) * panel + (len(axes) - 1) * GAP, 2)
     figure = new_figure((WIDTH, height), DPI)
@@ -205,15 +197,14 @@ def _canvas(axes: tuple[str, ...], head: float, bands: bool) -> tuple[Figure, li
         signal.set_gid(f"signal-{printable(title)}")
         signal.tick_params(labelsize=10)
         scale_in_margin(signal)
-        panel_axes: tuple[Axes, ...] = (signal,)
+        panels.append((signal,))
         if bands:
             band = figure.add_subplot(rows[1], sharex=signal)
             band.set_gid(f"labels-{printable(title)}")
             band.tick_params(labelsize=10)
             signal.tick_params(bottom=False, labelbottom=False)
-            panel_axes = signal, band
-        panel_axes[-1].tick_params(labelbottom=axis == len(axes) - 1)
-        panels.append(panel_axes)
+            panels[-1] = signal, band
+        panels[-1][-1].tick_params(labelbottom=axis == len(axes) - 1)
     return figure, panels
 
 

@@ -21,6 +21,16 @@ GAP, DATE = 60.0, 1e5  # s after which a clock that goes on counts from 0 again;
 VIEWERS = 16
 
 
+def alphabets(no_meaning: str, no_color: str) -> dict[str, Any]:
+    """Names, meanings and colours of the labels of each layer by code, from code 0, which is no label."""
+    return {
+        "layers": LAYERS,
+        "names": {layer: [name(layer, code) for code in range(len(MEANING[layer]) + 1)] for layer in LAYERS},
+        "meanings": {layer: [no_meaning, *MEANING[layer]] for layer in LAYERS},
+        "colors": {layer: [no_color, *COLORS[layer]] for layer in LAYERS},
+    }
+
+
 def description(session: Session) -> dict[str, Any]:
     """Constants that a viewer needs to draw the frames."""
     introspector = session.introspector
@@ -29,10 +39,7 @@ def description(session: Session) -> dict[str, Any]:
         "rule": config_fields(introspector.config)["rule"],
         "believed": config_fields(introspector.believed)["rule"],
         "units": introspector.units,
-        "layers": LAYERS,
-        "names": {layer: ["-", *(name(layer, k + 1) for k in range(len(MEANING[layer])))] for layer in LAYERS},
-        "meanings": {layer: ["nothing yet", *MEANING[layer]] for layer in LAYERS},
-        "colors": {layer: ["#ffffff", *COLORS[layer]] for layer in LAYERS},
+        **alphabets("nothing yet", "#ffffff"),
         "dt": introspector.config.dt,
         "window": introspector.config.window,
         "heads": {head.name: head.classes for head in introspector.heads},

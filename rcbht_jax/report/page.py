@@ -23,7 +23,7 @@ from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.io.export.card import confounds
 from rcbht_jax.io.export.dataset import Block, DataSet
 from rcbht_jax.io.simulation import with_faults
-from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
+from rcbht_jax.report.live_frames import alphabets
 from rcbht_jax.report.live_page import asset, filled
 from rcbht_jax.report.pack import infer_beliefs, pack
 from rcbht_jax.report.results import Results, cells
@@ -68,10 +68,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
         "dt": data.recordings.dt,
         "axes": data.recordings.axes,
         "units": data.recordings.units,
-        "layers": LAYERS,
-        "names": {layer: [name(layer, code) for code in range(len(MEANING[layer]) + 1)] for layer in LAYERS},
-        "meanings": {layer: ["", *MEANING[layer]] for layer in LAYERS},
-        "colors": {layer: ["", *COLORS[layer]] for layer in LAYERS},
+        **alphabets("", ""),
         "trials": abouts,
     }
     parts = {

@@ -17,7 +17,7 @@ from rcbht_jax.calibration import contextual, sample, search
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.limit_files import has_tolerances, read_limits, write_limits
+from rcbht_jax.encoding.limit_files import read_limits, taken_from_start, write_limits
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds, write_thresholds
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
@@ -184,7 +184,7 @@ def test_a_file_of_the_fit_rule_is_read_by_axis_and_refused_where_it_cannot_be_u
     np.testing.assert_array_equal(found.tolerance, limits.tolerance[[5, 0]])
     np.testing.assert_array_equal(found.gradients, limits.gradients[[5, 0]])
     assert provenance == {"seed": 1}
-    assert has_tolerances(path)
+    assert taken_from_start("fit", "hiro", path) == []
     with pytest.raises(InputError, match="fit rule"):
         read_thresholds(path)
     content = json.loads(path.read_text())
@@ -197,7 +197,7 @@ def test_a_file_of_the_fit_rule_is_read_by_axis_and_refused_where_it_cannot_be_u
     with pytest.raises(InputError, match="is not a file of thresholds"):
         read_limits(path)
     write_limits(path, preset(), {})
-    assert not has_tolerances(path)
+    assert taken_from_start("fit", "hiro", path) == ["tolerances"]
     np.testing.assert_array_equal(read_limits(path)[0].limits, preset().limits)
 
 

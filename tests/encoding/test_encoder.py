@@ -326,7 +326,14 @@ def test_the_mean_of_a_word_of_days_stays_between_its_extremes(value: float) -> 
 
 
 @pytest.mark.parametrize("rule", ["paper", "fit"])
-def test_long_windows_take_memory_by_the_data_and_keep_their_labels(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("window", "name", "value", "expected"),
+    [(1000, "_PIECE_SAMPLES", 64000, [16000, 64000]), (2, "_LONG_PIECE", 64, [512, 128])],
+    ids=["windows", "recordings"],
+)
+def test_pieces_are_sized_by_the_data_and_keep_their_labels(
+    rule: str, window: int, name: str, value: int, expected: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     sizes = []
 
     def noted(length: np.ndarray, samples: int, axes: int) -> batch.Schedule:
@@ -335,7 +342,7 @@ def test_long_windows_take_memory_by_the_data_and_keep_their_labels(rule: str, m
 
     monkeypatch.setattr(batch, "plan", noted)
     wrench = np.random.default_rng(0).normal(size=(2, 9000, 1)).cumsum(1).astype(np.float32)
-    few = rj.encode(wrench, 200, window=1000, rule=rule)
-    monkeypatch.setattr(batch, "_PIECE_SAMPLES", 64000)
-    assert few == rj.encode(wrench, 200, window=1000, rule=rule)
-    assert sizes == [16000, 64000]
+    few = rj.encode(wrench, 200, window=window, rule=rule)
+    monkeypatch.setattr(batch, name, value)
+    assert few == rj.encode(wrench, 200, window=window, rule=rule)
+    assert sizes == expected
