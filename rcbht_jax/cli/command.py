@@ -45,14 +45,13 @@ class Folder(NamedTuple):
 
 
 def option(text: str, default: str | None = None, **more: Any) -> Any:
-    """An option's help, and what stands for its default value there."""
-    hint = None if default is None else default and f"(default: {default})"
-    return tyro.conf.arg(help=text, help_behavior_hint=hint, **more)
+    """An option's help, where a docstring of one line is too short, and what stands for its default value there."""
+    return tyro.conf.arg(help=text, **more) if default is None else unset(default, help=text, **more)
 
 
-def unset(**more: Any) -> Any:
-    """An option described by the docstring of its field, which shows no default: it has no value."""
-    return tyro.conf.arg(help_behavior_hint="", **more)
+def unset(default: str = "", **more: Any) -> Any:
+    """What stands for the default value of an option that has none, in the help that its field's docstring gives."""
+    return tyro.conf.arg(help_behavior_hint=default and f"(default: {default})", **more)
 
 
 # Options that several commands have; one without a text is described by the docstring of its field.

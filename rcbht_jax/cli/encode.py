@@ -13,7 +13,17 @@ from zipfile import is_zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Flag, MadeBy, RobotName, RuleCommand, Store, checked_tolerance, option, progress_bar
+from rcbht_jax.cli.command import (
+    Flag,
+    MadeBy,
+    RobotName,
+    RuleCommand,
+    Store,
+    checked_tolerance,
+    option,
+    progress_bar,
+    unset,
+)
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -90,10 +100,8 @@ class Encode(RuleCommand):
     """Revision of the authors' program (offline)."""
     clean: Flag = False
     """Correct the known errors of the authors' program (offline)."""
-    name: Annotated[
-        str | None,
-        option("Name of the label tracks; default: composed of the options, such as online-W5 or offline-master.", ""),
-    ] = None
+    name: Annotated[str | None, unset()] = None
+    """Name of the label tracks; default: composed of the options, such as online-W5 or offline-master."""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.label_parts import joined

@@ -10,7 +10,7 @@ import tyro
 
 from rcbht_jax._util.columns import with_units
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar
+from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar, unset
 from rcbht_jax.cli.store import listed
 
 if TYPE_CHECKING:
@@ -36,13 +36,11 @@ class Import(Command):
     out: OutStore
     map: Annotated[Path | None, option("File that says what the columns mean.", "", metavar="FILE.toml")] = None
     write_map: Annotated[Path | None, option("File to save the meaning of columns in.", "", metavar="FILE.toml")] = None
-    files: Annotated[
-        str, option("Pattern of the files that are recordings, such as *_ft.csv.", "all of the kind", metavar="PATTERN")
-    ] = ""
+    files: Annotated[str, unset("all of the kind", metavar="PATTERN")] = ""
+    """Pattern of the files that are recordings, such as *_ft.csv."""
     rate: Annotated[float | None, option("Samples per second of the store.", "that of most recordings")] = None
-    source_rate: Annotated[
-        float | None, option("Samples per second of files without time stamps.", "the rate that a file states")
-    ] = None
+    source_rate: Annotated[float | None, unset("the rate that a file states")] = None
+    """Samples per second of files without time stamps."""
     tare: Annotated[float | None, option("Subtract the mean of this many seconds at the beginning.", "none")] = None
     group: Annotated[str, option("Column whose values separate the recordings of one file.", "")] = ""
     topic: Annotated[str, option("Topic of a bag.", "every topic of wrenches")] = ""

@@ -55,13 +55,8 @@ class _Learning(Command):
     tracks: Annotated[tuple[str, ...], unset()] = ()
     """Label tracks to use; A+B concatenates their features. Cross-validation selects one of several choices."""
     boundaries: Boundaries = "harmonised"
-    arm: Annotated[
-        str,
-        option(
-            "Arm whose labels to use, if the store has several; both = side by side.",
-            "the last by name, as the right one",
-        ),
-    ] = ""
+    arm: Annotated[str, unset("the last by name, as the right one")] = ""
+    """Arm whose labels to use, if the store has several; both = side by side."""
     source: Sources = ()
     session: Sessions = ()
     outcome: Outcomes = ()
@@ -130,9 +125,8 @@ class Evaluate(_Learning):
     """Sessions to train on, in place of cross-validation; needs --test-on."""
     test_on: Annotated[tuple[str, ...], unset()] = ()
     """Sessions to test on."""
-    folds: Annotated[
-        int | None, option("Folds of the cross-validation.", "5, or the trials of the rarest class if they are fewer")
-    ] = None
+    folds: Annotated[int | None, unset("5, or the trials of the rarest class if they are fewer")] = None
+    """Folds of the cross-validation."""
     repeats: Annotated[int | None, option("Repetitions of the cross-validation, each with other folds.", "10")] = None
     group: Annotated[str, option("Column whose groups no fold splits, for example operator or session.")] = "trial"
 
@@ -256,9 +250,8 @@ class Classify(Command):
     """Label tracks to use instead of those used in training; A+B if the model uses two."""
     source: Sources = ()
     session: Sessions = ()
-    outcome: Annotated[
-        tuple[str, ...], option("Outcomes of the trials to classify; default those used in training, and unknown.", "")
-    ] = ()
+    outcome: Annotated[tuple[str, ...], unset()] = ()
+    """Outcomes of the trials to classify; default those used in training, and unknown."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CLASSES.csv")] = Path("classes.csv")
     """Table to write: .csv, or .jsonl for JSON lines."""
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import common_arm, learned_arm, rows_of_arm
@@ -61,9 +62,8 @@ class MonitorFit(Command):
     """Set the threshold on recordings held out from training, so that its guarantee on false alarms is exact."""
     seed: int = 0
     """Seed for the choice of held-out recordings."""
-    out: Annotated[Path, option("File to write: arrays and JSON, no code.", aliases=["-o"], metavar="MONITOR")] = Path(
-        "nominal.monitor"
-    )
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="MONITOR")] = Path("nominal.monitor")
+    """File to write: arrays and JSON, no code."""
     arm: Arm = ""
 
     def run(self) -> dict[str, Any]:
@@ -117,9 +117,8 @@ class MonitorWatch(Command):
 
     store: Store
     """Store of recordings."""
-    monitor: Annotated[Path, option('File of "rcbht monitor fit".', aliases=["-m"], metavar="MONITOR"), MONITOR] = Path(
-        "nominal.monitor"
-    )
+    monitor: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MONITOR"), MONITOR] = Path("nominal.monitor")
+    """File of "rcbht monitor fit"."""
     where: Where = ()
     false_alarms: FalseAlarms = 0.05
     snap: SnapSize = ()

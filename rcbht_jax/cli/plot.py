@@ -26,6 +26,7 @@ from rcbht_jax.cli.command import (
     Trial,
     belief_rate,
     option,
+    unset,
 )
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, made_now_note, rule_of
 from rcbht_jax.cli.readers import SnapSize, detector_of
@@ -51,9 +52,8 @@ class PlotTrial(Command):
     arm: OneArm = None
     source: SourcePrefix = ""
     tracks: Tracks = ""
-    seconds: Annotated[
-        tuple[float, float] | None, option("Start and end of the interval to show, s; default the whole trial.", "")
-    ] = None
+    seconds: Annotated[tuple[float, float] | None, unset()] = None
+    """Start and end of the interval to show, s; default the whole trial."""
     rule: DrawnRule = "fit"
 
     def run(self) -> dict[str, Any]:
@@ -102,10 +102,8 @@ class PlotMap(Command):
     by: Literal["word", "state"] = "word"
     """Columns: words of the sentence, or time normalised within the first interval of each state."""
     max_words: Annotated[int | None, option("Number of words to show; default all.", "")] = None
-    source: Annotated[
-        tuple[str, ...],
-        option("Data sets to show, or the beginnings of their names, for example REAL; default all.", ""),
-    ] = ()
+    source: Annotated[tuple[str, ...], unset()] = ()
+    """Data sets to show, or the beginnings of their names, for example REAL; default all."""
     tracks: Tracks = ""
     rule: DrawnRule = "fit"
 
@@ -143,13 +141,8 @@ class PlotBeliefs(Command):
     trial: Trial
     out: OutFigure
     model: Model = Path("online.model")
-    arm: Annotated[
-        str,
-        option(
-            "Arm whose wrench to use, if the store has several.",
-            "that of the model, else the last by name, as the right one",
-        ),
-    ] = ""
+    arm: Annotated[str, unset("that of the model, else the last by name, as the right one")] = ""
+    """Arm whose wrench to use, if the store has several."""
     source: SourcePrefix = ""
     starts: Starts = "harmonised"
     rate: BeliefRate = None

@@ -23,6 +23,7 @@ from rcbht_jax.cli.command import (
     checked_tolerance,
     option,
     progress_bar,
+    unset,
 )
 from rcbht_jax.errors import InputError
 
@@ -54,14 +55,8 @@ class Segment(Command):
     """Seed of trees and copies."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="SEGMENTS.csv")] = Path("segments.csv")
     """Table to write."""
-    write_model: Annotated[
-        Path | None,
-        option(
-            'Also write the segmenter trained on all annotated recordings, for "rcbht stream --segmenter".',
-            "",
-            metavar="SEGMENTER",
-        ),
-    ] = None
+    write_model: Annotated[Path | None, unset(metavar="SEGMENTER")] = None
+    """Also write the segmenter trained on all annotated recordings, for "rcbht stream --segmenter"."""
     arm: Arm = ""
 
     def run(self) -> dict[str, Any]:

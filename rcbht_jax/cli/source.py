@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     AnyIntrospector = Introspector | WordIntrospector | Together
     Messages = Iterator[Message]
 
+SEGMENTER = MadeBy('"rcbht segment STORE.zarr --write-model {path}"')
+
 
 @dataclass(frozen=True)
 class Source(RuleCommand):
@@ -51,13 +53,8 @@ class Source(RuleCommand):
     """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
     model: OnlineModel = None
     trial: Annotated[tuple[str, ...], option("Trials of a store; default all, one after the other.", "")] = ()
-    arm: Annotated[
-        str,
-        option(
-            "Arm whose wrench to use, if the store has several.",
-            "that of the model, monitor or segmenter, else the last by name, as the right one",
-        ),
-    ] = ""
+    arm: Annotated[str, unset("that of the model, monitor or segmenter, else the last by name, as the right one")] = ""
+    """Arm whose wrench to use, if the store has several."""
     starts: Starts = "harmonised"
     topic: Annotated[str, unset()] = ""
     """Topic of a bag, if several have wrenches."""
@@ -70,14 +67,8 @@ class Source(RuleCommand):
             "",
         ),
     ] = ()
-    sampling_rate: Annotated[
-        float | None,
-        option(
-            "Samples per second of the encoder, if no model is given; default that of the recording or its time "
-            "stamps.",
-            "",
-        ),
-    ] = None
+    sampling_rate: Annotated[float | None, unset()] = None
+    """Samples per second of the encoder, if no model is given; default that of the recording or its time stamps."""
     lead: Annotated[
         float,
         option(
@@ -97,25 +88,13 @@ class Source(RuleCommand):
         ),
     ] = None
     snap: SnapSize = ()
-    monitor: Annotated[
-        Path | None,
-        option('File of "rcbht monitor fit", for scores and alarms beside words and beliefs.', "", metavar="MONITOR"),
-        MONITOR,
-    ] = None
+    monitor: Annotated[Path | None, unset(metavar="MONITOR"), MONITOR] = None
+    """File of "rcbht monitor fit", for scores and alarms beside words and beliefs."""
     false_alarms: FalseAlarms = 0.05
-    segmenter: Annotated[
-        Path | None,
-        option('File of "rcbht segment --write-model", for a label of the newest sample.', "", metavar="SEGMENTER"),
-        MadeBy('"rcbht segment STORE.zarr --write-model {path}"'),
-    ] = None
-    max_gap: Annotated[
-        float | None,
-        option(
-            "Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 "
-            "samples.",
-            "",
-        ),
-    ] = None
+    segmenter: Annotated[Path | None, unset(metavar="SEGMENTER"), SEGMENTER] = None
+    """File of "rcbht segment --write-model", for a label of the newest sample."""
+    max_gap: Annotated[float | None, unset()] = None
+    """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
     tare: Annotated[
         float,
         option(

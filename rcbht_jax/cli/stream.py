@@ -75,10 +75,8 @@ class TrainOnline(RuleCommand):
     source: Sources = ()
     session: Sessions = ()
     outcome: Outcomes = ()
-    families: Annotated[
-        tuple[StreamFamily, ...],
-        option("Feature families; default those chosen for sub-tasks or for whole trials.", ""),
-    ] = ()
+    families: Annotated[tuple[StreamFamily, ...], unset()] = ()
+    """Feature families; default those chosen for sub-tasks or for whole trials."""
     ranks: Flag = False
     """Replace every feature of a whole trial by its rank in the training set."""
     relative: Flag = False
@@ -170,15 +168,8 @@ class Stream(Source):
     Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
     """
 
-    out: Annotated[
-        Path | None,
-        tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl"),
-        option(
-            "File for the events; it appears when the stream ends, but a pipe gets each at once. Default standard "
-            "output.",
-            "",
-        ),
-    ] = None
+    out: Annotated[Path | None, unset(aliases=["-o"], metavar="EVENTS.jsonl")] = None
+    """File for the events; it appears when the stream ends, but a pipe gets each at once. Default standard output."""
     mcap: Annotated[Path | None, unset(metavar="OUT.mcap")] = None
     """MCAP file for wrench, labels, words, beliefs and events, to open in Foxglove or PlotJuggler."""
     words: Flag = False

@@ -52,14 +52,12 @@ class FidelityFit(Command):
     """Recorded session."""
     parameters: tuple[str, ...] = tuple(BOUNDS)
     """Parameters to fit, for example parts.friction, parts.hook_overlap[0:2] or sensor.delay."""
-    bound: Annotated[
-        tuple[str, ...], option("Ranges in place of the default ones, as NAME=LOW:HIGH, in SI units.", "")
-    ] = ()
+    bound: Annotated[tuple[str, ...], unset()] = ()
+    """Ranges in place of the default ones, as NAME=LOW:HIGH, in SI units."""
     fixed: Annotated[tuple[str, ...], unset()] = ()
     """Parameters with a fixed value, as NAME=VALUE."""
-    trials: Annotated[
-        int | None, option("Simulated trials per candidate; default 4 for session A, 9 for the others.", "")
-    ] = None
+    trials: Annotated[int | None, unset()] = None
+    """Simulated trials per candidate; default 4 for session A, 9 for the others."""
     outcomes: Annotated[
         Flag,
         option(

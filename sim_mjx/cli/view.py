@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 from rcbht_jax._util.arms import chosen_arm
 from rcbht_jax.cli.command import (
@@ -24,7 +23,6 @@ from rcbht_jax.cli.command import (
     Tracks,
     Trial,
     check_place,
-    option,
     progress_bar,
     unset,
 )
@@ -52,11 +50,8 @@ class View(Command):
     store: Store
     """Store made by "rcbht simulate" or "rcbht import hiro"."""
     trial: Trial
-    out: Annotated[
-        Path | None,
-        tyro.conf.arg(aliases=["-o"], metavar="OUT"),
-        option("File to write; default the viewer, without a display TRIAL.png.", ""),
-    ] = None
+    out: Annotated[Path | None, unset(aliases=["-o"], metavar="OUT")] = None
+    """File to write; default the viewer, without a display TRIAL.png."""
     data: Annotated[Path | None, unset(metavar="DIR")] = None
     """Folder that a recorded trial was imported from, which has the joint angles."""
     arm: Arm = ""
