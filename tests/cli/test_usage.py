@@ -18,6 +18,7 @@ from rcbht_jax.cli import commands, main
 from rcbht_jax.cli.command import progress_bar
 from rcbht_jax.cli.completion import options_of
 from tests.cli.test_commands import synthetic
+from tests.support.command_line import CommandLine
 
 HEAVY = {"jax", "matplotlib", "mujoco", "optax", "rosbags", "scipy", "sklearn", "zarr"}
 ALL_HELP = f"""
@@ -75,18 +76,15 @@ def test_help_is_as_quick_as_importing_jax() -> None:
         ("classify x.zarr --model m --source a -o o.csv --source=b", "--source is given twice"),
     ],
 )
-def test_mistyped_words_get_suggestions(words: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(words.split()) == 2
-    captured = capsys.readouterr()
-    assert sentence in captured.out + captured.err
-    assert len(captured.err.splitlines()) <= 1
+def test_mistyped_words_get_suggestions(words: str, sentence: str, rcbht: CommandLine) -> None:
+    out, err = rcbht.ended(2, *words.split())
+    assert sentence in out + err
+    assert len(err.splitlines()) <= 1
 
 
-def test_a_mistyped_second_word_of_a_command_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["fidelity", "fitt", "x.zarr"]) == 2
-    assert "did you mean fidelity fit?" in capsys.readouterr().err
-    assert main.main(["fidelity", "--trials", "x"]) == 2
-    assert '"rcbht fidelity --help" lists them' in capsys.readouterr().err
+def test_a_mistyped_second_word_of_a_command_gets_a_suggestion(rcbht: CommandLine) -> None:
+    assert "did you mean fidelity fit?" in rcbht.refused("fidelity", "fitt", "x.zarr")
+    assert '"rcbht fidelity --help" lists them' in rcbht.refused("fidelity", "--trials", "x")
 
 
 @pytest.mark.parametrize(
@@ -106,9 +104,8 @@ def test_former_spellings_of_options_mean_the_same(name: str, former: str, prese
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_has_every_command_and_option(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["completion", shell]) == 0
-    script = capsys.readouterr().out
+def test_completion_has_every_command_and_option(shell: str, rcbht: CommandLine) -> None:
+    script = rcbht("completion", shell)
     for name in main.all_commands():
         words = name.split()
         assert words[-1] in script
@@ -145,11 +142,8 @@ def installed(shell: str) -> object:
 
 @pytest.mark.parametrize("shell", list(map(installed, RUN)))
 @pytest.mark.parametrize(("typed", "completions"), COMPLETED)
-def test_shells_complete(
-    shell: str, typed: str, completions: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main.main(["completion", shell]) == 0
-    (tmp_path / "script").write_text(capsys.readouterr().out)
+def test_shells_complete(shell: str, typed: str, completions: str, tmp_path: Path, rcbht: CommandLine) -> None:
+    (tmp_path / "script").write_text(rcbht("completion", shell))
     words = typed.split(" ")
     known = {"words": " ".join(f'"{word}"' for word in words), "last": len(words) - 1, "typed": f"'{typed}'"}
     command = [word.format(**known) for word in RUN[shell]] + [str(tmp_path / "script")]
@@ -160,9 +154,8 @@ def test_shells_complete(
     assert not done.stderr
 
 
-def test_zsh_takes_no_word_for_a_modifier(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["completion", "zsh"]) == 0
-    assert not re.search(r"\{[^}]*:[A-Za-z]", capsys.readouterr().out)  # where no zsh is installed
+def test_zsh_takes_no_word_for_a_modifier(rcbht: CommandLine) -> None:
+    assert not re.search(r"\{[^}]*:[A-Za-z]", rcbht("completion", "zsh"))  # where no zsh is installed
 
 
 @pytest.mark.parametrize(
@@ -179,14 +172,13 @@ def test_zsh_takes_no_word_for_a_modifier(capsys: pytest.CaptureFixture[str]) ->
     ],
 )
 def test_what_is_missing_is_named_with_the_command_that_makes_it(
-    words: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rcbht: CommandLine
 ) -> None:
     from rcbht_jax.io.store import write_recordings
 
     monkeypatch.chdir(tmp_path)
     write_recordings(Path("STORE"), synthetic(), {})
-    assert main.main(words.split()) == 2
-    assert f'"{hint}"' in capsys.readouterr().err
+    assert f'"{hint}"' in rcbht.refused(*words.split())
 
 
 def test_progress_is_shown_on_terminals_only(monkeypatch: pytest.MonkeyPatch) -> None:
