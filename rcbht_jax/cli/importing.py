@@ -10,7 +10,8 @@ import tyro
 
 from rcbht_jax._util.columns import with_units
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar, unset
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, option, progress_bar, unset
 from rcbht_jax.cli.store import listed
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ class Import(Command):
 
     KIND: ClassVar[str] = "auto"
     source: Annotated[Path, tyro.conf.Positional, option("File, or folder of files.", metavar="SOURCE")]
-    out: OutStore
+    out: common.OutStore
     map: Annotated[Path | None, option("File that says what the columns mean.", "", metavar="FILE.toml")] = None
     write_map: Annotated[Path | None, option("File to save the meaning of columns in.", "", metavar="FILE.toml")] = None
     files: Annotated[str, unset("all of the kind", metavar="PATTERN")] = ""

@@ -14,24 +14,8 @@ import tyro
 
 from rcbht_jax._util.cells import table_text
 from rcbht_jax._util.printable import padded, plural, room
-from rcbht_jax.cli.command import (
-    Boundaries,
-    Command,
-    Flag,
-    LabelledStore,
-    MadeBy,
-    Outcomes,
-    OutModel,
-    Sessions,
-    Sources,
-    StreamFamily,
-    Task,
-    Weighing,
-    left_out,
-    option,
-    progress_bar,
-    unset,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, MadeBy, left_out, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,24 +29,25 @@ if TYPE_CHECKING:
 
 WIDEST = 100  # columns of a printed table
 CLASSIFIER = MadeBy('"rcbht train STORE.zarr -o {path}"')
-Family = Literal["sentence", StreamFamily]
+Family = Literal["sentence", common.StreamFamily]
 
 
 @dataclass(frozen=True)
 class _Learning(Command):
-    store: LabelledStore
-    task: Task = ""
+    store: common.Store
+    """Store with label tracks, made by "rcbht encode"."""
+    task: common.Task = ""
     tracks: Annotated[tuple[str, ...], unset()] = ()
     """Label tracks to use; A+B concatenates their features. Cross-validation selects one of several choices."""
-    boundaries: Boundaries = "harmonised"
+    boundaries: common.Boundaries = "harmonised"
     arm: Annotated[str, unset("the last by name, as the right one")] = ""
     """Arm whose labels to use, if the store has several; both = side by side."""
-    source: Sources = ()
-    session: Sessions = ()
-    outcome: Outcomes = ()
+    source: common.Sources = ()
+    session: common.Sessions = ()
+    outcome: common.Outcomes = ()
     features: tuple[Family, ...] = ("histogram", "parts", "spread", "together", "order")
     """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
-    weighing: Weighing = ()
+    weighing: common.Weighing = ()
     ranks: Flag = True
     """Scale features by mean and standard deviation, instead of by ranks in the training set."""
     balance: Flag = False
@@ -192,7 +177,7 @@ class Train(_Learning):
     Example: rcbht train hiro.zarr --task states --session A B -o states.model
     """
 
-    out: OutModel = Path("rcbht.model")
+    out: common.OutModel = Path("rcbht.model")
     group: Annotated[str, option("Column whose groups no fold of the selection splits, such as operator.")] = "trial"
 
     def run(self) -> dict[str, Any]:
@@ -243,13 +228,14 @@ class Classify(Command):
     Example: rcbht classify new.zarr --model states.model -o classes.csv
     """
 
-    store: LabelledStore
+    store: common.Store
+    """Store with label tracks, made by "rcbht encode"."""
     model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), CLASSIFIER]
     """Model file of "rcbht train"."""
     tracks: Annotated[str, unset()] = ""
     """Label tracks to use instead of those used in training; A+B if the model uses two."""
-    source: Sources = ()
-    session: Sessions = ()
+    source: common.Sources = ()
+    session: common.Sessions = ()
     outcome: Annotated[tuple[str, ...], unset()] = ()
     """Outcomes of the trials to classify; default those used in training, and unknown."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CLASSES.csv")] = Path("classes.csv")

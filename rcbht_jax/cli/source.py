@@ -15,20 +15,11 @@ import tyro
 
 from rcbht_jax._util.printable import plural, printable
 from rcbht_jax._util.url_path import as_path, url_of
-from rcbht_jax.cli.command import (
-    BeliefRate,
-    CompileCache,
-    MadeBy,
-    OnlineModel,
-    RuleCommand,
-    Starts,
-    belief_rate,
-    checked_tolerance,
-    option,
-    unset,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import MadeBy, option, unset
 from rcbht_jax.cli.monitor import MONITOR, FalseAlarms
 from rcbht_jax.cli.readers import Reads, SnapSize, detector_of, readers_of
+from rcbht_jax.cli.rules import RuleCommand, checked_tolerance
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,11 +42,14 @@ class Source(RuleCommand):
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
     """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
-    model: OnlineModel = None
+    model: Annotated[Path | None, unset("none: words only", aliases=["-m"], metavar="MODEL"), common.ONLINE_MODEL] = (
+        None
+    )
+    """Model file of "rcbht train-online"."""
     trial: Annotated[tuple[str, ...], option("Trials of a store; default all, one after the other.", "")] = ()
     arm: Annotated[str, unset("that of the model, monitor or segmenter, else the last by name, as the right one")] = ""
     """Arm whose wrench to use, if the store has several."""
-    starts: Starts = "harmonised"
+    starts: common.Starts = "harmonised"
     topic: Annotated[str, unset()] = ""
     """Topic of a bag, if several have wrenches."""
     axes: Annotated[
@@ -76,7 +70,7 @@ class Source(RuleCommand):
             "and --rule fit the tolerances."
         ),
     ] = 10.0
-    rate: BeliefRate = None
+    rate: common.BeliefRate = None
     certainty: float = 0.70
     """Probability above which a belief counts as certain, from 0.55 to less than 1."""
     speed: Annotated[
@@ -104,7 +98,7 @@ class Source(RuleCommand):
     ] = 0.0
     timeout: float = 1.0
     """Report a live source that is silent for this many seconds."""
-    compile_cache: CompileCache = None
+    compile_cache: common.CompileCache = None
 
     FORMER: ClassVar[dict[str, str]] = {"--k": "--certainty", "--bridge": "--max-gap", "--silent": "--timeout"}
     SPEED: ClassVar[float] = 0.0  # of a recording, where none is chosen
@@ -138,7 +132,7 @@ class Source(RuleCommand):
             detect = self.starts == "detected"
             beside = self._beside(model)
             introspector = Introspector(
-                model, belief_rate(self.rate), self.certainty, detect=detect, words=words and not beside
+                model, common.belief_rate(self.rate), self.certainty, detect=detect, words=words and not beside
             )
             if beside:
                 learned = Reads(model.axes, model.units, 1 / model.encoder.dt)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore, option, progress_bar, unset
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, MadeBy, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class Simulate(Command):
     Example: rcbht simulate trials.zarr --status
     """
 
-    out: OutStore
+    out: common.OutStore
     assembly: Annotated[str, tyro.conf.arg(metavar="NAME")] = "camera-snap"
     """camera-snap (recorded, see --preset), peg-in-hole, square-peg, clip, plug, or FILE.py:NAME for your own."""
     robot: Annotated[str, unset(metavar="NAME")] = ""
@@ -98,7 +99,7 @@ class Simulate(Command):
     ] = None
     physical: Annotated[Path | None, unset(metavar="FIT.json"), FIT] = None
     """File of "rcbht fidelity fit" with physical parameters, in place of the preset's."""
-    compile_cache: CompileCache = None
+    compile_cache: common.CompileCache = None
     overwrite: Flag = False
     """Replace an existing store, once the new one is complete."""
     processes: Annotated[int | None, unset()] = None

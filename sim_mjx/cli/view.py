@@ -15,17 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from rcbht_jax._util.arms import chosen_arm
-from rcbht_jax.cli.command import (
-    Arm,
-    Command,
-    SourcePrefix,
-    Store,
-    Tracks,
-    Trial,
-    check_place,
-    progress_bar,
-    unset,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, check_place, progress_bar, unset
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, rule_of, stored_by
 from rcbht_jax.errors import InputError
 
@@ -47,16 +38,16 @@ class View(Command):
     Example: rcbht view trials.zarr sim-hooked-B-000003 -o trial.png
     """
 
-    store: Store
+    store: common.Store
     """Store made by "rcbht simulate" or "rcbht import hiro"."""
-    trial: Trial
+    trial: common.Trial
     out: Annotated[Path | None, unset(aliases=["-o"], metavar="OUT")] = None
     """File to write; default the viewer, without a display TRIAL.png."""
     data: Annotated[Path | None, unset(metavar="DIR")] = None
     """Folder that a recorded trial was imported from, which has the joint angles."""
-    arm: Arm = ""
-    source: SourcePrefix = ""
-    tracks: Tracks = ""
+    arm: common.Arm = ""
+    source: common.SourcePrefix = ""
+    tracks: common.Tracks = ""
     speed: float = 1.0
     """Playback speed in viewer and film: 1 = real time."""
     rule: DrawnRule = "fit"
