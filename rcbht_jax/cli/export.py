@@ -43,7 +43,7 @@ class Export(Command):
         words = (self.tracks, self.window, self.rule, self.tolerance)
         data = load(self.store, *words, thresholds_now(self.store, self.window, self.rule))
         with progress_bar("export", "trials", len(data.recordings)) as bar:
-            export(data, self.out, self.format, lambda done: bar.update(done) and None)
+            export(data, self.out, self.format, bar.update)
         files = [path for path in self.out.rglob("*") if path.is_file()]
         return {
             "out": str(self.out),
@@ -113,7 +113,7 @@ class Report(Command):
             data = load(self.store, *words, thresholds_now(self.store, *words[1:3]))
             count = len(chosen(data.recordings, options))
             with progress_bar("report", "trials", count) as bar:
-                text = page(data, options, lambda done: bar.update(done) and None)
+                text = page(data, options, bar.update)
         with atomic_write(self.out) as draft:
             draft.write_text(text, encoding="utf-8")
         return {

@@ -19,6 +19,7 @@ from rcbht_jax.cli.command import Command, Flag, MadeBy, left_out, option, progr
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
+    from rcbht_jax.features import FeatureSpec
     from rcbht_jax.learning.evaluation import Grammars
     from rcbht_jax.learning.model_io import TrainedModel
     from rcbht_jax.learning.predict import Classification
@@ -67,6 +68,12 @@ class _Learning(Command):
 
         task = chosen_task(self.task, recordings)
         return TaskSpec(task, self.boundaries, self.arm, self.source, self.session, self.outcome or None)
+
+    @property
+    def families(self) -> FeatureSpec:
+        from rcbht_jax.features import FeatureSpec
+
+        return FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
 
     @property
     def grid(self) -> Grid:
@@ -118,7 +125,6 @@ class Evaluate(_Learning):
     LARGEST_SEED: ClassVar[int] = 2**31 - 1  # that a protocol takes
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.features import FeatureSpec
         from rcbht_jax.io.store import unchanged
         from rcbht_jax.learning.evaluation import FOLDS, EvaluationProtocol, evaluate
 
@@ -130,12 +136,11 @@ class Evaluate(_Learning):
             protocol = EvaluationProtocol(
                 self.folds, repeats, self.seed, self.grid, self.train_on, self.test_on, self.group
             )
-            families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
             folds = 1 if self.train_on else (self.folds or FOLDS) * repeats
             recordings, facts = table_and_facts(self.store)
             spec = self.spec(recordings)
             with progress_bar("evaluate", "folds", folds) as bar:
-                result = evaluate(recordings, grammars, spec, families, protocol, how, bar.update, facts=facts)
+                result = evaluate(recordings, grammars, spec, self.families, protocol, how, bar.update, facts=facts)
         return {"tracks": " ".join(grammars), **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -167,7 +172,7 @@ class Evaluate(_Learning):
         chosen, count = next(iter(result["chosen"].items()))
         lines.append(f"chosen most often: {chosen} ({count} of {plural(sum(result['chosen'].values()), 'fold')})")
         lines += ["confusion matrix, rows = true class:", *_table(result["classes"], result["confusion"])]
-        return "\n".join([*lines, *[f"Confounds: {result['confounds']}"] * bool(result["confounds"])])
+        return "\n".join([*lines, *_confounds(result)])
 
 
 @dataclass(frozen=True)
@@ -181,28 +186,29 @@ class Train(_Learning):
     group: Annotated[str, option("Column whose groups no fold of the selection splits, such as operator.")] = "trial"
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.features import FeatureSpec
         from rcbht_jax.io.store import unchanged
+        from rcbht_jax.learning.confounds import examined
         from rcbht_jax.learning.fitting import train
         from rcbht_jax.learning.model_io import save
 
         with unchanged(self.store):
             grammars, how = self.read_tracks()
-            families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-            (recordings, facts), grid = table_and_facts(self.store), self.grid
-            spec = self.spec(recordings)
-            with progress_bar("train", "folds", grid.inner) as bar:
-                model = train(recordings, grammars, spec, families, grid, how, self.seed, bar.update, facts, self.group)
+            recordings, facts = table_and_facts(self.store)
+            chosen = (self.spec(recordings), self.families, self.grid, how, self.seed)
+            with progress_bar("train", "folds", self.grid.inner) as bar:
+                model = train(recordings, grammars, *chosen, bar.update, facts, self.group)
+            known = examined(recordings, self.spec(recordings), facts)[1]
         save(self.out, model)
-        chosen = model.svm.spec
+        svm = model.svm.spec
         return {
             "model": str(self.out),
-            "tracks": chosen.features,
+            "tracks": svm.features,
             "classes": list(model.svm.classes),
-            "kernel": chosen.kernel,
-            "cost": chosen.cost,
-            "scaling": chosen.scaling,
+            "kernel": svm.kernel,
+            "cost": svm.cost,
+            "scaling": svm.scaling,
             **model.extra,
+            "confounds": " ".join(known),
         }
 
     def text(self, result: dict[str, Any]) -> str:
@@ -212,7 +218,7 @@ class Train(_Learning):
         )
         if "chosen_on" in result:
             learnt += f" (kernel, cost and labels chosen on {plural(result['chosen_on'], 'sentence')})"
-        return "\n".join([learnt, *left_out(result["dropped"])])
+        return "\n".join([learnt, *left_out(result["dropped"]), *_confounds(result)])
 
 
 @dataclass(frozen=True)
@@ -307,6 +313,10 @@ class Classify(Command):
             names = ", ".join(map(repr, strange))
             lines.append(f"not counted: {count} of {names}, which the model has not learned, so that none can be right")
         return "\n".join(lines)
+
+
+def _confounds(result: dict[str, Any]) -> list[str]:
+    return [f"Confounds: {result['confounds']}"] * bool(result["confounds"])
 
 
 def _scores(score: dict[str, Any]) -> str:

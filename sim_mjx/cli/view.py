@@ -62,9 +62,9 @@ class View(Command):
         from sim_mjx.validation.replay import events
 
         out = self.out if self.out is not None or has_display() else Path(f"{self.trial}.png")
-        if self.out is None and out is not None and out.name != f"{self.trial}.png":
-            raise InputError(f"The trial {self.trial!r} has no name for a file; choose one with -o.")
         if self.out is None and out is not None:
+            if out.name != f"{self.trial}.png":
+                raise InputError(f"The trial {self.trial!r} has no name for a file; choose one with -o.")
             check_place(out, None)
         self._check(out)
         motion = self._motion()

@@ -224,22 +224,8 @@ def test_wrong_input_ends_with_one_sentence(words: tuple[str, ...], store: Path,
 
 
 NEED_NO_STORE = ("bench", "completion", "demo", "doctor", "simulate", "fidelity")
-option = st.sampled_from(
-    [
-        "--window",
-        "--tracks",
-        "--seed",
-        "--task",
-        "--json",
-        "--folds",
-        "--robot",
-        "--mode",
-        "--costs",
-        "--out",
-        "-o",
-        "--",
-    ]
-)
+OPTIONS = "--window --tracks --seed --task --json --folds --robot --mode --costs --out -o --"
+option = st.sampled_from(OPTIONS.split())
 word = st.one_of(option, st.text(max_size=6), st.integers(-3, 3).map(str), st.floats().map(str))
 
 

@@ -32,13 +32,16 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def table(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
 def test_a_table_of_intervals(store, tmp_path, rcbht):
     out = tmp_path / "segments.csv"
     result = rcbht.json("segment", store, "-o", out)
     assert (result["recordings"], result["annotated"], result["classes"]) == (5, 4, ["free", "touch"])
     assert result["score"]["accuracy"] > 0.95 > result["majority"]
-    with out.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = table(out)
     new = [row for row in rows if row["recording"] == "4"]
     assert [row["label"] for row in new] == ["free", "touch"]
     assert {row["annotated"] for row in new} == {"False"}
@@ -49,8 +52,7 @@ def test_a_table_of_intervals(store, tmp_path, rcbht):
 def test_recordings_of_one_source_have_their_numbers_in_the_store(store, tmp_path, rcbht):
     out = tmp_path / "segments.csv"
     rcbht("segment", store, "--source", "old", "-o", out)
-    with out.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = table(out)
     assert {(row["recording"], row["source"]) for row in rows} == {(str(number), "old") for number in range(1, 5)}
     trials = read_recordings(store).trial
     assert all(row["trial"] == trials[int(row["recording"])] for row in rows)
@@ -67,9 +69,9 @@ def test_one_arm_is_labelled(store, tmp_path, rcbht, monkeypatch):
         printed = rcbht("segment", two, "-o", out, *words)
         assert "5 recordings, 4 of them annotated" in printed
         assert printed.endswith(f"\nOnly the {named} arm is used.\n")
-        with out.open(newline="") as file:
-            rows = {(row["recording"], row["arm"]) for row in csv.DictReader(file)}
-        assert rows == {(str(first + number), named[0].upper()) for number in range(5)}
+        assert {(row["recording"], row["arm"]) for row in table(out)} == {
+            (str(first + number), named[0].upper()) for number in range(5)
+        }
     saved = []
     monkeypatch.setattr(segmenter_file, "save", lambda path, file: saved.append(file))
     monkeypatch.setattr(segmenter_file.SegmenterFile, "of", lambda segmenter, track, labels, arm: arm)
@@ -91,8 +93,7 @@ def test_a_recording_that_nothing_labels_is_reported(store, tmp_path, rcbht):
     write_recordings(few, one, {})
     printed = rcbht("segment", few, "--one-shot", "-o", out)
     assert "\nNot in the table: 1 recording, as none of another trial has two classes." in printed
-    with out.open(newline="") as file:
-        assert {row["recording"] for row in csv.DictReader(file)} == {"1", "2", "3", "4"}
+    assert {row["recording"] for row in table(out)} == {"1", "2", "3", "4"}
     assert rcbht.json("segment", store, "--one-shot", "-o", out)["unlabelled"] == 0
 
 

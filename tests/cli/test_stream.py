@@ -232,18 +232,7 @@ def test_a_model_remembers_the_rule(tmp_path, rcbht):
 def test_an_outcome_from_the_same_seconds_of_every_record(tmp_path, rcbht):
     store, out = tmp_path / "s.zarr", tmp_path / "m"
     rj.write_recordings(store, rj.Recordings.example(), {})
-    learn = [
-        "train-online",
-        str(store),
-        "--task",
-        "outcome",
-        "-o",
-        str(out),
-        "--families",
-        "edges",
-        "offset",
-        "--ranks",
-    ]
+    learn = ["train-online", store, "--task", "outcome", "-o", out, "--families", "edges", "offset", "--ranks"]
     rcbht(*learn, "--first-seconds", "1")
     head = model_files.load(out).heads[0]
     assert head.view.spec.families == ("edges", "offset")

@@ -84,7 +84,21 @@ def test_mistyped_words_get_suggestions(words: str, sentence: str, rcbht: Comman
 
 def test_a_mistyped_second_word_of_a_command_gets_a_suggestion(rcbht: CommandLine) -> None:
     assert "did you mean fidelity fit?" in rcbht.refused("fidelity", "fitt", "x.zarr")
-    assert '"rcbht fidelity --help" lists them' in rcbht.refused("fidelity", "--trials", "x")
+    assert '"rcbht fidelity --help" lists them' in rcbht.refused("fidelity", "--session", "x")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("encode x --window y", "--window is 'y'; expected a whole number."),
+        ("simulate x --max-seconds=1s --trials 3", "--max-seconds is '1s'; expected a number."),
+        ("encode x --latency_cap None", "--latency-cap is 'None'; expected a number."),
+        ("calibrate x -o y --rungs 0.5 z", "--rungs is 'z'; expected a number."),
+        ("train x --costs 1 -1 --seed 0.5", "--seed is '0.5'; expected a whole number."),
+    ],
+)
+def test_other_words_in_place_of_numbers_are_refused(words: str, sentence: str, rcbht: CommandLine) -> None:
+    assert rcbht.refused(*words.split()) == f"rcbht: {sentence}\n"
 
 
 @pytest.mark.parametrize(
