@@ -13,6 +13,7 @@ STORE = MadeBy('"rcbht simulate {path}", or from files of yours with "rcbht impo
 ONLINE_MODEL = MadeBy('"rcbht train-online STORE.zarr -o {path}"')
 Store = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE]
 OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr"), Folder()]
+Overwrite = Annotated[bool, option("Replace an existing store, once the new one is complete.", "")]
 Trial = Annotated[str, tyro.conf.Positional, option("Name of the trial.", metavar="TRIAL")]
 Tracks = Annotated[str, option("Label tracks to use, if the store has several.", "")]
 Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]

@@ -49,8 +49,7 @@ class Import(Command):
     outcome: Annotated[str, option("Column that states the outcome of a recording.", "")] = ""
     keep_copies: Flag = False
     """Import exact copies of other recordings as well, and note them."""
-    overwrite: Flag = False
-    """Replace an existing store, once the new one is complete."""
+    overwrite: common.Overwrite = False
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.errors import InputError

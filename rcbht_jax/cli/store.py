@@ -30,8 +30,7 @@ class ImportHiro(Command):
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Folder of the data sets, or one data set."""
     out: common.OutStore
-    overwrite: Flag = False
-    """Replace an existing store, once the new one is complete."""
+    overwrite: common.Overwrite = False
 
     FORMER: ClassVar[dict[str, str]] = {"-o": "", "--out": ""}
 
@@ -77,8 +76,7 @@ class Join(Command):
     out: Annotated[Path, option("Store to create.", aliases=["-o"], metavar="OUT.zarr"), Folder()]
     tare: float = 0.0
     """Subtract the mean of this many seconds at the beginning of each recording; 0 = nothing."""
-    overwrite: Flag = False
-    """Replace an existing store, once the new one is complete."""
+    overwrite: common.Overwrite = False
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.joining import join_stores

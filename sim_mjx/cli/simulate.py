@@ -100,8 +100,7 @@ class Simulate(Command):
     physical: Annotated[Path | None, unset(metavar="FIT.json"), FIT] = None
     """File of "rcbht fidelity fit" with physical parameters, in place of the preset's."""
     compile_cache: common.CompileCache = None
-    overwrite: Flag = False
-    """Replace an existing store, once the new one is complete."""
+    overwrite: common.Overwrite = False
     processes: Annotated[int | None, unset()] = None
     """Worker processes that share the work; default one per 4 cores, with a GPU 1, with Ray one per node or GPU."""
     devices: Annotated[str | None, option("GPUs of this machine to use, with a worker process each.", "1")] = None
