@@ -136,11 +136,11 @@ class Evaluate(_Learning):
             protocol = EvaluationProtocol(
                 self.folds, repeats, self.seed, self.grid, self.train_on, self.test_on, self.group
             )
-            folds = 1 if self.train_on else (self.folds or FOLDS) * repeats
+            families, folds = self.families, 1 if self.train_on else (self.folds or FOLDS) * repeats
             recordings, facts = table_and_facts(self.store)
             spec = self.spec(recordings)
             with progress_bar("evaluate", "folds", folds) as bar:
-                result = evaluate(recordings, grammars, spec, self.families, protocol, how, bar.update, facts=facts)
+                result = evaluate(recordings, grammars, spec, families, protocol, how, bar.update, facts=facts)
         return {"tracks": " ".join(grammars), **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -193,11 +193,11 @@ class Train(_Learning):
 
         with unchanged(self.store):
             grammars, how = self.read_tracks()
-            recordings, facts = table_and_facts(self.store)
-            chosen = (self.spec(recordings), self.families, self.grid, how, self.seed)
-            with progress_bar("train", "folds", self.grid.inner) as bar:
-                model = train(recordings, grammars, *chosen, bar.update, facts, self.group)
-            known = examined(recordings, self.spec(recordings), facts)[1]
+            families, grid, (recordings, facts) = self.families, self.grid, table_and_facts(self.store)
+            spec = self.spec(recordings)
+            with progress_bar("train", "folds", grid.inner) as bar:
+                model = train(recordings, grammars, spec, families, grid, how, self.seed, bar.update, facts, self.group)
+            known = examined(recordings, spec, facts)[1]
         save(self.out, model)
         svm = model.svm.spec
         return {
