@@ -86,8 +86,6 @@ class FidelityFit(Command):
         from sim_mjx.validation.system_id import fit
 
         start = time.perf_counter()
-        if not self.out.absolute().parent.is_dir():
-            raise InputError(f"{self.out.parent} is not a folder; create it, or choose another.")
         target = sessions.recorded(read_recordings(self.recorded), self.session)
         fixed = tuple((name, _number(value)) for name, value in map(_assignment, self.fixed))
         _check_once([*self.parameters, *(name for name, _ in fixed)], "--parameters and --fixed")
