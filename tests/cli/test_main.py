@@ -231,12 +231,8 @@ def test_closed_output_is_no_traceback(hiro_store: Path) -> None:
     reader, writer = os.pipe()
     os.close(reader)
     code = "import sys; from rcbht_jax.cli.main import main; sys.exit(main())"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "info", str(hiro_store)],
-        stdout=writer,
-        stderr=subprocess.PIPE,
-        check=False,
-    )
+    command = [sys.executable, "-c", code, "info", str(hiro_store)]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
     os.close(writer)
     assert done.returncode == 1
     assert done.stderr == b""

@@ -166,16 +166,8 @@ def test_phases_and_columns_are_classified(store: Path, tmp_path: Path, rcbht: C
     assert made["score"]["accuracy"]["mean"] > 0.9
     assert made["items"] == {"reach": 12, "grasp": 12, "hold": 11}
     assert rcbht.json("train", store, "--task", "tool", "-o", tmp_path / "tool.model", *options)["classes"]
-    done = rcbht.json(
-        "classify",
-        store,
-        "--model",
-        tmp_path / "tool.model",
-        "-o",
-        tmp_path / "tool.csv",
-        "--tracks",
-        "online-W5",
-    )
+    files = ("--model", tmp_path / "tool.model", "-o", tmp_path / "tool.csv")
+    done = rcbht.json("classify", store, *files, "--tracks", "online-W5")
     assert done["accuracy_of_those"] > 0.9
     error = rcbht.refused("evaluate", store, "--task", "states", "--tracks", "online-W5")
     assert "column of text 'states'; choose one of phase, outcome, tool (--task)." in error
