@@ -46,9 +46,8 @@ class Bench(Command):
     Example: rcbht bench --check benchmarks/history.json
     """
 
-    trials: Annotated[
-        int | None, option("Trials of six axes in the batch.", "100, with --device 8192", metavar="INT")
-    ] = None
+    trials: Annotated[int | None, unset("100, with --device 8192", metavar="INT")] = None
+    """Trials of six axes in the batch."""
     samples: int = 2000
     """Samples per trial."""
     device: Flag = False

@@ -12,21 +12,9 @@ import tyro
 
 from rcbht_jax._util.devices import wanted
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import (
-    Arm,
-    Boundaries,
-    CompileCache,
-    Flag,
-    RuleCommand,
-    Sessions,
-    Sources,
-    Store,
-    Task,
-    checked_tolerance,
-    option,
-    progress_bar,
-    unset,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Flag, option, progress_bar, unset
+from rcbht_jax.cli.rules import RuleCommand, checked_tolerance
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -84,17 +72,17 @@ class Calibrate(RuleCommand):
     Example: rcbht calibrate hiro.zarr --method search --session B -o thresholds.json
     """
 
-    store: Store
+    store: common.Store
     """Store with the trials."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="THRESHOLDS.json")]
     """File of thresholds to write; an existing one is replaced."""
     method: Literal["rest", "context", "search", "gradient"] = "search"
     """Calibration method; rest needs neither annotations nor classes and fits any robot."""
-    task: Task = ""
-    boundaries: Boundaries = "harmonised"
-    arm: Arm = ""
-    source: Sources = ()
-    session: Sessions = ()
+    task: common.Task = ""
+    boundaries: common.Boundaries = "harmonised"
+    arm: common.Arm = ""
+    source: common.Sources = ()
+    session: common.Sessions = ()
     own_axes: Flag = False
     """Find separate limits for every axis, instead of copying them between axes as the authors do (context)."""
     groups: Literal["axis", "kind", "all"] = "kind"
@@ -125,7 +113,7 @@ class Calibrate(RuleCommand):
     """Figure to write: the thresholds, drawn over the gradients of each axis and state."""
     seed: int = 0
     """Seed of the random numbers."""
-    compile_cache: CompileCache = None
+    compile_cache: common.CompileCache = None
 
     FORMER: ClassVar[dict[str, str]] = {"--ledger": "--checkpoint"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from rcbht_jax.cli.command import Command
+from rcbht_jax.errors import InputError
 
 COMMON = {"--help": (), "--json": ()}
 TOP: dict[str, tuple[str, ...]] = {"--help": (), "--version": ()}
@@ -65,6 +67,37 @@ def of_several_values(command: type[Command]) -> set[str]:
     """The options of a command that take any number of values."""
     hints = typing.get_type_hints(command, include_extras=True)
     return {f"--{name.replace('_', '-')}" for name, hint in hints.items() if _has_tuple(hint)}
+
+
+def check_numbers(command: type[Command], words: list[str]) -> None:
+    """Refuse other words where options of a command take numbers.
+
+    Raises:
+        InputError: such a word, with the option and what it takes.
+    """
+    hints = typing.get_type_hints(command, include_extras=True)
+    kinds = {f"--{name.replace('_', '-')}": kind for name, hint in hints.items() if (kind := _number(hint))}
+    several, option = of_several_values(command), ""
+    for word in words:
+        value = word
+        if re.match("--|-[a-z]$", word):
+            option, equals, value = word.partition("=")
+            option = option.replace("_", "-")
+            if not equals:
+                continue
+        try:
+            kinds.get(option, str)(value)
+        except ValueError:
+            what = "a whole number" if kinds[option] is int else "a number"
+            raise InputError(f"{option} is {value!r}; expected {what}.") from None
+        option = option if option in several else ""
+
+
+def _number(hint: Any) -> type | None:
+    """The type of number that an option takes, also within a tuple or a union."""
+    if hint in (int, float):
+        return hint
+    return next(filter(None, map(_number, typing.get_args(hint))), None)
 
 
 def _has_tuple(hint: Any) -> bool:

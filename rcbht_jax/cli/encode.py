@@ -13,7 +13,9 @@ from zipfile import is_zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Flag, MadeBy, RobotName, RuleCommand, Store, checked_tolerance, option, progress_bar
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Flag, MadeBy, option, progress_bar, unset
+from rcbht_jax.cli.rules import RuleCommand, checked_tolerance
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +39,7 @@ class Encode(RuleCommand):
     Example: rcbht encode hiro.zarr --mode online --window 5
     """
 
-    store: Store
+    store: common.Store
     """Store to label."""
     mode: Literal["online", "offline"] = "online"
     """Streaming encoder, or the authors' offline program."""
@@ -52,7 +54,7 @@ class Encode(RuleCommand):
     pipe: Literal["two-slot", "one-slot"] = "two-slot"
     """Filter of each layer; one-slot compares a new label only with the accumulated one (online)."""
     robot: Annotated[
-        RobotName | None,
+        common.RobotName | None,
         option(
             "Robot whose preset gives the gradient thresholds; auto = from rest and contacts in what is encoded, which "
             "only the online encoder can.",
@@ -90,10 +92,8 @@ class Encode(RuleCommand):
     """Revision of the authors' program (offline)."""
     clean: Flag = False
     """Correct the known errors of the authors' program (offline)."""
-    name: Annotated[
-        str | None,
-        option("Name of the label tracks; default: composed of the options, such as online-W5 or offline-master.", ""),
-    ] = None
+    name: Annotated[str | None, unset()] = None
+    """Name of the label tracks; default: composed of the options, such as online-W5 or offline-master."""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.label_parts import joined

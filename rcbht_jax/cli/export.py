@@ -9,19 +9,8 @@ from typing import Annotated, Any, ClassVar, Literal
 import tyro
 
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import (
-    ONLINE_MODEL,
-    Command,
-    Folder,
-    NewWindow,
-    Store,
-    Tolerance,
-    Tracks,
-    WordRule,
-    option,
-    progress_bar,
-    unset,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Folder, option, progress_bar, unset
 from rcbht_jax.cli.drawn import DrawnRule, made_now_note, stored_by, thresholds_now
 from rcbht_jax.errors import InputError
 
@@ -35,16 +24,16 @@ class Export(Command):
     Example: rcbht export hiro.zarr --format parquet -o hiro-parquet
     """
 
-    store: Store
+    store: common.Store
     """Store to export."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FOLDER"), Folder()]
     """Folder to create."""
     format: Literal["parquet", "lerobot", "mcap", "csv"] = "parquet"
     """Format of the files."""
-    tracks: Tracks = ""
-    window: NewWindow = None
-    rule: WordRule = "paper"
-    tolerance: Tolerance = ()
+    tracks: common.Tracks = ""
+    window: common.NewWindow = None
+    rule: common.WordRule = "paper"
+    tolerance: common.Tolerance = ()
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.export import export, load
@@ -54,7 +43,7 @@ class Export(Command):
         words = (self.tracks, self.window, self.rule, self.tolerance)
         data = load(self.store, *words, thresholds_now(self.store, self.window, self.rule))
         with progress_bar("export", "trials", len(data.recordings)) as bar:
-            export(data, self.out, self.format, lambda done: bar.update(done) and None)
+            export(data, self.out, self.format, bar.update)
         files = [path for path in self.out.rglob("*") if path.is_file()]
         return {
             "out": str(self.out),
@@ -82,18 +71,18 @@ class Report(Command):
     Example: rcbht report hiro.zarr -o report.html --model states.model --results experiments/results
     """
 
-    store: Store
+    store: common.Store
     """Store to report on."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="REPORT.html")]
     """File to write; an existing report is replaced when the new one is complete."""
-    model: Annotated[Path | None, unset(aliases=["-m"], metavar="MODEL"), ONLINE_MODEL] = None
+    model: Annotated[Path | None, unset(aliases=["-m"], metavar="MODEL"), common.ONLINE_MODEL] = None
     """Model file of "rcbht train-online" whose beliefs are shown over time."""
     results: Annotated[Path | None, unset(metavar="FOLDER")] = None
     """Folder with JSON files of result rows, shown as a table; docs/howto/share.md describes their format."""
-    tracks: Tracks = ""
-    window: NewWindow = None
+    tracks: common.Tracks = ""
+    window: common.NewWindow = None
     rule: DrawnRule = "fit"
-    tolerance: Tolerance = ()
+    tolerance: common.Tolerance = ()
     trial: Annotated[tuple[str, ...], option("Trials to show; default --max-trials of them, evenly spaced.", "")] = ()
     max_trials: int = 100
     """Number of recordings to show, if --trial names none."""
@@ -124,7 +113,7 @@ class Report(Command):
             data = load(self.store, *words, thresholds_now(self.store, *words[1:3]))
             count = len(chosen(data.recordings, options))
             with progress_bar("report", "trials", count) as bar:
-                text = page(data, options, lambda done: bar.update(done) and None)
+                text = page(data, options, bar.update)
         with atomic_write(self.out) as draft:
             draft.write_text(text, encoding="utf-8")
         return {

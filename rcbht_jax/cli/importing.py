@@ -10,7 +10,8 @@ import tyro
 
 from rcbht_jax._util.columns import with_units
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, option, progress_bar, unset
 from rcbht_jax.cli.store import listed
 
 if TYPE_CHECKING:
@@ -33,16 +34,14 @@ class Import(Command):
 
     KIND: ClassVar[str] = "auto"
     source: Annotated[Path, tyro.conf.Positional, option("File, or folder of files.", metavar="SOURCE")]
-    out: OutStore
+    out: common.OutStore
     map: Annotated[Path | None, option("File that says what the columns mean.", "", metavar="FILE.toml")] = None
     write_map: Annotated[Path | None, option("File to save the meaning of columns in.", "", metavar="FILE.toml")] = None
-    files: Annotated[
-        str, option("Pattern of the files that are recordings, such as *_ft.csv.", "all of the kind", metavar="PATTERN")
-    ] = ""
+    files: Annotated[str, unset("all of the kind", metavar="PATTERN")] = ""
+    """Pattern of the files that are recordings, such as *_ft.csv."""
     rate: Annotated[float | None, option("Samples per second of the store.", "that of most recordings")] = None
-    source_rate: Annotated[
-        float | None, option("Samples per second of files without time stamps.", "the rate that a file states")
-    ] = None
+    source_rate: Annotated[float | None, unset("the rate that a file states")] = None
+    """Samples per second of files without time stamps."""
     tare: Annotated[float | None, option("Subtract the mean of this many seconds at the beginning.", "none")] = None
     group: Annotated[str, option("Column whose values separate the recordings of one file.", "")] = ""
     topic: Annotated[str, option("Topic of a bag.", "every topic of wrenches")] = ""
@@ -50,8 +49,7 @@ class Import(Command):
     outcome: Annotated[str, option("Column that states the outcome of a recording.", "")] = ""
     keep_copies: Flag = False
     """Import exact copies of other recordings as well, and note them."""
-    overwrite: Flag = False
-    """Replace an existing store, once the new one is complete."""
+    overwrite: common.Overwrite = False
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.errors import InputError

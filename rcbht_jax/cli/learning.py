@@ -14,27 +14,12 @@ import tyro
 
 from rcbht_jax._util.cells import table_text
 from rcbht_jax._util.printable import padded, plural, room
-from rcbht_jax.cli.command import (
-    Boundaries,
-    Command,
-    Flag,
-    LabelledStore,
-    MadeBy,
-    Outcomes,
-    OutModel,
-    Sessions,
-    Sources,
-    StreamFamily,
-    Task,
-    Weighing,
-    left_out,
-    option,
-    progress_bar,
-    unset,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, MadeBy, left_out, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
+    from rcbht_jax.features import FeatureSpec
     from rcbht_jax.learning.evaluation import Grammars
     from rcbht_jax.learning.model_io import TrainedModel
     from rcbht_jax.learning.predict import Classification
@@ -45,29 +30,25 @@ if TYPE_CHECKING:
 
 WIDEST = 100  # columns of a printed table
 CLASSIFIER = MadeBy('"rcbht train STORE.zarr -o {path}"')
-Family = Literal["sentence", StreamFamily]
+Family = Literal["sentence", common.StreamFamily]
 
 
 @dataclass(frozen=True)
 class _Learning(Command):
-    store: LabelledStore
-    task: Task = ""
+    store: common.Store
+    """Store with label tracks, made by "rcbht encode"."""
+    task: common.Task = ""
     tracks: Annotated[tuple[str, ...], unset()] = ()
     """Label tracks to use; A+B concatenates their features. Cross-validation selects one of several choices."""
-    boundaries: Boundaries = "harmonised"
-    arm: Annotated[
-        str,
-        option(
-            "Arm whose labels to use, if the store has several; both = side by side.",
-            "the last by name, as the right one",
-        ),
-    ] = ""
-    source: Sources = ()
-    session: Sessions = ()
-    outcome: Outcomes = ()
+    boundaries: common.Boundaries = "harmonised"
+    arm: Annotated[str, unset("the last by name, as the right one")] = ""
+    """Arm whose labels to use, if the store has several; both = side by side."""
+    source: common.Sources = ()
+    session: common.Sessions = ()
+    outcome: common.Outcomes = ()
     features: tuple[Family, ...] = ("histogram", "parts", "spread", "together", "order")
     """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
-    weighing: Weighing = ()
+    weighing: common.Weighing = ()
     ranks: Flag = True
     """Scale features by mean and standard deviation, instead of by ranks in the training set."""
     balance: Flag = False
@@ -87,6 +68,12 @@ class _Learning(Command):
 
         task = chosen_task(self.task, recordings)
         return TaskSpec(task, self.boundaries, self.arm, self.source, self.session, self.outcome or None)
+
+    @property
+    def families(self) -> FeatureSpec:
+        from rcbht_jax.features import FeatureSpec
+
+        return FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
 
     @property
     def grid(self) -> Grid:
@@ -130,16 +117,14 @@ class Evaluate(_Learning):
     """Sessions to train on, in place of cross-validation; needs --test-on."""
     test_on: Annotated[tuple[str, ...], unset()] = ()
     """Sessions to test on."""
-    folds: Annotated[
-        int | None, option("Folds of the cross-validation.", "5, or the trials of the rarest class if they are fewer")
-    ] = None
+    folds: Annotated[int | None, unset("5, or the trials of the rarest class if they are fewer")] = None
+    """Folds of the cross-validation."""
     repeats: Annotated[int | None, option("Repetitions of the cross-validation, each with other folds.", "10")] = None
     group: Annotated[str, option("Column whose groups no fold splits, for example operator or session.")] = "trial"
 
     LARGEST_SEED: ClassVar[int] = 2**31 - 1  # that a protocol takes
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.features import FeatureSpec
         from rcbht_jax.io.store import unchanged
         from rcbht_jax.learning.evaluation import FOLDS, EvaluationProtocol, evaluate
 
@@ -151,8 +136,7 @@ class Evaluate(_Learning):
             protocol = EvaluationProtocol(
                 self.folds, repeats, self.seed, self.grid, self.train_on, self.test_on, self.group
             )
-            families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-            folds = 1 if self.train_on else (self.folds or FOLDS) * repeats
+            families, folds = self.families, 1 if self.train_on else (self.folds or FOLDS) * repeats
             recordings, facts = table_and_facts(self.store)
             spec = self.spec(recordings)
             with progress_bar("evaluate", "folds", folds) as bar:
@@ -188,7 +172,7 @@ class Evaluate(_Learning):
         chosen, count = next(iter(result["chosen"].items()))
         lines.append(f"chosen most often: {chosen} ({count} of {plural(sum(result['chosen'].values()), 'fold')})")
         lines += ["confusion matrix, rows = true class:", *_table(result["classes"], result["confusion"])]
-        return "\n".join([*lines, *[f"Confounds: {result['confounds']}"] * bool(result["confounds"])])
+        return "\n".join([*lines, *_confounds(result)])
 
 
 @dataclass(frozen=True)
@@ -198,32 +182,33 @@ class Train(_Learning):
     Example: rcbht train hiro.zarr --task states --session A B -o states.model
     """
 
-    out: OutModel = Path("rcbht.model")
+    out: common.OutModel = Path("rcbht.model")
     group: Annotated[str, option("Column whose groups no fold of the selection splits, such as operator.")] = "trial"
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.features import FeatureSpec
         from rcbht_jax.io.store import unchanged
+        from rcbht_jax.learning.confounds import examined
         from rcbht_jax.learning.fitting import train
         from rcbht_jax.learning.model_io import save
 
         with unchanged(self.store):
             grammars, how = self.read_tracks()
-            families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-            (recordings, facts), grid = table_and_facts(self.store), self.grid
+            families, grid, (recordings, facts) = self.families, self.grid, table_and_facts(self.store)
             spec = self.spec(recordings)
             with progress_bar("train", "folds", grid.inner) as bar:
                 model = train(recordings, grammars, spec, families, grid, how, self.seed, bar.update, facts, self.group)
+            known = examined(recordings, spec, facts)[1]
         save(self.out, model)
-        chosen = model.svm.spec
+        svm = model.svm.spec
         return {
             "model": str(self.out),
-            "tracks": chosen.features,
+            "tracks": svm.features,
             "classes": list(model.svm.classes),
-            "kernel": chosen.kernel,
-            "cost": chosen.cost,
-            "scaling": chosen.scaling,
+            "kernel": svm.kernel,
+            "cost": svm.cost,
+            "scaling": svm.scaling,
             **model.extra,
+            "confounds": " ".join(known),
         }
 
     def text(self, result: dict[str, Any]) -> str:
@@ -233,7 +218,7 @@ class Train(_Learning):
         )
         if "chosen_on" in result:
             learnt += f" (kernel, cost and labels chosen on {plural(result['chosen_on'], 'sentence')})"
-        return "\n".join([learnt, *left_out(result["dropped"])])
+        return "\n".join([learnt, *left_out(result["dropped"]), *_confounds(result)])
 
 
 @dataclass(frozen=True)
@@ -249,16 +234,16 @@ class Classify(Command):
     Example: rcbht classify new.zarr --model states.model -o classes.csv
     """
 
-    store: LabelledStore
+    store: common.Store
+    """Store with label tracks, made by "rcbht encode"."""
     model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), CLASSIFIER]
     """Model file of "rcbht train"."""
     tracks: Annotated[str, unset()] = ""
     """Label tracks to use instead of those used in training; A+B if the model uses two."""
-    source: Sources = ()
-    session: Sessions = ()
-    outcome: Annotated[
-        tuple[str, ...], option("Outcomes of the trials to classify; default those used in training, and unknown.", "")
-    ] = ()
+    source: common.Sources = ()
+    session: common.Sessions = ()
+    outcome: Annotated[tuple[str, ...], unset()] = ()
+    """Outcomes of the trials to classify; default those used in training, and unknown."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CLASSES.csv")] = Path("classes.csv")
     """Table to write: .csv, or .jsonl for JSON lines."""
 
@@ -328,6 +313,10 @@ class Classify(Command):
             names = ", ".join(map(repr, strange))
             lines.append(f"not counted: {count} of {names}, which the model has not learned, so that none can be right")
         return "\n".join(lines)
+
+
+def _confounds(result: dict[str, Any]) -> list[str]:
+    return [f"Confounds: {result['confounds']}"] * bool(result["confounds"])
 
 
 def _scores(score: dict[str, Any]) -> str:

@@ -222,7 +222,7 @@ def parse(name: str, words: list[str]) -> Command | None:
     with needs_extra("all"):
         import tyro
 
-        from rcbht_jax.cli.completion import COMMON, of_several_values, options_of
+        from rcbht_jax.cli.completion import COMMON, check_numbers, of_several_values, options_of
         from rcbht_jax.cli.constructors import RULES
 
         described: Any = command_class(name)
@@ -241,6 +241,7 @@ def parse(name: str, words: list[str]) -> Command | None:
             raise InputError(
                 f"rcbht {name} has no option {option}; {_suggestion(close, f'rcbht {name} --help', 'the options')}"
             )
+    check_numbers(described, words)
     if {"-h", "--help"} & set(words):  # tyro would not wrap this
         about = [*inspect.cleandoc(described.__doc__).split("\n\n"), "--json prints the result as JSON on stdout."]
         print(*map(_wrapped, about), sep="\n\n", end="\n\n")

@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import common_arm, learned_arm, rows_of_arm
 from rcbht_jax._util.cells import number_of
 from rcbht_jax._util.printable import padded, plural, printable, room
-from rcbht_jax.cli.command import Arm, Command, Flag, MadeBy, Store, option, progress_bar
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, MadeBy, option, progress_bar
 from rcbht_jax.cli.readers import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
@@ -49,7 +51,7 @@ class MonitorFit(Command):
     Example: rcbht monitor fit kitting.zarr --where skill=7 --group session -o skill7.monitor
     """
 
-    store: Store
+    store: common.Store
     """Store of recordings; label tracks are not needed."""
     where: Where = ()
     nominal: str = "success"
@@ -61,10 +63,9 @@ class MonitorFit(Command):
     """Set the threshold on recordings held out from training, so that its guarantee on false alarms is exact."""
     seed: int = 0
     """Seed for the choice of held-out recordings."""
-    out: Annotated[Path, option("File to write: arrays and JSON, no code.", aliases=["-o"], metavar="MONITOR")] = Path(
-        "nominal.monitor"
-    )
-    arm: Arm = ""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="MONITOR")] = Path("nominal.monitor")
+    """File to write: arrays and JSON, no code."""
+    arm: common.Arm = ""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.nominal_file import MonitorFile, save
@@ -115,11 +116,10 @@ class MonitorWatch(Command):
     Example: rcbht monitor watch kitting.zarr --monitor skill7.monitor --where skill=7 --false-alarms 0.1
     """
 
-    store: Store
+    store: common.Store
     """Store of recordings."""
-    monitor: Annotated[Path, option('File of "rcbht monitor fit".', aliases=["-m"], metavar="MONITOR"), MONITOR] = Path(
-        "nominal.monitor"
-    )
+    monitor: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MONITOR"), MONITOR] = Path("nominal.monitor")
+    """File of "rcbht monitor fit"."""
     where: Where = ()
     false_alarms: FalseAlarms = 0.05
     snap: SnapSize = ()
@@ -171,7 +171,7 @@ class MonitorEvaluate(Command):
     Example: rcbht monitor evaluate kitting.zarr --where skill=7 --group session --onset anomaly_rel --false-alarms 0.1
     """
 
-    store: Store
+    store: common.Store
     """Store of recordings."""
     where: Where = ()
     nominal: str = "success"
@@ -182,7 +182,7 @@ class MonitorEvaluate(Command):
     false_alarms: FalseAlarms = 0.05
     score_rate: ScoreRate = None
     levels: Levels = AUTO
-    arm: Arm = ""
+    arm: common.Arm = ""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.alarms import trials_needed

@@ -8,25 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from rcbht_jax._util.arms import chosen_arm, common_arm, title_among
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import (
-    BeliefRate,
-    Command,
-    LabelledStore,
-    Model,
-    OneArm,
-    OutFigure,
-    SourcePrefix,
-    Starts,
-    Store,
-    Tracks,
-    Trial,
-    belief_rate,
-    option,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, option, unset
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, made_now_note, rule_of
 from rcbht_jax.cli.readers import SnapSize, detector_of
 from rcbht_jax.errors import InputError
@@ -44,16 +32,15 @@ class PlotTrial(Command):
     Example: rcbht plot trial hiro.zarr 20121127-HIROSA-S-05 -o trial.png
     """
 
-    store: Store
+    store: common.Store
     """Store of recordings, with labels or without."""
-    trial: Trial
-    out: OutFigure
-    arm: OneArm = None
-    source: SourcePrefix = ""
-    tracks: Tracks = ""
-    seconds: Annotated[
-        tuple[float, float] | None, option("Start and end of the interval to show, s; default the whole trial.", "")
-    ] = None
+    trial: common.Trial
+    out: common.OutFigure
+    arm: common.OneArm = None
+    source: common.SourcePrefix = ""
+    tracks: common.Tracks = ""
+    seconds: Annotated[tuple[float, float] | None, unset()] = None
+    """Start and end of the interval to show, s; default the whole trial."""
     rule: DrawnRule = "fit"
 
     def run(self) -> dict[str, Any]:
@@ -95,18 +82,17 @@ class PlotMap(Command):
     Example: rcbht plot map hiro.zarr -o map.png --layer llb --source REAL
     """
 
-    store: LabelledStore
-    out: OutFigure
+    store: common.Store
+    """Store with label tracks, made by "rcbht encode"."""
+    out: common.OutFigure
     layer: Literal["primitive", "mc", "llb"] = "llb"
     """Layer of the labels."""
     by: Literal["word", "state"] = "word"
     """Columns: words of the sentence, or time normalised within the first interval of each state."""
     max_words: Annotated[int | None, option("Number of words to show; default all.", "")] = None
-    source: Annotated[
-        tuple[str, ...],
-        option("Data sets to show, or the beginnings of their names, for example REAL; default all.", ""),
-    ] = ()
-    tracks: Tracks = ""
+    source: Annotated[tuple[str, ...], unset()] = ()
+    """Data sets to show, or the beginnings of their names, for example REAL; default all."""
+    tracks: common.Tracks = ""
     rule: DrawnRule = "fit"
 
     FORMER: ClassVar[dict[str, str]] = {"--words": "--max-words"}
@@ -138,21 +124,17 @@ class PlotBeliefs(Command):
     Example: rcbht plot beliefs hiro.zarr 20121127-HIROSA-S-05 --model states.model -o beliefs.png
     """
 
-    store: Store
+    store: common.Store
     """Store of recordings."""
-    trial: Trial
-    out: OutFigure
-    model: Model = Path("online.model")
-    arm: Annotated[
-        str,
-        option(
-            "Arm whose wrench to use, if the store has several.",
-            "that of the model, else the last by name, as the right one",
-        ),
-    ] = ""
-    source: SourcePrefix = ""
-    starts: Starts = "harmonised"
-    rate: BeliefRate = None
+    trial: common.Trial
+    out: common.OutFigure
+    model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), common.ONLINE_MODEL] = Path("online.model")
+    """Model file of "rcbht train-online"."""
+    arm: Annotated[str, unset("that of the model, else the last by name, as the right one")] = ""
+    """Arm whose wrench to use, if the store has several."""
+    source: common.SourcePrefix = ""
+    starts: common.Starts = "harmonised"
+    rate: common.BeliefRate = None
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.digest import among, wrench_digests
@@ -175,7 +157,7 @@ class PlotBeliefs(Command):
         seen = None  # an older file does not say it
         if len(model.digests):
             seen = bool(among(wrench_digests(recordings.wrench, recordings.length), model.digests)[0])
-        session = Session(Introspector(model, belief_rate(self.rate), detect=detect))
+        session = Session(Introspector(model, common.belief_rate(self.rate), detect=detect))
         starts = NONE if detect else self.starts
         events = list(session.run(play(recordings, (), arm, starts, str(self.store), model.subtasks)))
         beliefs = sum(isinstance(event, Belief) for event in events)
@@ -212,11 +194,11 @@ class Describe(Command):
     Example: rcbht describe hiro.zarr 20121127-HIROSA-S-05
     """
 
-    store: Store
+    store: common.Store
     """Store of recordings; label tracks are not needed."""
-    trial: Trial
-    arm: OneArm = None
-    source: SourcePrefix = ""
+    trial: common.Trial
+    arm: common.OneArm = None
+    source: common.SourcePrefix = ""
     task: Annotated[str, option("Track of annotations to name.", "the first, or its corrected variant")] = ""
     snap: SnapSize = ()
     least: Annotated[

@@ -12,18 +12,9 @@ import tyro
 from rcbht_jax._util.arms import learned_arm, rows_of_arm
 from rcbht_jax._util.cells import table_text
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import (
-    Arm,
-    Command,
-    Flag,
-    Sources,
-    Store,
-    Tolerance,
-    WordRule,
-    checked_tolerance,
-    option,
-    progress_bar,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, option, progress_bar, unset
+from rcbht_jax.cli.rules import checked_tolerance
 from rcbht_jax.errors import InputError
 
 
@@ -38,31 +29,25 @@ class Segment(Command):
     Example: rcbht segment caps.zarr --task phase -o segments.csv
     """
 
-    store: Store
+    store: common.Store
     """Store of recordings; label tracks are not needed."""
     task: Annotated[str, option("Track of annotations whose labels to learn.", "the first")] = ""
-    source: Sources = ()
+    source: common.Sources = ()
     group: Annotated[str, option("Column whose groups are never split between training and test.")] = "trial"
     folds: Annotated[int, option("Parts, each labelled by a model of the others; 0 = one part per group.")] = 5
     one_shot: Flag = False
     """Train on one recording at a time and test on all others."""
     offline: Flag = False
     """Use later samples as well; by default no label depends on samples after it."""
-    rule: WordRule = "paper"
-    tolerance: Tolerance = ()
+    rule: common.WordRule = "paper"
+    tolerance: common.Tolerance = ()
     seed: int = 0
     """Seed of trees and copies."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="SEGMENTS.csv")] = Path("segments.csv")
     """Table to write."""
-    write_model: Annotated[
-        Path | None,
-        option(
-            'Also write the segmenter trained on all annotated recordings, for "rcbht stream --segmenter".',
-            "",
-            metavar="SEGMENTER",
-        ),
-    ] = None
-    arm: Arm = ""
+    write_model: Annotated[Path | None, unset(metavar="SEGMENTER")] = None
+    """Also write the segmenter trained on all annotated recordings, for "rcbht stream --segmenter"."""
+    arm: common.Arm = ""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write

@@ -15,20 +15,11 @@ import tyro
 
 from rcbht_jax._util.printable import plural, printable
 from rcbht_jax._util.url_path import as_path, url_of
-from rcbht_jax.cli.command import (
-    BeliefRate,
-    CompileCache,
-    MadeBy,
-    OnlineModel,
-    RuleCommand,
-    Starts,
-    belief_rate,
-    checked_tolerance,
-    option,
-    unset,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import MadeBy, option, unset
 from rcbht_jax.cli.monitor import MONITOR, FalseAlarms
 from rcbht_jax.cli.readers import Reads, SnapSize, detector_of, readers_of
+from rcbht_jax.cli.rules import RuleCommand, checked_tolerance
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,6 +33,8 @@ if TYPE_CHECKING:
     AnyIntrospector = Introspector | WordIntrospector | Together
     Messages = Iterator[Message]
 
+SEGMENTER = MadeBy('"rcbht segment STORE.zarr --write-model {path}"')
+
 
 @dataclass(frozen=True)
 class Source(RuleCommand):
@@ -49,16 +42,14 @@ class Source(RuleCommand):
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
     """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
-    model: OnlineModel = None
+    model: Annotated[Path | None, unset("none: words only", aliases=["-m"], metavar="MODEL"), common.ONLINE_MODEL] = (
+        None
+    )
+    """Model file of "rcbht train-online"."""
     trial: Annotated[tuple[str, ...], option("Trials of a store; default all, one after the other.", "")] = ()
-    arm: Annotated[
-        str,
-        option(
-            "Arm whose wrench to use, if the store has several.",
-            "that of the model, monitor or segmenter, else the last by name, as the right one",
-        ),
-    ] = ""
-    starts: Starts = "harmonised"
+    arm: Annotated[str, unset("that of the model, monitor or segmenter, else the last by name, as the right one")] = ""
+    """Arm whose wrench to use, if the store has several."""
+    starts: common.Starts = "harmonised"
     topic: Annotated[str, unset()] = ""
     """Topic of a bag, if several have wrenches."""
     axes: Annotated[
@@ -70,14 +61,8 @@ class Source(RuleCommand):
             "",
         ),
     ] = ()
-    sampling_rate: Annotated[
-        float | None,
-        option(
-            "Samples per second of the encoder, if no model is given; default that of the recording or its time "
-            "stamps.",
-            "",
-        ),
-    ] = None
+    sampling_rate: Annotated[float | None, unset()] = None
+    """Samples per second of the encoder, if no model is given; default that of the recording or its time stamps."""
     lead: Annotated[
         float,
         option(
@@ -85,7 +70,7 @@ class Source(RuleCommand):
             "and --rule fit the tolerances."
         ),
     ] = 10.0
-    rate: BeliefRate = None
+    rate: common.BeliefRate = None
     certainty: float = 0.70
     """Probability above which a belief counts as certain, from 0.55 to less than 1."""
     speed: Annotated[
@@ -97,25 +82,13 @@ class Source(RuleCommand):
         ),
     ] = None
     snap: SnapSize = ()
-    monitor: Annotated[
-        Path | None,
-        option('File of "rcbht monitor fit", for scores and alarms beside words and beliefs.', "", metavar="MONITOR"),
-        MONITOR,
-    ] = None
+    monitor: Annotated[Path | None, unset(metavar="MONITOR"), MONITOR] = None
+    """File of "rcbht monitor fit", for scores and alarms beside words and beliefs."""
     false_alarms: FalseAlarms = 0.05
-    segmenter: Annotated[
-        Path | None,
-        option('File of "rcbht segment --write-model", for a label of the newest sample.', "", metavar="SEGMENTER"),
-        MadeBy('"rcbht segment STORE.zarr --write-model {path}"'),
-    ] = None
-    max_gap: Annotated[
-        float | None,
-        option(
-            "Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 "
-            "samples.",
-            "",
-        ),
-    ] = None
+    segmenter: Annotated[Path | None, unset(metavar="SEGMENTER"), SEGMENTER] = None
+    """File of "rcbht segment --write-model", for a label of the newest sample."""
+    max_gap: Annotated[float | None, unset()] = None
+    """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
     tare: Annotated[
         float,
         option(
@@ -125,7 +98,7 @@ class Source(RuleCommand):
     ] = 0.0
     timeout: float = 1.0
     """Report a live source that is silent for this many seconds."""
-    compile_cache: CompileCache = None
+    compile_cache: common.CompileCache = None
 
     FORMER: ClassVar[dict[str, str]] = {"--k": "--certainty", "--bridge": "--max-gap", "--silent": "--timeout"}
     SPEED: ClassVar[float] = 0.0  # of a recording, where none is chosen
@@ -159,7 +132,7 @@ class Source(RuleCommand):
             detect = self.starts == "detected"
             beside = self._beside(model)
             introspector = Introspector(
-                model, belief_rate(self.rate), self.certainty, detect=detect, words=words and not beside
+                model, common.belief_rate(self.rate), self.certainty, detect=detect, words=words and not beside
             )
             if beside:
                 learned = Reads(model.axes, model.units, 1 / model.encoder.dt)

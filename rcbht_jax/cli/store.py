@@ -12,7 +12,8 @@ import tyro
 from rcbht_jax._util.columns import with_units
 from rcbht_jax._util.printable import padded, plural, room
 from rcbht_jax._util.untrusted import checked_number
-from rcbht_jax.cli.command import Command, Flag, Folder, OutStore, Store, Stores, option, progress_bar
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, Folder, option, progress_bar, unset
 
 FIRST = 5  # trials whose names are shown
 
@@ -28,9 +29,8 @@ class ImportHiro(Command):
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Folder of the data sets, or one data set."""
-    out: OutStore
-    overwrite: Flag = False
-    """Replace an existing store, once the new one is complete."""
+    out: common.OutStore
+    overwrite: common.Overwrite = False
 
     FORMER: ClassVar[dict[str, str]] = {"-o": "", "--out": ""}
 
@@ -71,12 +71,12 @@ class Join(Command):
     Example: rcbht join hiro.zarr trials.zarr -o both.zarr --tare 1
     """
 
-    stores: Stores
+    stores: Annotated[tuple[Path, ...], tyro.conf.Positional, unset(metavar="STORE.zarr STORE.zarr"), common.STORE]
+    """Stores to read, two or more."""
     out: Annotated[Path, option("Store to create.", aliases=["-o"], metavar="OUT.zarr"), Folder()]
     tare: float = 0.0
     """Subtract the mean of this many seconds at the beginning of each recording; 0 = nothing."""
-    overwrite: Flag = False
-    """Replace an existing store, once the new one is complete."""
+    overwrite: common.Overwrite = False
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.joining import join_stores
@@ -106,7 +106,7 @@ class Info(Command):
     Example: rcbht info hiro.zarr
     """
 
-    store: Store
+    store: common.Store
     """Store to describe."""
     check: Flag = False
     """Read all of the store, of any size, and compare it with its checksums."""

@@ -18,24 +18,9 @@ import tyro
 
 from rcbht_jax._util.arms import rows_of_arm
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import (
-    ONLINE_MODEL,
-    ONLY_TRACK,
-    Command,
-    Flag,
-    Outcomes,
-    OutModel,
-    RuleCommand,
-    Sessions,
-    Sources,
-    Store,
-    StreamFamily,
-    Weighing,
-    left_out,
-    option,
-    progress_bar,
-    unset,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, left_out, option, progress_bar, unset
+from rcbht_jax.cli.rules import RuleCommand
 from rcbht_jax.cli.source import Source
 from rcbht_jax.errors import InputError
 
@@ -57,9 +42,9 @@ class TrainOnline(RuleCommand):
     Example: rcbht train-online hiro.zarr --source REAL_HIRO_ONE_SA_SUCCESS -o states.model
     """
 
-    store: Store
+    store: common.Store
     """Store of recordings; label tracks are not needed."""
-    task: Annotated[tuple[str, ...], option("Tasks, each with a classifier of its own.", ONLY_TRACK)] = ()
+    task: Annotated[tuple[str, ...], option("Tasks, each with a classifier of its own.", common.ONLY_TRACK)] = ()
     detect: Flag = False
     """Also learn to detect when a sub-task of the first track in --task begins, for streams that do not say so."""
     false_alarms: Annotated[
@@ -72,21 +57,19 @@ class TrainOnline(RuleCommand):
     ] = 0.0
     first_seconds: float = 0.0
     """Train on only the first seconds of each recording, this many, so that its length is no feature; 0 = on all."""
-    source: Sources = ()
-    session: Sessions = ()
-    outcome: Outcomes = ()
-    families: Annotated[
-        tuple[StreamFamily, ...],
-        option("Feature families; default those chosen for sub-tasks or for whole trials.", ""),
-    ] = ()
+    source: common.Sources = ()
+    session: common.Sessions = ()
+    outcome: common.Outcomes = ()
+    families: Annotated[tuple[common.StreamFamily, ...], unset()] = ()
+    """Feature families; default those chosen for sub-tasks or for whole trials."""
     ranks: Flag = False
     """Replace every feature of a whole trial by its rank in the training set."""
     relative: Flag = False
     """Use only features that do not depend on absolute forces or times, such as the bias of the sensor."""
-    weighing: Weighing = ()
+    weighing: common.Weighing = ()
     seed: int = 0
     """Seed of the folds."""
-    out: OutModel = Path("online.model")
+    out: common.OutModel = Path("online.model")
 
     FORMER: ClassVar[dict[str, str]] = {
         "--tasks": "--task", "--features relative": "--relative", "--features all": "",
@@ -170,15 +153,8 @@ class Stream(Source):
     Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
     """
 
-    out: Annotated[
-        Path | None,
-        tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl"),
-        option(
-            "File for the events; it appears when the stream ends, but a pipe gets each at once. Default standard "
-            "output.",
-            "",
-        ),
-    ] = None
+    out: Annotated[Path | None, unset(aliases=["-o"], metavar="EVENTS.jsonl")] = None
+    """File for the events; it appears when the stream ends, but a pipe gets each at once. Default standard output."""
     mcap: Annotated[Path | None, unset(metavar="OUT.mcap")] = None
     """MCAP file for wrench, labels, words, beliefs and events, to open in Foxglove or PlotJuggler."""
     words: Flag = False
@@ -309,7 +285,7 @@ class ExportModel(Command):
     Example: rcbht export-model states.model -o states.chain
     """
 
-    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL"), ONLINE_MODEL]
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL"), common.ONLINE_MODEL]
     """Model file of "rcbht train-online"."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CHAIN")] = Path("online.chain")
     """File to write: a zip archive of StableHLO, the initial state and a description."""

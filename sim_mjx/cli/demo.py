@@ -13,8 +13,8 @@ import tyro
 
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import Command, Folder, announce, option, unset
-from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words
+from rcbht_jax.cli.command import Command, Folder, announce, unset
+from rcbht_jax.cli.drawn import SAYS, drawn_words
 from rcbht_jax.cli.encode import Encode
 from rcbht_jax.cli.learning import Evaluate, Train
 from rcbht_jax.cli.store import ImportHiro
@@ -56,9 +56,8 @@ class Demo(Command):
     """Trials to simulate."""
     seed: int = 0
     """Seed of the random numbers."""
-    rule: Annotated[
-        DrawnRule, option("Rule of the words in the pictures: fit, whose words follow the signal, or paper.")
-    ] = "fit"
+    rule: Literal["fit", "paper"] = "fit"
+    """Rule of the words in the pictures: fit, whose words follow the signal, or paper."""
 
     def run(self) -> dict[str, Any]:
         if self.data is not None:

@@ -12,7 +12,8 @@ import tyro
 
 from rcbht_jax._util.optional import MissingPackage
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import STORE, Command, Flag, option, progress_bar, unset
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
 TRIALS, SAMPLES, WINDOW = 100, 2000, 5  # of the measurement, as "rcbht bench" makes it
@@ -32,7 +33,7 @@ class Doctor(Command):
     Example: rcbht doctor trials.zarr --repair
     """
 
-    store: Annotated[Path | None, tyro.conf.Positional, unset(metavar="[STORE.zarr]"), STORE] = None
+    store: Annotated[Path | None, tyro.conf.Positional, unset(metavar="[STORE.zarr]"), common.STORE] = None
     """Store to check, instead of the machine."""
     repair: Annotated[
         Flag,

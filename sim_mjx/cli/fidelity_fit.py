@@ -52,14 +52,12 @@ class FidelityFit(Command):
     """Recorded session."""
     parameters: tuple[str, ...] = tuple(BOUNDS)
     """Parameters to fit, for example parts.friction, parts.hook_overlap[0:2] or sensor.delay."""
-    bound: Annotated[
-        tuple[str, ...], option("Ranges in place of the default ones, as NAME=LOW:HIGH, in SI units.", "")
-    ] = ()
+    bound: Annotated[tuple[str, ...], unset()] = ()
+    """Ranges in place of the default ones, as NAME=LOW:HIGH, in SI units."""
     fixed: Annotated[tuple[str, ...], unset()] = ()
     """Parameters with a fixed value, as NAME=VALUE."""
-    trials: Annotated[
-        int | None, option("Simulated trials per candidate; default 4 for session A, 9 for the others.", "")
-    ] = None
+    trials: Annotated[int | None, unset()] = None
+    """Simulated trials per candidate; default 4 for session A, 9 for the others."""
     outcomes: Annotated[
         Flag,
         option(
@@ -88,8 +86,6 @@ class FidelityFit(Command):
         from sim_mjx.validation.system_id import fit
 
         start = time.perf_counter()
-        if not self.out.absolute().parent.is_dir():
-            raise InputError(f"{self.out.parent} is not a folder; create it, or choose another.")
         target = sessions.recorded(read_recordings(self.recorded), self.session)
         fixed = tuple((name, _number(value)) for name, value in map(_assignment, self.fixed))
         _check_once([*self.parameters, *(name for name, _ in fixed)], "--parameters and --fixed")

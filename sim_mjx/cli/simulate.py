@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from rcbht_jax._util.printable import plural
-from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore, option, progress_bar, unset
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, Flag, MadeBy, option, progress_bar, unset
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,14 +48,11 @@ class Simulate(Command):
     Example: rcbht simulate trials.zarr --status
     """
 
-    out: OutStore
+    out: common.OutStore
     assembly: Annotated[str, tyro.conf.arg(metavar="NAME")] = "camera-snap"
     """camera-snap (recorded, see --preset), peg-in-hole, square-peg, clip, plug, or FILE.py:NAME for your own."""
-    robot: Annotated[
-        str,
-        tyro.conf.arg(metavar="NAME"),
-        option("panda, ur5e, hiro, or FILE.py:NAME for your own; default panda. The camera snap is HIRO's.", ""),
-    ] = ""
+    robot: Annotated[str, unset(metavar="NAME")] = ""
+    """panda, ur5e, hiro, or FILE.py:NAME for your own; default panda. The camera snap is HIRO's."""
     preset: Annotated[
         Preset | None,
         option(
@@ -101,30 +99,15 @@ class Simulate(Command):
     ] = None
     physical: Annotated[Path | None, unset(metavar="FIT.json"), FIT] = None
     """File of "rcbht fidelity fit" with physical parameters, in place of the preset's."""
-    compile_cache: CompileCache = None
-    overwrite: Flag = False
-    """Replace an existing store, once the new one is complete."""
-    processes: Annotated[
-        int | None,
-        option(
-            "Worker processes that share the work; default one per 4 cores, with a GPU 1, with Ray one per node "
-            "or GPU.",
-            "",
-        ),
-    ] = None
+    compile_cache: common.CompileCache = None
+    overwrite: common.Overwrite = False
+    processes: Annotated[int | None, unset()] = None
+    """Worker processes that share the work; default one per 4 cores, with a GPU 1, with Ray one per node or GPU."""
     devices: Annotated[str | None, option("GPUs of this machine to use, with a worker process each.", "1")] = None
-    launch: Annotated[
-        Literal["ray", "slurm"] | None,
-        option("Run the workers as Ray tasks or Slurm jobs; default processes of this machine.", ""),
-    ] = None
-    launch_options: Annotated[
-        tuple[str, ...],
-        option(
-            "Options of the Slurm jobs, named as in submitit: timeout_min=60, slurm_partition=gpu.",
-            "",
-            metavar="KEY=VALUE",
-        ),
-    ] = ()
+    launch: Annotated[Literal["ray", "slurm"] | None, unset()] = None
+    """Run the workers as Ray tasks or Slurm jobs; default processes of this machine."""
+    launch_options: Annotated[tuple[str, ...], unset(metavar="KEY=VALUE")] = ()
+    """Options of the Slurm jobs, named as in submitit: timeout_min=60, slurm_partition=gpu."""
     worker: Flag = False
     """Run as one worker of this job: start or join it, and exit when nothing is left to simulate."""
     status: Flag = False

@@ -13,21 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 from rcbht_jax._util.arms import chosen_arm
-from rcbht_jax.cli.command import (
-    Arm,
-    Command,
-    SourcePrefix,
-    Store,
-    Tracks,
-    Trial,
-    check_place,
-    option,
-    progress_bar,
-    unset,
-)
+from rcbht_jax.cli import common
+from rcbht_jax.cli.command import Command, check_place, progress_bar, unset
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, rule_of, stored_by
 from rcbht_jax.errors import InputError
 
@@ -49,19 +38,16 @@ class View(Command):
     Example: rcbht view trials.zarr sim-hooked-B-000003 -o trial.png
     """
 
-    store: Store
+    store: common.Store
     """Store made by "rcbht simulate" or "rcbht import hiro"."""
-    trial: Trial
-    out: Annotated[
-        Path | None,
-        tyro.conf.arg(aliases=["-o"], metavar="OUT"),
-        option("File to write; default the viewer, without a display TRIAL.png.", ""),
-    ] = None
+    trial: common.Trial
+    out: Annotated[Path | None, unset(aliases=["-o"], metavar="OUT")] = None
+    """File to write; default the viewer, without a display TRIAL.png."""
     data: Annotated[Path | None, unset(metavar="DIR")] = None
     """Folder that a recorded trial was imported from, which has the joint angles."""
-    arm: Arm = ""
-    source: SourcePrefix = ""
-    tracks: Tracks = ""
+    arm: common.Arm = ""
+    source: common.SourcePrefix = ""
+    tracks: common.Tracks = ""
     speed: float = 1.0
     """Playback speed in viewer and film: 1 = real time."""
     rule: DrawnRule = "fit"
@@ -76,9 +62,9 @@ class View(Command):
         from sim_mjx.validation.replay import events
 
         out = self.out if self.out is not None or has_display() else Path(f"{self.trial}.png")
-        if self.out is None and out is not None and out.name != f"{self.trial}.png":
-            raise InputError(f"The trial {self.trial!r} has no name for a file; choose one with -o.")
         if self.out is None and out is not None:
+            if out.name != f"{self.trial}.png":
+                raise InputError(f"The trial {self.trial!r} has no name for a file; choose one with -o.")
             check_place(out, None)
         self._check(out)
         motion = self._motion()

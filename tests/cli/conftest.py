@@ -8,6 +8,7 @@ import pytest
 
 from rcbht_jax._util import compile_cache
 from rcbht_jax.introspection import model as model_files
+from tests.support.command_line import CommandLine
 from tests.support.introspection_models import model
 
 
@@ -22,3 +23,9 @@ def model_path(tmp_path: Path) -> Path:
     """A model of beliefs."""
     model_files.save(tmp_path / "m", model())
     return tmp_path / "m"
+
+
+@pytest.fixture
+def rcbht(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> CommandLine:
+    """The command line."""
+    return CommandLine(capsys, monkeypatch)

@@ -18,6 +18,7 @@ from rcbht_jax._util import ratios
 from rcbht_jax.cli import bench
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
+from tests.support.command_line import CommandLine
 from tests.support.compiler import as_users_compile
 
 SMALL = ("bench", "--trials", "2", "--samples", "40")
@@ -42,7 +43,7 @@ def measured(quick: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_run_is_lines_of_name_value_unit(measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_is_lines_of_name_value_unit(measured: Path) -> None:
     [record] = json.loads(measured.read_text())
     assert set(record["ratios"]) == {"encode/W=5", "encode/W=20", "fit/encode/W=5", "fit/step", "step", "store/read"}
     assert all(ratio > 0 for ratio in record["ratios"].values())
@@ -57,7 +58,7 @@ def test_a_run_is_lines_of_name_value_unit(measured: Path, capsys: pytest.Captur
 
 
 def test_a_fall_is_an_exit_status(
-    measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rcbht: CommandLine
 ) -> None:
     [record] = json.loads(measured.read_text())
     values = {name: (entry["value"], entry["unit"]) for name, entry in record["values"].items()}
@@ -70,14 +71,11 @@ def test_a_fall_is_an_exit_status(
     others = [{**record, "device": "other"}, {**record, "processor": "other"}, without]
     path.write_text(json.dumps([{**record, "ratios": {"step": 1e9}}, record, *others]))
     monkeypatch.setattr(bench, "measure", measure(0.85))
-    assert main([*SMALL, "--check", str(path)]) == 0
-    assert f"no ratio has fallen by more than 20 % since {record['date']}" in capsys.readouterr().out
+    assert f"no ratio has fallen by more than 20 % since {record['date']}" in rcbht(*SMALL, "--check", path)
     monkeypatch.setattr(bench, "measure", measure(0.75))
-    assert main([*SMALL, "--check", str(path), "--history", str(path)]) == 2
-    assert "25 % below the earlier" in capsys.readouterr().out
+    assert "25 % below the earlier" in rcbht.ended(2, *SMALL, "--check", path, "--history", path).out
     assert [len(run["ratios"]) for run in json.loads(path.read_text())] == [1, 6, 6, 6, 6, 6]
-    assert main([*SMALL[:2], "3", *SMALL[3:], "--check", str(path)]) == 2
-    assert "has no run of 3 trials" in capsys.readouterr().err
+    assert "has no run of 3 trials" in rcbht.refused(*SMALL[:2], "3", *SMALL[3:], "--check", path)
 
 
 def test_a_ratio_that_is_gone_is_told() -> None:
@@ -91,32 +89,29 @@ def test_the_two_calls_take_turns() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]", '[{"ratios": {}}]', "{}x"])
-def test_what_is_no_history_is_refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_history_is_refused(text: str, tmp_path: Path, rcbht: CommandLine) -> None:
     path = tmp_path / "h.json"
     path.write_text(text)
     for words in (("--check", str(path)), ("--check", str(tmp_path / "none.json"))):
-        assert main([*SMALL, *words]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
+        assert rcbht.refused(*SMALL, *words).count("\n") == 1
     with pytest.raises(InputError, match="not a history"):
         ratios.append_record(path, {})
     assert path.read_text() == text
 
 
 @pytest.mark.parametrize("words", [["--trials", "9" * 23], ["--samples", "9" * 23], ["--trials", "-1"]])
-def test_sizes_that_no_memory_has_are_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", *words]) == 2
-    assert "expected at" in capsys.readouterr().err
+def test_sizes_that_no_memory_has_are_refused(words: list[str], rcbht: CommandLine) -> None:
+    assert "expected at" in rcbht.refused("bench", *words)
 
 
-def test_a_device_must_be_there(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_device_must_be_there(rcbht: CommandLine) -> None:
     if jax.default_backend() != "cpu":
         pytest.skip("an accelerator is there")
-    assert main([*SMALL, "--device"]) == 2
-    assert "no accelerator" in capsys.readouterr().err
+    assert "no accelerator" in rcbht.refused(*SMALL, "--device")
 
 
 def test_a_comparison_or_a_file_that_is_in_vain_is_refused_before_measuring(
-    measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rcbht: CommandLine
 ) -> None:
     monkeypatch.setattr(bench, "measure", lambda _: pytest.fail("it measured"))
     (tmp_path / "other.json").write_text("{}x")
@@ -130,8 +125,7 @@ def test_a_comparison_or_a_file_that_is_in_vain_is_refused_before_measuring(
     }
     for option, cases in others.items():
         for path, sentence in cases:
-            assert main(["bench", "--trials", "3", "--samples", "40", option, str(path)]) == 2
-            assert sentence in capsys.readouterr().err
+            assert sentence in rcbht.refused("bench", "--trials", "3", "--samples", "40", option, path)
 
 
 def test_an_interruption_while_it_compiles_ends_with_its_status() -> None:

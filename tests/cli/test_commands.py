@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning.model_io import load
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
+from tests.support.command_line import CommandLine
 from tests.support.store_cases import encoded_store
 
 TRIALS, SAMPLES = 12, 400
@@ -47,74 +47,64 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return encoded_store(tmp_path_factory.mktemp("commands") / "set.zarr", synthetic())
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
-    assert main([*map(str, words), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def test_encode_keeps_labels_and_says_how(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    result = run(capsys, "encode", store, "--window", 20, "--no-gate")
+def test_encode_keeps_labels_and_says_how(store: Path, rcbht: CommandLine) -> None:
+    result = rcbht.json("encode", store, "--window", 20, "--no-gate")
     assert result["name"] == "online-W20-ungated"
     tracks, attrs = read_tracks(store, result["name"])
     assert np.count_nonzero(tracks.llb.label) == result["labels"]["llb"] > 0
     assert attrs["config"]["gate"] is False
-    fitted = run(capsys, "encode", store, "--rule", "fit", "--tolerance", 0.5)
+    fitted = rcbht.json("encode", store, "--rule", "fit", "--tolerance", 0.5)
     assert fitted["name"] == "online-W5-fit-tol0.5"
     tracks, attrs = read_tracks(store, fitted["name"])
     assert np.count_nonzero(tracks.primitive.label) == fitted["labels"]["primitive"] > 0
     assert (attrs["config"]["rule"], attrs["config"]["tolerance"]) == ("fit", [0.5] * 6)
-    offline = run(capsys, "encode", store, "--mode", "offline", "--clean")
+    offline = rcbht.json("encode", store, "--mode", "offline", "--clean")
     assert offline["name"] == "offline-clean"
     tracks, _ = read_tracks(store, "offline-clean")
     assert (tracks.primitive.emit == np.where(tracks.primitive.label > 0, -1, 0)).all()
 
 
-def test_evaluate_beats_chance_and_reports_baselines(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluate_beats_chance_and_reports_baselines(store: Path, rcbht: CommandLine) -> None:
     quick = ("--kernels", "linear", "--costs", 0.1, 1, "--tracks", "online-W5")
-    result = run(capsys, "evaluate", store, "--folds", 3, "--repeats", 2, *quick)
+    result = rcbht.json("evaluate", store, "--folds", 3, "--repeats", 2, *quick)
     assert result["score"]["accuracy"]["mean"] > 0.9
     assert result["majority_baseline"]["accuracy"] == {"mean": 0.25}
-    crossed = run(capsys, "evaluate", store, "--train-on", "A", "--test-on", "B", *quick)
+    crossed = rcbht.json("evaluate", store, "--train-on", "A", "--test-on", "B", *quick)
     assert np.sum(crossed["confusion"]) == 4 * TRIALS // 2
     assert (crossed["protocol"]["folds"], crossed["protocol"]["repeats"]) == (None, None)
     for unused in ("--folds", "--repeats"):
-        assert main(["evaluate", str(store), "--train-on", "A", "--test-on", "B", unused, "10"]) == 2
-        assert "--folds and --repeats are for cross-validation" in capsys.readouterr().err
-    assert main(["evaluate", str(store), "--folds", "3", "--repeats", "1", *map(str, quick)]) == 0
-    assert "duration alone" in capsys.readouterr().out
+        error = rcbht.refused("evaluate", store, "--train-on", "A", "--test-on", "B", unused, "10")
+        assert "--folds and --repeats are for cross-validation" in error
+    assert "duration alone" in rcbht("evaluate", store, "--folds", "3", "--repeats", "1", *quick)
 
 
-def test_train_writes_a_model_that_loads(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_writes_a_model_that_loads(store: Path, tmp_path: Path, rcbht: CommandLine) -> None:
     out = tmp_path / "states.model"
-    result = run(
-        capsys, "train", store, "--tracks", "online-W5", "--kernels", "linear", "--costs", 0.1, 1, "--out", out
-    )
+    result = rcbht.json("train", store, "--tracks", "online-W5", "--kernels", "linear", "--costs", 0.1, 1, "--out", out)
     model = load(out)
     assert list(model.svm.classes) == result["classes"] == ["approach", "rotation", "insertion", "mating"]
     assert model.encoder["config"]["window"] == 5
 
 
 def test_a_model_of_fitted_words_refuses_labels_of_another_tolerance(
-    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    store: Path, tmp_path: Path, rcbht: CommandLine
 ) -> None:
     for name, options in (("fine", ("--tolerance", 0.3)), ("coarse", ()), ("broad", ("--window", 8))):
-        run(capsys, "encode", store, "--rule", "fit", "--name", name, *options)
+        rcbht.json("encode", store, "--rule", "fit", "--name", name, *options)
     out, quick = tmp_path / "fitted.model", ("--kernels", "linear", "--costs", 1, "--weighing", "time", "change")
-    run(capsys, "train", store, "--tracks", "fine", *quick, "--out", out)
+    rcbht.json("train", store, "--tracks", "fine", *quick, "--out", out)
     model = load(out)
     assert (model.encoder["config"]["rule"], model.encoder["config"]["tolerance"]) == ("fit", [0.3] * 6)
     assert model.feature_spec.weighing == ("time", "change")
     classify = ("classify", str(store), "--model", str(out), "-o", str(tmp_path / "c.csv"), "--tracks")
-    assert main([*classify, "fine"]) == 0
-    capsys.readouterr()
+    rcbht(*classify, "fine")
     for tracks, part in (("coarse", "tolerance [0.3"), ("broad", "window 5, here 8"), ("online-W5", "made otherwise")):
-        assert main([*classify, tracks]) == 2
-        error = capsys.readouterr().err
+        error = rcbht.refused(*classify, tracks)
         assert part in error
         assert "--rule fit --window 5 --tolerance 0.3 0.3 0.3 0.3 0.3 0.3" in error
 
 
-def test_other_recordings_get_the_thresholds_of_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_recordings_get_the_thresholds_of_a_model(tmp_path: Path, rcbht: CommandLine) -> None:
     """Those of --robot auto are of each store, so no way of encoding another one gave labels that the model reads."""
     rng = np.random.default_rng(0)
     for name in ("one", "two"):
@@ -123,21 +113,18 @@ def test_other_recordings_get_the_thresholds_of_a_model(tmp_path: Path, capsys: 
         outcome = ["success"] * 4 + ["failure"] * 4
         data = Recordings.from_arrays(wrench, 100, axes=["a", "b"], outcome=outcome)
         write_recordings(tmp_path / f"{name}.zarr", data, {})
-        run(capsys, "encode", tmp_path / f"{name}.zarr", "--rule", "fit", "--name", "mine")
+        rcbht.json("encode", tmp_path / f"{name}.zarr", "--rule", "fit", "--name", "mine")
     model, two = tmp_path / "m", tmp_path / "two.zarr"
     quick = ("--kernels", "linear", "--costs", 1, "--task", "outcome")
-    run(capsys, "train", tmp_path / "one.zarr", "--tracks", "mine", *quick, "-o", model)
+    rcbht.json("train", tmp_path / "one.zarr", "--tracks", "mine", *quick, "-o", model)
     classify = ["classify", str(two), "-m", str(model), "-o", str(tmp_path / "c.csv")]
-    assert main(classify) == 2
-    assert "--thresholds MODEL" in capsys.readouterr().err
-    run(capsys, "encode", two, "--rule", "fit", "--thresholds", model, "--name", "its")
-    assert main([*classify, "--tracks", "its"]) == 0
-    capsys.readouterr()
-    assert main(["encode", str(two), "--window", "8", "--thresholds", str(model)]) == 2
-    assert "no online labels of window 8" in capsys.readouterr().err
+    assert "--thresholds MODEL" in rcbht.refused(*classify)
+    rcbht.json("encode", two, "--rule", "fit", "--thresholds", model, "--name", "its")
+    rcbht(*classify, "--tracks", "its")
+    assert "no online labels of window 8" in rcbht.refused("encode", two, "--window", "8", "--thresholds", model)
 
 
-def test_every_label_track_of_a_model_can_be_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_label_track_of_a_model_can_be_made_again(tmp_path: Path, rcbht: CommandLine) -> None:
     """Of two tracks of one window, a model gave the limits of the first, whatever was asked for."""
     wrench = 0.05 * np.random.default_rng(0).normal(size=(8, 300, 2))
     wrench[:, 100:, 0] += np.repeat([5.0, 9.0], 4)[:, None]
@@ -145,19 +132,18 @@ def test_every_label_track_of_a_model_can_be_made_again(tmp_path: Path, capsys: 
     for store in (one, two):
         data = Recordings.from_arrays(wrench, 100, axes=["a", "b"], outcome=["success"] * 4 + ["failure"] * 4)
         write_recordings(store, data, {})
-        run(capsys, "encode", store, "--name", "usual")
-    run(capsys, "encode", one, "--scale", 0.3, "--name", "fine")
-    run(capsys, "encode", two, "--name", "fine")
+        rcbht.json("encode", store, "--name", "usual")
+    rcbht.json("encode", one, "--scale", 0.3, "--name", "fine")
+    rcbht.json("encode", two, "--name", "fine")
     quick = ("--kernels", "linear", "--costs", 1, "--task", "outcome")
-    run(capsys, "train", one, "--tracks", "usual+fine", *quick, "-o", model)
+    rcbht.json("train", one, "--tracks", "usual+fine", *quick, "-o", model)
     classify = ["classify", str(two), "-m", str(model), "-o", str(tmp_path / "c.csv")]
-    assert main(classify) == 2
-    advice = re.search(r'"rcbht encode(.* --name fine-model)"', capsys.readouterr().err)
+    advice = re.search(r'"rcbht encode(.* --name fine-model)"', rcbht.refused(*classify))
     assert advice
-    assert main(["encode", str(two), "--thresholds", str(model), "--name", "mine"]) == 2
-    assert "labels usual, fine of window 5, whose limits differ" in capsys.readouterr().err
-    run(capsys, "encode", two, *advice[1].replace("MODEL", str(model)).split())
-    assert main([*classify, "--tracks", "usual+fine-model"]) == 0
+    error = rcbht.refused("encode", two, "--thresholds", model, "--name", "mine")
+    assert "labels usual, fine of window 5, whose limits differ" in error
+    rcbht.json("encode", two, *advice[1].replace("MODEL", str(model)).split())
+    rcbht(*classify, "--tracks", "usual+fine-model")
 
 
 @pytest.mark.parametrize(
@@ -170,40 +156,37 @@ def test_every_label_track_of_a_model_can_be_made_again(tmp_path: Path, capsys: 
     ],
 )
 def test_the_advice_for_other_labels_can_be_followed(
-    options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: tuple[str, ...], tmp_path: Path, rcbht: CommandLine
 ) -> None:
     one, two, model = tmp_path / "one.zarr", tmp_path / "two.zarr", str(tmp_path / "m")
     for path, factor in ((one, 1), (two, 2)):
         write_recordings(path, replace(synthetic(), wrench=synthetic().wrench * factor), {})
-    run(capsys, "encode", one, "--name", "mine", *options)
-    run(capsys, "encode", two, "--name", "mine")
-    run(capsys, "train", one, "--tracks", "mine", "--kernels", "linear", "--costs", 1, "-o", model)
+    rcbht.json("encode", one, "--name", "mine", *options)
+    rcbht.json("encode", two, "--name", "mine")
+    rcbht.json("train", one, "--tracks", "mine", "--kernels", "linear", "--costs", 1, "-o", model)
     classify = ["classify", str(two), "-m", model, "-o", str(tmp_path / "c.csv"), "--tracks"]
-    assert main([*classify, "mine"]) == 2
-    advice = re.search(r'such labels with "rcbht encode ([^"]*)" first', capsys.readouterr().err)
+    advice = re.search(r'such labels with "rcbht encode ([^"]*)" first', rcbht.refused(*classify, "mine"))
     assert advice is not None
-    run(capsys, "encode", two, "--name", "its", *advice[1].replace("MODEL", model).split())
-    assert main([*classify, "its"]) == 0
+    rcbht.json("encode", two, "--name", "its", *advice[1].replace("MODEL", model).split())
+    rcbht(*classify, "its")
 
 
-def test_grammars_stand_side_by_side_or_are_chosen_from(
-    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    made = run(capsys, "encode", store, "--window", 20, "--robot", "hiro", "--scale", 0.0625)
+def test_grammars_stand_side_by_side_or_are_chosen_from(store: Path, tmp_path: Path, rcbht: CommandLine) -> None:
+    made = rcbht.json("encode", store, "--window", 20, "--robot", "hiro", "--scale", 0.0625)
     assert made["name"] == "online-W20-x0.0625"
     assert made["thresholds"][0][3] == 0.0625
     quick = ("--kernels", "linear", "--costs", 1, "--features", "parts", "levels", "--ranks", "--balance")
     both = f"online-W5+{made['name']}"
     folds = ("--folds", 2, "--repeats", 1)
-    result = run(capsys, "evaluate", store, "--tracks", made["name"], both, *folds, *quick)
+    result = rcbht.json("evaluate", store, "--tracks", made["name"], both, *folds, *quick)
     assert result["tracks"] == f"{made['name']} {both}"
     assert all(line.split()[0] in (made["name"], both) and line.endswith("ranks") for line in result["chosen"])
     assert set(result["provenance"]["labels"]) == {"online-W5", made["name"]}
-    trained = run(capsys, "train", store, "--tracks", both, *quick, "--out", tmp_path / "m")
+    trained = rcbht.json("train", store, "--tracks", both, *quick, "--out", tmp_path / "m")
     model = load(tmp_path / "m")
     assert trained["tracks"] == both
     assert set(model.encoder) == {"online-W5", made["name"]}
-    twice = run(capsys, "train", store, "--tracks", "online-W5+online-W5", *quick, "--out", tmp_path / "twice")
+    twice = rcbht.json("train", store, "--tracks", "online-W5+online-W5", *quick, "--out", tmp_path / "twice")
     assert twice["tracks"] == "online-W5"
     assert model.feature_names[0].startswith("online-W5.parts.primitive.Fx.")
     assert model.feature_spec.balance
@@ -234,34 +217,15 @@ def test_grammars_stand_side_by_side_or_are_chosen_from(
         ("demo", "--data", "nowhere"), ("bench", "--trials", "0"), ("bench", "--samples", "1"), ("fly",),
     ],
 )  # fmt: skip
-def test_wrong_input_ends_with_one_sentence(
-    words: tuple[str, ...], store: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status = main([str(store) if word == "STORE" else word for word in words])
-    out, err = capsys.readouterr()
-    assert status == 2
+def test_wrong_input_ends_with_one_sentence(words: tuple[str, ...], store: Path, rcbht: CommandLine) -> None:
+    out, err = rcbht.ended(2, *(store if word == "STORE" else word for word in words))
     assert out == ""
-    assert "Traceback" not in err
     assert len([line for line in err.splitlines() if line.strip()]) == 1 or "invalid" in err.lower(), err
 
 
 NEED_NO_STORE = ("bench", "completion", "demo", "doctor", "simulate", "fidelity")
-option = st.sampled_from(
-    [
-        "--window",
-        "--tracks",
-        "--seed",
-        "--task",
-        "--json",
-        "--folds",
-        "--robot",
-        "--mode",
-        "--costs",
-        "--out",
-        "-o",
-        "--",
-    ]
-)
+OPTIONS = "--window --tracks --seed --task --json --folds --robot --mode --costs --out -o --"
+option = st.sampled_from(OPTIONS.split())
 word = st.one_of(option, st.text(max_size=6), st.integers(-3, 3).map(str), st.floats().map(str))
 
 
@@ -293,12 +257,11 @@ def test_any_words_give_a_sentence_or_help(
     ],
 )
 def test_encode_refuses_what_it_would_ignore(
-    words: list[str], said: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+    words: list[str], said: str, store: Path, tmp_path: Path, rcbht: CommandLine, monkeypatch: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("limits.json").touch()
-    assert main(["encode", str(store), *words, "--name", "ignored"]) == 2
-    assert said in capsys.readouterr().err
+    assert said in rcbht.refused("encode", store, *words, "--name", "ignored")
 
 
 def test_a_default_name_is_one_that_the_store_takes() -> None:

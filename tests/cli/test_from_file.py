@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rcbht_jax.cli.main import main
 from rcbht_jax.io.store import read_recordings
+from tests.support.command_line import CommandLine
 
 MAPPINGS = Path(__file__).parents[2] / "examples" / "mappings"
 RATE = 500  # Hz; of both robots, which then share what is compiled
@@ -113,17 +113,12 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_file_becomes_words_pictures_a_model_a_stream_and_a_report(
-    name: str, external_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, external_dir: Path, tmp_path: Path, rcbht: CommandLine
 ) -> None:
     case = CASES[name]
     folder = tmp_path / "files"
     folder.mkdir()
     source, store = case.make(folder, external_dir), tmp_path / "mine.zarr"
-
-    def rcbht(*words: object) -> str:
-        capsys.readouterr()
-        assert main([str(word) for word in words]) == 0, capsys.readouterr().err
-        return capsys.readouterr().out
 
     rcbht("import", case.kind, source, store, *(word.format(folder=folder) for word in case.words))
     recordings = read_recordings(store)

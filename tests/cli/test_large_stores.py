@@ -13,11 +13,11 @@ import pytest
 from rcbht_jax._util.digest import data_hash
 from rcbht_jax.calibration import sample, search
 from rcbht_jax.calibration.objective import SCORES
-from rcbht_jax.cli.main import main
 from rcbht_jax.io import label_parts, store, store_reader
 from rcbht_jax.io.export import FORMATS, dataset
 from rcbht_jax.learning.tasks import TaskSpec
 from rcbht_jax.types import Recordings
+from tests.support.command_line import CommandLine
 from tests.support.parted_stores import tree
 from tests.support.store_cases import encoded_store
 
@@ -75,29 +75,25 @@ def batched(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return sizes
 
 
-def said(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
-    capsys.readouterr()
-    assert main([*map(str, words), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def test_a_model_does_not_depend_on_the_batches(stored: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_a_model_does_not_depend_on_the_batches(
+    stored: Path, tmp_path: Path, request: pytest.FixtureRequest, rcbht: CommandLine
+) -> None:
     words = ["train", str(stored), *QUICK, "-o"]
-    assert main([*words, str(tmp_path / "whole.model")]) == 0
+    assert "Confounds: " in rcbht(*words, tmp_path / "whole.model")
     batched = request.getfixturevalue("batched")
-    assert main([*words, str(tmp_path / "b.model")]) == 0
+    rcbht(*words, tmp_path / "b.model")
     assert (tmp_path / "b.model").read_bytes() == (tmp_path / "whole.model").read_bytes()
     assert sum(batched) == COUNT  # each wrench once, for the digest of the data
     assert max(batched) <= 4  # recordings; of the short ones four fit
 
 
 def test_a_score_does_not_depend_on_the_batches(
-    stored: Path, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
+    stored: Path, request: pytest.FixtureRequest, rcbht: CommandLine
 ) -> None:
     words = ["evaluate", stored, *QUICK, "--folds", 3, "--repeats", 1]
-    expected = said(capsys, *words)
+    expected = rcbht.json(*words)
     batched = request.getfixturevalue("batched")
-    assert said(capsys, *words) == expected
+    assert rcbht.json(*words) == expected
     assert "Exact copies of another recording: 1" in expected["confounds"]
     assert max(batched) <= 4  # recordings; of the short ones four fit
 
@@ -109,12 +105,12 @@ def _content(data: bytes) -> bytes:
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_an_export_does_not_depend_on_the_batches(
-    kind: str, stored: Path, tmp_path: Path, request: pytest.FixtureRequest
+    kind: str, stored: Path, tmp_path: Path, request: pytest.FixtureRequest, rcbht: CommandLine
 ) -> None:
     words = ["export", str(stored), "--format", kind, "-o"]
-    assert main([*words, str(tmp_path / "whole")]) == 0
+    rcbht(*words, tmp_path / "whole")
     batched = request.getfixturevalue("batched")
-    assert main([*words, str(tmp_path / "parts")]) == 0
+    rcbht(*words, tmp_path / "parts")
     found, expected = (
         {name: _content(data) for name, data in tree(tmp_path / at).items()} for at in ("parts", "whole")
     )
@@ -124,26 +120,26 @@ def test_an_export_does_not_depend_on_the_batches(
 
 
 def test_labels_of_an_export_are_made_batch_by_batch(
-    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, rcbht: CommandLine
 ) -> None:
     monkeypatch.setattr(store, "SAMPLE_BYTES", 3 * 4 * 6 * store.longest_of(stored))  # tells thresholds of either
     words = ["export", str(stored), "--format", "parquet", "--window", "5", "-o"]
-    assert main([*words, str(tmp_path / "one")]) == 0
+    rcbht(*words, tmp_path / "one")
     batched = request.getfixturevalue("batched")
-    assert main([*words, str(tmp_path / "many")]) == 0
+    rcbht(*words, tmp_path / "many")
     assert sum(batched) == 3 + 2 * COUNT  # the sample, and each recording as in any export
     assert max(batched) <= 4
     assert tree(tmp_path / "many") == tree(tmp_path / "one")
 
 
 def test_a_report_reads_what_it_shows(
-    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, rcbht: CommandLine
 ) -> None:
     monkeypatch.setattr(dataset, "SMALL_BYTES", 0)
     words = ["report", str(stored), "--rule", "paper", "--trial", "trial-0", "trial-8", "-o"]
-    assert main([*words, str(tmp_path / "whole.html")]) == 0
+    rcbht(*words, tmp_path / "whole.html")
     batched = request.getfixturevalue("batched")
-    assert main([*words, str(tmp_path / "b.html")]) == 0
+    rcbht(*words, tmp_path / "b.html")
     assert (tmp_path / "b.html").read_bytes() == (tmp_path / "whole.html").read_bytes()
     assert sum(batched) == 2
     assert "first seconds of the recordings were not compared" in (tmp_path / "b.html").read_text()
@@ -152,7 +148,7 @@ def test_a_report_reads_what_it_shows(
 @pytest.mark.parametrize("method", ["rest", "search"])
 def test_thresholds_of_a_large_store_come_from_a_stated_sample(
     method: str, stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest,
-    capsys: pytest.CaptureFixture[str],
+    rcbht: CommandLine,
 ) -> None:  # fmt: skip
     """The search itself is left out: what it is given, and what is said of it, is looked at."""
     none = dict.fromkeys(search.SCORES, 0.0)
@@ -163,15 +159,14 @@ def test_thresholds_of_a_large_store_come_from_a_stated_sample(
     monkeypatch.setattr(search, "score_candidates", lambda *_: np.zeros((2, len(SCORES))))
     words = ["calibrate", stored, "--method", method, "--session", "b", "-o", tmp_path / "l.json"]
     words += ["--task", "outcome"] if method == "search" else []
-    assert "of_trials" not in said(capsys, *words)
+    assert "of_trials" not in rcbht.json(*words)
     of_all = json.loads((tmp_path / "l.json").read_text())
     batched = request.getfixturevalue("batched")
     monkeypatch.setattr(sample, "SAMPLE_BYTES", 3 * 4 * 6 * store.longest_of(stored))
-    found = said(capsys, *words)
+    found = rcbht.json(*words)
     assert (found["trials"], found["of_trials"]) == (3, 6)
     assert sum(batched) == COUNT + 3  # once all for the digest of the data, and the sample
-    assert main([*map(str, words)]) == 0
-    assert "spread evenly over its 6." in capsys.readouterr().out
+    assert "spread evenly over its 6." in rcbht(*words)
     assert json.loads((tmp_path / "l.json").read_text())["provenance"]["data_hash"] == of_all["provenance"]["data_hash"]
 
 

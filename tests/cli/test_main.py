@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import re
 import signal
@@ -20,26 +19,25 @@ from rcbht_jax.cli import main
 from rcbht_jax.cli.command import Command
 from rcbht_jax.cli.completion import COMMON, options_of
 from rcbht_jax.errors import InputError
+from tests.support.command_line import CommandLine
 
 
 @pytest.mark.parametrize("words", [["--help"], ["-h"], ["import", "--help"], ["--version"]])
-def test_help_is_status_zero(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(words) == 0
-    assert capsys.readouterr().out
+def test_help_is_status_zero(words: list[str], rcbht: CommandLine) -> None:
+    assert rcbht(*words)
 
 
 @pytest.mark.parametrize("name", list(main.all_commands()))
 def test_help_has_an_example_flows_and_names_only_options_that_are_there(
-    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    name: str, rcbht: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """tyro keeps line breaks of docstrings: a text of several lines belongs into ``option``."""
     monkeypatch.setenv("COLUMNS", "1000")  # nothing else breaks a line
-    assert main.main([*name.split(), "--help"]) == 0
-    out = capsys.readouterr().out
+    out = rcbht(*name.split(), "--help")
     assert f"Example: rcbht {name}" in out
     assert "--json" in out
     text = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
-    assert not re.search(r"\(default: (None|''|)\)|STORE.zarr store \(", text), "a default or a help text is missing"
+    assert not re.search(r"None\b|\(default: (''|)\)|STORE.zarr store \(", text), "a default or a help text is missing"
     own = {*options_of(main.command_class(name)), *COMMON, "--out"}
     of_others = re.sub(r'"rcbht [^"]*"|\(train-online --detect\)|Example: rcbht [^-]*', " ", text)
     assert set(re.findall(r"--[a-z][a-z-]*", of_others)) <= own
@@ -81,37 +79,27 @@ def test_overview_imports_no_command() -> None:
     ],
 )
 def test_wrong_input_is_one_sentence_and_status_two(
-    words: list[str],
-    sentence: str,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    words: list[str], sentence: str, rcbht: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main.main(words) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    last = captured.err.splitlines()[-1]
+    out, err = rcbht.ended(2, *words)
+    assert out == ""
+    last = err.splitlines()[-1]
     assert last.startswith("rcbht: ")
     assert sentence in last
     assert len(last) < 2050  # whatever it quotes
-    assert "Traceback" not in captured.err
 
 
-def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_import_then_info(hiro_dir: Path, tmp_path: Path, rcbht: CommandLine) -> None:
     out = str(tmp_path / "two.zarr")
-    assert main.main(["import", "hiro", str(hiro_dir / "SIM_HIRO_TWO_SA_SUCCESS"), out, "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["imported"]) == 30
-    assert main.main(["import", "hiro", str(hiro_dir / "SIM_HIRO_TWO_SA_SUCCESS"), out]) == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert main.main(["info", out, "--json"]) == 0
-    info = json.loads(capsys.readouterr().out)
+    assert len(rcbht.json("import", "hiro", hiro_dir / "SIM_HIRO_TWO_SA_SUCCESS", out)["imported"]) == 30
+    assert "--overwrite" in rcbht.refused("import", "hiro", hiro_dir / "SIM_HIRO_TWO_SA_SUCCESS", out)
+    info = rcbht.json("info", out)
     assert [(g["arm"], g["recordings"]) for g in info["groups"]] == [("R", 15), ("L", 15)]
     assert info["annotations"]["states"] == {
         "approach": [30, 30], "rotation": [30, 30], "insertion": [30, 30], "mating": [26, 26],
     }  # fmt: skip
-    assert main.main(["info", out]) == 0
-    text = capsys.readouterr().out
+    text = rcbht("info", out)
     assert "30 recordings of Fx (N), " in text
     assert "task states: approach (15), rotation (15), insertion (15), mating (13)" in text
     assert "annotations states: approach (30 in 30 recordings), " in text
@@ -138,11 +126,7 @@ def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.Capture
     ],
 )
 def test_interruptions_end_in_a_sentence(
-    error: BaseException,
-    status: int,
-    sentence: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException, status: int, sentence: str, rcbht: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Failing(Command):
         def run(self) -> dict[str, object]:
@@ -152,8 +136,7 @@ def test_interruptions_end_in_a_sentence(
             return ""
 
     monkeypatch.setattr(main, "parse", lambda name, words: Failing())
-    assert main.main(["info"]) == status
-    assert sentence in capsys.readouterr().err
+    assert sentence in rcbht.ended(status, "info").err
 
 
 LOSES = {  # what is raised there is lost
@@ -187,7 +170,7 @@ def test_a_signal_ends_the_command_wherever_it_comes(where: str, number: int) ->
 
 
 def test_what_fails_while_a_recording_is_finished_is_not_hidden(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    rcbht: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stopped(words: list[str]) -> int:
         try:
@@ -197,8 +180,8 @@ def test_what_fails_while_a_recording_is_finished_is_not_hidden(
         return 0
 
     monkeypatch.setattr(main, "_dispatch", stopped)
-    assert main.main([]) == 128 + signal.SIGTERM
-    assert capsys.readouterr().err == "rcbht: Interrupted; out.mcap cannot be written: the disk is full.\n"
+    error = rcbht.ended(128 + signal.SIGTERM).err
+    assert error == "rcbht: Interrupted; out.mcap cannot be written: the disk is full.\n"
 
 
 @pytest.mark.parametrize(
@@ -213,7 +196,7 @@ def test_what_fails_while_a_recording_is_finished_is_not_hidden(
     ],
 )
 def test_an_interrupted_command_says_what_is_kept(
-    command: str, kept: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: str, kept: str, tmp_path: Path, rcbht: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = str(tmp_path)
     words = {
@@ -229,8 +212,7 @@ def test_an_interrupted_command_says_what_is_kept(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main.command_class(command), "run", interrupted)
-    assert main.main([*command.split(), *words]) == 128 + signal.SIGINT
-    assert capsys.readouterr().err == f"rcbht: Interrupted; {kept}.\n"
+    assert rcbht.ended(128 + signal.SIGINT, *command.split(), *words).err == f"rcbht: Interrupted; {kept}.\n"
 
 
 def test_what_else_a_destructor_raises_is_reported_as_before() -> None:
@@ -249,12 +231,8 @@ def test_closed_output_is_no_traceback(hiro_store: Path) -> None:
     reader, writer = os.pipe()
     os.close(reader)
     code = "import sys; from rcbht_jax.cli.main import main; sys.exit(main())"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "info", str(hiro_store)],
-        stdout=writer,
-        stderr=subprocess.PIPE,
-        check=False,
-    )
+    command = [sys.executable, "-c", code, "info", str(hiro_store)]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
     os.close(writer)
     assert done.returncode == 1
     assert done.stderr == b""
@@ -277,12 +255,9 @@ def test_any_words_end_in_status_zero_or_two(words: list[str], tmp_path_factory:
         os.chdir(before)
 
 
-def test_names_do_not_steer_the_terminal(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_names_do_not_steer_the_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, rcbht: CommandLine) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main.main(["info", "\x1b]0;owned\x07\u202egnp.zarr"]) == 2
-    assert "rcbht: \\x1b]0;owned\\x07\\u202egnp.zarr" in capsys.readouterr().err
+    assert "rcbht: \\x1b]0;owned\\x07\\u202egnp.zarr" in rcbht.refused("info", "\x1b]0;owned\x07\u202egnp.zarr")
 
 
 def test_names_that_a_terminal_cannot_show_are_spelled_out(tmp_path: Path) -> None:
@@ -295,9 +270,7 @@ def test_names_that_a_terminal_cannot_show_are_spelled_out(tmp_path: Path) -> No
     assert b"Traceback" not in run.stderr
 
 
-def test_text_that_cannot_be_written_is_one_sentence(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_text_that_cannot_be_written_is_one_sentence(monkeypatch: pytest.MonkeyPatch, rcbht: CommandLine) -> None:
     """Half a surrogate pair in somebody's names, wherever on its way into a file it is noticed."""
 
     def write(words: list[str]) -> int:
@@ -305,20 +278,19 @@ def test_text_that_cannot_be_written_is_one_sentence(
         return 0
 
     monkeypatch.setattr(main, "_dispatch", write)
-    assert main.main(["info"]) == 2
-    assert capsys.readouterr().err == "rcbht: A text holds '\\ud800', which is not valid Unicode.\n"
+    assert rcbht.refused("info") == "rcbht: A text holds '\\ud800', which is not valid Unicode.\n"
 
 
 @pytest.mark.parametrize("command", ["evaluate", "train", "train-online", "segment", "monitor fit", "calibrate"])
 @pytest.mark.parametrize("below", [True, False])
 def test_seeds_that_no_generator_takes_are_refused(
-    command: str, below: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, below: bool, tmp_path: Path, rcbht: CommandLine
 ) -> None:
     most = 2**31 - 1 if command == "evaluate" else 2**32 - 1
     seed = -1 if below else most + 1
     out = [] if command in ("evaluate", "segment") else ["-o", str(tmp_path / "out")]
-    assert main.main([*command.split(), str(tmp_path), *out, f"--seed={seed}"]) == 2
-    assert f"--seed is {seed}; expected 0 to {most}" in capsys.readouterr().err
+    error = rcbht.refused(*command.split(), tmp_path, *out, f"--seed={seed}")
+    assert f"--seed is {seed}; expected 0 to {most}" in error
 
 
 @pytest.mark.parametrize("command", ["train", "train-online", "segment", "classify -m M", "monitor fit", "calibrate"])
@@ -332,14 +304,13 @@ def test_seeds_that_no_generator_takes_are_refused(
     ],
 )
 def test_files_that_cannot_be_made_are_refused_before_the_work(
-    command: str, name: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, name: str, sentence: str, tmp_path: Path, rcbht: CommandLine
 ) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "folder.csv").mkdir()
     (tmp_path / "link.csv").symlink_to(tmp_path / "missing" / "x.csv")
     model = [str(tmp_path / "file") if word == "M" else word for word in command.split()]
-    assert main.main([*model, str(tmp_path), "-o", str(tmp_path / name)]) == 2  # no store: reading it is the work
-    assert sentence in capsys.readouterr().err
+    assert sentence in rcbht.refused(*model, tmp_path, "-o", tmp_path / name)
 
 
 def test_a_home_that_cannot_be_written_to_is_no_remark(hiro_store: Path, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from rcbht_jax.introspection.segmenter_file import SegmenterFile
 from rcbht_jax.introspection.segmenter_file import save as save_segmenter
 from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.types import Recordings
+from tests.support.command_line import CommandLine, json_lines
 
 ONSET = 1.5  # s
 
@@ -41,12 +41,6 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def lines(capsys: pytest.CaptureFixture[str], *words: object) -> list[dict]:
-    capsys.readouterr()
-    assert main([*map(str, words)]) == 0
-    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-
-
 @pytest.fixture(scope="module")
 def model(store: Path) -> Path:
     path = store.parent / "five.monitor"
@@ -54,8 +48,8 @@ def model(store: Path) -> Path:
     return path
 
 
-def test_alarms_are_those_of_the_monitor(store: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    events = lines(capsys, "monitor", "watch", store, "-m", model, "--where", "skill=5", "--false-alarms", 0.1)
+def test_alarms_are_those_of_the_monitor(store: Path, model: Path, rcbht: CommandLine) -> None:
+    events = rcbht.events("monitor", "watch", store, "-m", model, "--where", "skill=5", "--false-alarms", 0.1)
     ends = {event["trial"]: event for event in events if event["event"] == "End"}
     alarms = {event["trial"]: event for event in events if event["event"] == "Alarm"}
     assert len(ends) == 24
@@ -66,29 +60,26 @@ def test_alarms_are_those_of_the_monitor(store: Path, model: Path, capsys: pytes
         assert (alarms[trial]["time"] if trial in alarms else np.inf) == pytest.approx(moment)
 
 
-def test_an_evaluation_prints_intervals_and_early_alarms(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_evaluation_prints_intervals_and_early_alarms(store: Path, rcbht: CommandLine) -> None:
     """An alarm before the onset is neither false nor a detection, and must not vanish."""
     recordings = read_recordings(store)
     late = np.where(recordings.outcome == "failure", "2.3", "")
     path = store.parent / "late.zarr"
     write_recordings(path, replace(recordings, columns={**recordings.columns, "began": late}), {})
     words = ["monitor", "evaluate", str(path), "--where", "skill=5", "--group", "day", "--false-alarms", "0.1"]
-    capsys.readouterr()
-    assert main([*words, "--onset", "began"]) == 0
-    said = capsys.readouterr().out
+    said = rcbht(*words, "--onset", "began")
     assert "6 alarms of anomalous recordings came long before the onset: no detection." in said
     assert "of 18 nominal recordings; 95 % interval 0." in said
-    assert main(words) == 0
-    assert "before the onset" not in capsys.readouterr().out
+    assert "before the onset" not in rcbht(*words)
 
 
-def test_a_column_of_texts_is_no_onset(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_column_of_texts_is_no_onset(store: Path, rcbht: CommandLine) -> None:
     """It was read as an onset that nobody knows, and no delay was printed."""
-    assert main(["monitor", "evaluate", str(store), "--where", "skill=5", "--group", "day", "--onset", "day"]) == 2
-    assert "--onset day: this column has no number; expected seconds." in capsys.readouterr().err
+    error = rcbht.refused("monitor", "evaluate", store, "--where", "skill=5", "--group", "day", "--onset", "day")
+    assert "--onset day: this column has no number; expected seconds." in error
 
 
-def test_values_are_compared_of_axes_without_a_bias(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_values_are_compared_of_axes_without_a_bias(store: Path, rcbht: CommandLine) -> None:
     recordings = read_recordings(store)
     wrench = recordings.wrench.copy()
     wrench[:, :, 1] -= 4.0 * (np.arange(len(wrench)) % 3)[:, None]  # of the grip, no day has a bias any more
@@ -96,24 +87,22 @@ def test_values_are_compared_of_axes_without_a_bias(store: Path, capsys: pytest.
     write_recordings(path, replace(recordings, wrench=wrench), {})
     for levels, names in (((), ["grip"]), (("--levels", "none"), []), (("--levels", "Fz", "grip"), ["Fz", "grip"])):
         words = ["monitor", "fit", path, "--where", "skill=5", "--group", "day", *levels, "-o", store.parent / "levels"]
-        (found,) = lines(capsys, *words, "--json")
+        found = rcbht.json(*words)
         assert (found["levels"], found["score_rate"]) == (names, 20.0)
-        assert main([*map(str, words)]) == 0
         assert (
             f"it compares the changes of all axes and the values of {', '.join(names) or 'none'}, 20 times a second;"
-            in capsys.readouterr().out
+            in rcbht(*words)
         )
 
 
-def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_days_are_held_out(store: Path, rcbht: CommandLine) -> None:
     words = ["monitor", "evaluate", store, "--where", "skill=5", "--group", "day", "--onset", "began"]
-    (found,) = lines(capsys, *words, "--false-alarms", 0.1, "--json")
+    found = rcbht.json(*words, "--false-alarms", 0.1)
     assert (found["nominal"], found["anomalous"], set(found["groups"])) == (18, 6, {"day 0", "day 1", "day 2"})
     assert found["auroc"] == 1
     assert found["detected"] == 1
     assert 0 <= found["delay_median"] < 0.5
-    assert main([*map(str, words), "--false-alarms", "0.01"]) == 0
-    table = capsys.readouterr().out.splitlines()
+    table = rcbht(*words, "--false-alarms", "0.01").splitlines()
     assert table[1].split()[:6] == ["all", "18", "6", "1.000", "-", "-"]  # 12 recordings cannot promise 1 in 100
     assert (
         table[-1]
@@ -121,7 +110,7 @@ def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> N
     )
 
 
-def test_groups_that_cannot_be_scored_are_named(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_groups_that_cannot_be_scored_are_named(store: Path, rcbht: CommandLine) -> None:
     recordings = read_recordings(store)
     day = np.array(["Mon", "Tue"])[np.arange(len(recordings)) % 2]
     day[:4] = "Wed"
@@ -130,46 +119,44 @@ def test_groups_that_cannot_be_scored_are_named(store: Path, capsys: pytest.Capt
     path = store.parent / "few.zarr"
     write_recordings(path, replace(recordings, columns={"day": day}, outcome=outcome), {})
     words = ["monitor", "evaluate", str(path), "--group", "day", "--false-alarms", "0.1"]
-    (found,) = lines(capsys, *words, "--json")
+    found = rcbht.json(*words)
     assert found["not_scored"] == ["Mon", "Tue"]
     assert (found["nominal"], found["anomalous"]) == (1, 3)
-    assert main(words) == 0
-    printed = capsys.readouterr().out
+    printed = rcbht(*words)
     assert "Not scored: Mon, Tue; the nominal recordings of the other groups are too few to learn from" in printed
     assert "No alarms of" not in printed
 
 
-def test_trials_of_two_sources_are_different_groups(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trials_of_two_sources_are_different_groups(store: Path, rcbht: CommandLine) -> None:
     recordings = read_recordings(store).take(np.arange(16))
     path = store.parent / "sources.zarr"
     trial, source = [f"t{row % 8}" for row in range(16)], ["a"] * 8 + ["b"] * 8
     write_recordings(path, replace(recordings, trial=np.array(trial), source=np.array(source)), {})
-    (found,) = lines(capsys, "monitor", "evaluate", path, "--group", "trial", "--false-alarms", 0.2, "--json")
+    found = rcbht.json("monitor", "evaluate", path, "--group", "trial", "--false-alarms", 0.2)
     assert set(found["groups"]) == {f"{part}/{name}" for part, name in zip(source, trial, strict=True)}
-    (fitted,) = lines(capsys, "monitor", "fit", path, "--group", "trial", "-o", store.parent / "sources", "--json")
+    fitted = rcbht.json("monitor", "fit", path, "--group", "trial", "-o", store.parent / "sources")
     assert (fitted["recordings"], fitted["groups"]) == (12, 12)
 
 
-def test_recordings_that_were_not_judged_are_no_anomalies(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recordings_that_were_not_judged_are_no_anomalies(store: Path, rcbht: CommandLine) -> None:
     recordings = read_recordings(store)
     outcome = np.concatenate([["unknown", "unfinished"], recordings.outcome[2:]])
     path = store.parent / "unknown.zarr"
     write_recordings(path, replace(recordings, outcome=outcome), {})
     words = ["monitor", "evaluate", str(path), "--where", "skill=5", "--group", "day", "--false-alarms", "0.1"]
-    (found,) = lines(capsys, *words, "--json")
+    found = rcbht.json(*words)
     assert (found["nominal"], found["anomalous"], found["unknown"]) == (16, 6, 2)
-    assert main(words) == 0
-    assert "left out: 2 recordings, outcome unknown or unfinished" in capsys.readouterr().out
+    assert "left out: 2 recordings, outcome unknown or unfinished" in rcbht(*words)
 
 
-def test_another_unit_is_refused(store: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_unit_is_refused(store: Path, model: Path, rcbht: CommandLine) -> None:
     other = store.parent / "milli.zarr"
     write_recordings(other, replace(read_recordings(store), units=("mN", "m")), {})
-    assert main(["monitor", "watch", str(other), "-m", str(model), "--false-alarms", "0.1"]) == 2
-    assert f"{other} has Fz in mN; the model learned it in N." in capsys.readouterr().err
+    error = rcbht.refused("monitor", "watch", other, "-m", model, "--false-alarms", "0.1")
+    assert f"{other} has Fz in mN; the model learned it in N." in error
 
 
-def test_one_arm_is_monitored(store: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_arm_is_monitored(store: Path, model: Path, rcbht: CommandLine) -> None:
     """An idle arm counted as a recording of the skill, so that twice as many were learned, and faults were missed."""
     right = read_recordings(store).take(np.arange(24))
     idle = replace(right, arm=np.full(24, "L"), wrench=right.wrench[::-1] * np.float32(0.01))
@@ -177,44 +164,44 @@ def test_one_arm_is_monitored(store: Path, model: Path, capsys: pytest.CaptureFi
     write_recordings(two, Recordings.join([idle, right]), {})
     options = ("--group", "day", "--json")
     for command, counted in (("fit", ["-o", store.parent / "right.monitor"]), ("evaluate", ["--false-alarms", 0.1])):
-        (alone,) = lines(capsys, "monitor", command, store, "--where", "skill=5", *counted, *options)
-        (found,) = lines(capsys, "monitor", command, two, *counted, *options)
+        (alone,) = rcbht.events("monitor", command, store, "--where", "skill=5", *counted, *options)
+        (found,) = rcbht.events("monitor", command, two, *counted, *options)
         assert found == alone | {"remarks": ["Only the right arm is used."]}
-        (chosen,) = lines(capsys, "monitor", command, two, "--where", "arm=R", *counted, *options)
+        (chosen,) = rcbht.events("monitor", command, two, "--where", "arm=R", *counted, *options)
         assert chosen == alone
-    assert main(["monitor", "fit", str(two), "--arm", "L", "--group", "day", "-o", str(left)]) == 0
-    assert capsys.readouterr().out.endswith("\nOnly the left arm is used.\n")
-    assert main(["monitor", "evaluate", str(two), "--arm", "X", "--group", "day"]) == 2
-    assert "no arm 'X'" in capsys.readouterr().err
+    assert rcbht("monitor", "fit", two, "--arm", "L", "--group", "day", "-o", left).endswith(
+        "\nOnly the left arm is used.\n"
+    )
+    assert "no arm 'X'" in rcbht.refused("monitor", "evaluate", two, "--arm", "X", "--group", "day")
     for watched, words, arm in ((model, (), "R"), (left, (), "L"), (left, ("--arm", "R"), "R")):
-        events = lines(capsys, "monitor", "watch", two, "-m", watched, "--false-alarms", 0.1, *words)
+        events = rcbht.events("monitor", "watch", two, "-m", watched, "--false-alarms", 0.1, *words)
         assert [event["arm"] for event in events if event["event"] == "End"] == [arm] * 24
 
 
 @pytest.mark.usefixtures("model")
-def test_a_stream_plays_the_arm_that_was_learned(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stream_plays_the_arm_that_was_learned(store: Path, rcbht: CommandLine) -> None:
     """The other arm was played to a monitor or a segmenter of the left one, and raised an alarm in every recording."""
     right = read_recordings(store).take(np.arange(24))
     left = replace(right, arm=np.full(24, "L"), wrench=-2 * right.wrench)
     two, monitor, segmenter = store.parent / "arms.zarr", store.parent / "l.monitor", store.parent / "l.segmenter"
     write_recordings(two, Recordings.join([left, right]), {})
-    assert main(["monitor", "fit", str(two), "--where", "arm=L", "--group", "day", "-o", str(monitor)]) == 0
+    rcbht("monitor", "fit", two, "--where", "arm=L", "--group", "day", "-o", monitor)
     fitted = WrenchSegmenter(trees=3, words=False).fit(left.take(np.arange(3)), [np.arange(50) // 25] * 3)
     save_segmenter(segmenter, SegmenterFile.of(fitted, "phase", ("before", "after"), "L"))
 
     def said(*words: object) -> list[dict]:
-        events = lines(capsys, "stream", two, "--robot", "hiro", "--trial", right.trial[3], *words)
+        events = rcbht.events("stream", two, "--robot", "hiro", "--trial", right.trial[3], *words)
         return [event for event in events if event["event"] in ("AnomalyScore", "Belief")]
 
     for reader in (("--monitor", monitor, "--false-alarms", 0.1), ("--segmenter", segmenter)):
         own = said(*reader)
         assert own == said(*reader, "--arm", "L")
         assert own != said(*reader, "--arm", "R")
-    unnamed = lines(capsys, "monitor", "watch", store, "-m", monitor, "--where", "skill=5", "--false-alarms", 0.1)
+    unnamed = rcbht.events("monitor", "watch", store, "-m", monitor, "--where", "skill=5", "--false-alarms", 0.1)
     assert {event["arm"] for event in unnamed} == {"R"}, "the one arm of a store may be the one that was learned"
     both = ["--monitor", str(store.parent / "five.monitor"), "--segmenter", str(segmenter)]
-    assert main(["stream", str(two), "--false-alarms", "0.1", *both]) == 2
-    assert "read different arms, R and L; use those of one arm, or name one with --arm" in capsys.readouterr().err
+    error = rcbht.refused("stream", two, "--false-alarms", "0.1", *both)
+    assert "read different arms, R and L; use those of one arm, or name one with --arm" in error
 
 
 @pytest.mark.parametrize(
@@ -230,21 +217,18 @@ def test_a_stream_plays_the_arm_that_was_learned(store: Path, capsys: pytest.Cap
         (["fit", "--nominal", "good"], "outcome good, only failure, success; choose one with --nominal."),
     ],
 )
-def test_wrong_input_is_one_sentence(
-    store: Path, words: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["monitor", words[0], str(store), *words[1:], "-o", str(store.parent / "none")]) == 2
-    assert sentence in capsys.readouterr().err
+def test_wrong_input_is_one_sentence(store: Path, words: list[str], sentence: str, rcbht: CommandLine) -> None:
+    assert sentence in rcbht.refused("monitor", words[0], store, *words[1:], "-o", store.parent / "none")
 
 
 def test_a_stream_is_watched_as_a_store_is(
-    store: Path, model: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    store: Path, model: Path, rcbht: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Words and scores of the same stream, from a store and from lines without names of the axes."""
-    expected = lines(capsys, "monitor", "watch", store, "-m", model, "--false-alarms", 0.1)
+    expected = rcbht.events("monitor", "watch", store, "-m", model, "--false-alarms", 0.1)
     alarms = {event["trial"]: event for event in expected if event["event"] == "Alarm"}
     options = ("--monitor", model, "--false-alarms", 0.1)
-    trial, events = "", lines(capsys, "stream", store, *options)
+    trial, events = "", rcbht.events("stream", store, *options)
     raised: dict[str, float] = {}
     for event in events:
         trial = event["trial"] if event["event"] == "TrialStarted" else trial
@@ -256,9 +240,8 @@ def test_a_stream_is_watched_as_a_store_is(
     assert {"Word", "AnomalyScore"} <= {event["event"] for event in events}
     recordings = read_recordings(store)
     read = [{"time": 0.05 * k, "wrench": row.tolist()} for k, row in enumerate(recordings.wrench[3, :50].astype(float))]
-    text = "".join(json.dumps(line) + "\n" for line in read).encode()
-    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
-    live = lines(capsys, "stream", "-", *options)
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(json_lines(read))))
+    live = rcbht.events("stream", "-", *options)
     name = str(recordings.trial[3])
     assert [event["time"] for event in live if event["event"] == "AnomalyRaised"] == [raised[name]]
     assert {event["axis"] for event in live if event["event"] == "Word"} == {"Fz", "grip"}
@@ -273,7 +256,6 @@ def test_a_stream_is_watched_as_a_store_is(
     ],
 )
 def test_a_stream_that_a_monitor_cannot_watch_is_refused(
-    store: Path, model: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], sentence: str
+    store: Path, model: Path, rcbht: CommandLine, options: tuple[str, ...], sentence: str
 ) -> None:
-    assert main(["stream", str(store), "--monitor", str(model), "--false-alarms", "0.1", *options]) == 2
-    assert sentence in capsys.readouterr().err
+    assert sentence in rcbht.refused("stream", store, "--monitor", model, "--false-alarms", "0.1", *options)

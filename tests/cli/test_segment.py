@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,14 +32,16 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_table_of_intervals(store, tmp_path, capsys):
+def table(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def test_a_table_of_intervals(store, tmp_path, rcbht):
     out = tmp_path / "segments.csv"
-    assert main(["segment", str(store), "-o", str(out), "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = rcbht.json("segment", store, "-o", out)
     assert (result["recordings"], result["annotated"], result["classes"]) == (5, 4, ["free", "touch"])
     assert result["score"]["accuracy"] > 0.95 > result["majority"]
-    with out.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = table(out)
     new = [row for row in rows if row["recording"] == "4"]
     assert [row["label"] for row in new] == ["free", "touch"]
     assert {row["annotated"] for row in new} == {"False"}
@@ -48,17 +49,16 @@ def test_a_table_of_intervals(store, tmp_path, capsys):
     assert float(new[-1]["end"]) == 3
 
 
-def test_recordings_of_one_source_have_their_numbers_in_the_store(store, tmp_path):
+def test_recordings_of_one_source_have_their_numbers_in_the_store(store, tmp_path, rcbht):
     out = tmp_path / "segments.csv"
-    assert main(["segment", str(store), "--source", "old", "-o", str(out)]) == 0
-    with out.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rcbht("segment", store, "--source", "old", "-o", out)
+    rows = table(out)
     assert {(row["recording"], row["source"]) for row in rows} == {(str(number), "old") for number in range(1, 5)}
     trials = read_recordings(store).trial
     assert all(row["trial"] == trials[int(row["recording"])] for row in rows)
 
 
-def test_one_arm_is_labelled(store, tmp_path, capsys, monkeypatch):
+def test_one_arm_is_labelled(store, tmp_path, rcbht, monkeypatch):
     """An idle arm counted as a recording of its own, on which no phase can be seen."""
     monkeypatch.setattr(WrenchSegmenter, "fit", lambda self, *_: self)
     monkeypatch.setattr(WrenchSegmenter, "predict", lambda self, data: [np.arange(n) // 60 for n in data.length])
@@ -66,25 +66,24 @@ def test_one_arm_is_labelled(store, tmp_path, capsys, monkeypatch):
     two, out = tmp_path / "two.zarr", tmp_path / "segments.csv"
     write_recordings(two, Recordings.join([replace(right, arm=np.full(5, "L"), wrench=right.wrench * 0), right]), {})
     for words, named, first in (((), "right", 5), (("--arm", "L"), "left", 0)):
-        assert main(["segment", str(two), "-o", str(out), *words]) == 0
-        printed = capsys.readouterr().out
+        printed = rcbht("segment", two, "-o", out, *words)
         assert "5 recordings, 4 of them annotated" in printed
         assert printed.endswith(f"\nOnly the {named} arm is used.\n")
-        with out.open(newline="") as file:
-            rows = {(row["recording"], row["arm"]) for row in csv.DictReader(file)}
-        assert rows == {(str(first + number), named[0].upper()) for number in range(5)}
+        assert {(row["recording"], row["arm"]) for row in table(out)} == {
+            (str(first + number), named[0].upper()) for number in range(5)
+        }
     saved = []
     monkeypatch.setattr(segmenter_file, "save", lambda path, file: saved.append(file))
     monkeypatch.setattr(segmenter_file.SegmenterFile, "of", lambda segmenter, track, labels, arm: arm)
     one, words = tmp_path / "one.zarr", ["-o", str(out), "--write-model", str(tmp_path / "s")]
     write_recordings(one, replace(right, arm=np.full(5, "L")), {})
     for wanted in (["--arm", "L"], []):
-        assert main(["segment", str(two), *wanted, *words]) == 0
-    assert main(["segment", str(one), *words]) == 0
+        rcbht("segment", two, *wanted, *words)
+    rcbht("segment", one, *words)
     assert saved == ["L", "R", "L"]
 
 
-def test_a_recording_that_nothing_labels_is_reported(store, tmp_path, capsys):
+def test_a_recording_that_nothing_labels_is_reported(store, tmp_path, rcbht):
     """The only one with two classes was missing from the table without a remark."""
     data = read_recordings(store)
     whole = data.annotations.of_recording(0)
@@ -92,13 +91,10 @@ def test_a_recording_that_nothing_labels_is_reported(store, tmp_path, capsys):
     one = replace(data, annotations=Annotations.from_rows([*rows, (1, "contact", "free", 0.0, 1.0)]))
     few, out = tmp_path / "few.zarr", tmp_path / "segments.csv"
     write_recordings(few, one, {})
-    assert main(["segment", str(few), "--one-shot", "-o", str(out)]) == 0
-    printed = capsys.readouterr().out
+    printed = rcbht("segment", few, "--one-shot", "-o", out)
     assert "\nNot in the table: 1 recording, as none of another trial has two classes." in printed
-    with out.open(newline="") as file:
-        assert {row["recording"] for row in csv.DictReader(file)} == {"1", "2", "3", "4"}
-    assert main(["segment", str(store), "--one-shot", "-o", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["unlabelled"] == 0
+    assert {row["recording"] for row in table(out)} == {"1", "2", "3", "4"}
+    assert rcbht.json("segment", store, "--one-shot", "-o", out)["unlabelled"] == 0
 
 
 @pytest.mark.parametrize(
@@ -110,18 +106,17 @@ def test_a_recording_that_nothing_labels_is_reported(store, tmp_path, capsys):
         (["--source", "none"], "no recording has the source none"),
     ],
 )
-def test_what_it_refuses(store, words, said, capsys):
-    assert main(["segment", str(store), *words]) == 2
-    assert said in capsys.readouterr().err
+def test_what_it_refuses(store, words, said, rcbht):
+    assert said in rcbht.refused("segment", store, *words)
 
 
-def test_a_place_for_the_model_that_does_not_exist_is_said_at_once(store, tmp_path, capsys, monkeypatch):
+def test_a_place_for_the_model_that_does_not_exist_is_said_at_once(store, tmp_path, rcbht, monkeypatch):
     monkeypatch.setattr("rcbht_jax.io.store.read_recordings", lambda path: pytest.fail("work was begun"))
     out = ["-o", str(tmp_path / "segments.csv")]
-    assert main(["segment", str(store), *out, "--write-model", str(tmp_path / "none" / "x.segmenter")]) == 2
-    assert "none is not a folder; create it first" in capsys.readouterr().err
-    assert main(["segment", str(store), *out, "--write-model", out[1]]) == 2
-    assert "segments.csv is to be written and is used as" in capsys.readouterr().err
+    error = rcbht.refused("segment", store, *out, "--write-model", tmp_path / "none" / "x.segmenter")
+    assert "none is not a folder; create it first" in error
+    error = rcbht.refused("segment", store, *out, "--write-model", out[1])
+    assert "segments.csv is to be written and is used as" in error
 
 
 def test_the_table_stays_where_the_model_cannot_be_written(store, tmp_path, monkeypatch):

@@ -17,7 +17,6 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 import rcbht_jax as rj
-from rcbht_jax.cli.main import main
 from rcbht_jax.cli.stream import Serve
 from rcbht_jax.introspection import model as model_files
 from rcbht_jax.introspection import nominal_file, session
@@ -28,17 +27,17 @@ from rcbht_jax.io.messages import Sample
 from rcbht_jax.io.rosbags import McapWriter, read_bag
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.report.pack import infer_beliefs
+from tests.support.command_line import json_lines
 from tests.support.introspection_models import model, trial
 
 
 @pytest.mark.parametrize(("axes", "rate"), [("Fx Fy Fz Mx My Mz", 125), ("a b c d e f", 500), ("a b c d e f", None)])
-def test_the_page_shows_words_beside_a_model_of_another_rate_or_of_other_names(tmp_path, monkeypatch, axes, rate):
+def test_the_page_shows_words_beside_a_model_of_another_rate_or_of_other_names(tmp_path, axes, rate, rcbht):
     """They are encoded at the model's rate, with its names; the page refused what "rcbht stream" reads."""
     named = replace(model(), extra={"axes": axes.split(), "units": [""] * 6})
     model_files.save(tmp_path / "m", named)
     stamps = [{}] * 200 if rate is None else [{"time": k / rate} for k in range(200)]
-    lines = [json.dumps({"wrench": [0.1 * k] * 6, **stamp}).encode() + b"\n" for k, stamp in enumerate(stamps)]
-    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    rcbht.feed({"wrench": [0.1 * k] * 6, **stamp} for k, stamp in enumerate(stamps))
     opened, _ = Serve(source="-", model=tmp_path / "m", lead=0.5).opened(words=True)
     assert opened.introspector.axes == named.axes
     assert opened.introspector.config.dt == pytest.approx(named.encoder.dt)
@@ -46,11 +45,11 @@ def test_the_page_shows_words_beside_a_model_of_another_rate_or_of_other_names(t
 
 
 @pytest.mark.parametrize(("speed", "live", "recorded"), [(None, 0.0, 1.0), (2.0, 2.0, 2.0)])
-def test_a_live_source_is_not_played_at_a_pace(model_path, tmp_path, monkeypatch, speed, live, recorded):
+def test_a_live_source_is_not_played_at_a_pace(model_path, tmp_path, monkeypatch, speed, live, recorded, rcbht):
     """By its stamps the page stayed as late as it was at the start, where the encoder compiles."""
     speeds = []
     monkeypatch.setattr(session, "paced", lambda messages, pace: [speeds.append(pace), messages][1])
-    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"")}))
+    rcbht.feed(b"")
     write_recordings(tmp_path / "s.zarr", rj.Recordings.from_arrays([trial(1, 3)], rate=200), {})
     for source in ("-", str(tmp_path / "s.zarr")):
         Serve(source=source, model=model_path, speed=speed, rule="paper").opened(words=True)
@@ -72,25 +71,23 @@ def pushes() -> np.ndarray:
 
 
 @pytest.mark.parametrize(("rule", "reads"), [("fit", "--sampling-rate"), ("paper", "--monitor")])
-def test_a_store_at_another_rate_gives_the_words_of_a_pipe(tmp_path, monkeypatch, capsys, rule, reads):
+def test_a_store_at_another_rate_gives_the_words_of_a_pipe(tmp_path, rcbht, rule, reads):
     """Limits and tolerances were those of the store's own rate, and its noise hid the push."""
     write_recordings(tmp_path / "s.zarr", rj.Recordings.from_arrays([pushes()[:, None]], 600, axes=["Fz"]), {})
     monitor = NominalMonitor(rate=100.0).fit(0.1 * np.random.default_rng(0).normal(size=(20, 100, 1)))
     nominal_file.save(tmp_path / "m", nominal_file.MonitorFile(monitor, ("Fz",), (), ("N",)))
-    lines = [json.dumps({"time": k / 600, "wrench": [v]}).encode() + b"\n" for k, v in enumerate(pushes().tolist())]
-    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    rcbht.feed({"time": k / 600, "wrench": [v]} for k, v in enumerate(pushes().tolist()))
     options = ["--robot", "auto", "--rule", rule, reads, "100" if reads == "--sampling-rate" else str(tmp_path / "m")]
     words = []
     for source in ([str(tmp_path / "s.zarr")], ["-", "--axes", "Fz"]):
-        assert main(["stream", *source, *options]) == 0
-        events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        events = rcbht.events("stream", *source, *options)
         words.append([(e["label"], e["begin"], e["end"]) for e in events if e["event"] == "Word"])
     assert words[0] == words[1]
     assert len(words[0]) > 6
 
 
 @pytest.mark.parametrize("command", ["stream", "serve", "plot beliefs", "report"])
-def test_a_store_that_a_model_would_misread_is_refused(model_path, tmp_path, capsys, command):
+def test_a_store_that_a_model_would_misread_is_refused(model_path, tmp_path, rcbht, command):
     """Beliefs about forces in another order, or a thousand times as large, looked like any others."""
     right = rj.Recordings.from_arrays([trial(1, 3)], rate=200, trial=["one"])
     turned = replace(right, wrench=right.wrench[..., ::-1], axes=right.axes[::-1], units=right.units[::-1])
@@ -101,12 +98,11 @@ def test_a_store_that_a_model_would_misread_is_refused(model_path, tmp_path, cap
         out = ["-o", str(tmp_path / "x.html")] if command == "report" else ["-o", str(tmp_path / "x.png")]
         port = ["--port", "0", "--no-stay"] if command == "serve" else out
         words = [*command.split(), str(tmp_path / "s.zarr"), *trials, "-m", str(model_path), *port]
-        assert main(words) == 2
-        assert said in capsys.readouterr().err
+        assert said in rcbht.refused(*words)
 
 
 @pytest.mark.parametrize("command", ["stream", "serve"])
-def test_a_bag_that_a_model_would_misread_is_refused(tmp_path, capsys, command):
+def test_a_bag_that_a_model_would_misread_is_refused(tmp_path, rcbht, command):
     """A wrench of ROS is Fx ... Mz in N and Nm; a model of moments first, or of mN, took it for its own."""
     with McapWriter(tmp_path / "run.mcap") as bag:
         for k in range(60):
@@ -119,8 +115,7 @@ def test_a_bag_that_a_model_would_misread_is_refused(tmp_path, capsys, command):
     ):
         model_files.save(tmp_path / "m", replace(model(), extra={"axes": list(axes), "units": list(units)}))
         out = ["--port", "0", "--no-stay"] if command == "serve" else ["-o", str(tmp_path / "x.jsonl")]
-        assert main([command, str(tmp_path / "run.mcap"), "-m", str(tmp_path / "m"), *out]) == 2
-        assert said in capsys.readouterr().err
+        assert said in rcbht.refused(command, tmp_path / "run.mcap", "-m", tmp_path / "m", *out)
     replace(model(), extra={"axes": list("abcdef"), "units": [""] * 6}).check_wrench("it")  # names of its own
 
 
@@ -133,7 +128,7 @@ def a_monitor(path: Path, axes: Sequence[str], units: Sequence[str]) -> Path:
 
 
 @pytest.mark.parametrize("command", ["stream", "serve"])
-def test_a_bag_that_a_monitor_would_misread_is_refused(tmp_path, capsys, command):
+def test_a_bag_that_a_monitor_would_misread_is_refused(tmp_path, rcbht, command):
     """Any six values passed for those that it learned: in another unit, or of the joints, they were scored."""
     with McapWriter(tmp_path / "run.mcap") as bag:
         for k in range(60):
@@ -144,33 +139,28 @@ def test_a_bag_that_a_monitor_would_misread_is_refused(tmp_path, capsys, command
     ):
         monitor = a_monitor(tmp_path / "m", axes, units)
         out = ["--port", "0", "--no-stay"] if command == "serve" else ["-o", str(tmp_path / "x.jsonl")]
-        assert (
-            main([command, str(tmp_path / "run.mcap"), "--monitor", str(monitor), "--false-alarms", "0.1", *out]) == 2
-        )
-        assert said in capsys.readouterr().err
+        error = rcbht.refused(command, tmp_path / "run.mcap", "--monitor", monitor, "--false-alarms", "0.1", *out)
+        assert said in error
 
 
 @pytest.mark.parametrize("units", [("N",) * 3 + ("Nm",) * 3, ("",) * 6, ()])
-def test_a_monitor_reads_the_axes_of_a_bag_by_their_names(tmp_path, capsys, monkeypatch, units):
+def test_a_monitor_reads_the_axes_of_a_bag_by_their_names(tmp_path, rcbht, units):
     """Those of a monitor that learned them in another order took each other's place."""
     turned, wrench = rj.labels.AXES[::-1], np.cumsum(np.ones((60, 6)), 0) * np.arange(6)
-    lines = b""
     with McapWriter(tmp_path / "run.mcap") as bag:
         for k, row in enumerate(wrench.tolist()):
             bag.wrench(0.05 * k, tuple(row))
-            lines += json.dumps({"time": 0.05 * k, "wrench": row[::-1]}).encode() + b"\n"
-    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(lines)}))
+    rcbht.feed({"time": 0.05 * k, "wrench": row[::-1]} for k, row in enumerate(wrench.tolist()))
     options = ["--monitor", str(a_monitor(tmp_path / "m", turned, units and units[::-1])), "--false-alarms", "0.1"]
     scores = []
     for source in (str(tmp_path / "run.mcap"), "-"):  # lines have no names: they are in the order of the monitor
-        assert main(["stream", source, *options]) == 0
-        events = map(json.loads, capsys.readouterr().out.splitlines())
+        events = rcbht.events("stream", source, *options)
         scores.append([event["score"] for event in events if event["event"] == "AnomalyScore"])
     assert len(scores[0]) == 60
     assert scores[0] == scores[1]
 
 
-def test_a_stream_that_is_interrupted_in_its_lead_keeps_its_recording(tmp_path, monkeypatch):
+def test_a_stream_that_is_interrupted_in_its_lead_keeps_its_recording(tmp_path, monkeypatch, rcbht):
     """Nothing was written where Ctrl-C came within the ten seconds that give the thresholds."""
 
     class Interrupted(io.BytesIO):
@@ -182,36 +172,34 @@ def test_a_stream_that_is_interrupted_in_its_lead_keeps_its_recording(tmp_path, 
             time.sleep(60)
             return b""
 
-    data = b"".join(json.dumps({"time": 0.01 * k, "wrench": [0.1 * k] * 6}).encode() + b"\n" for k in range(200))
+    data = json_lines({"time": 0.01 * k, "wrench": [0.1 * k] * 6} for k in range(200))
     monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": Interrupted(data)}))
     out, events = tmp_path / "o.mcap", tmp_path / "e.jsonl"
-    assert main(["stream", "-", "--mcap", str(out), "-o", str(events), "--timeout", "100"]) == 130
+    rcbht.ended(130, "stream", "-", "--mcap", out, "-o", events, "--timeout", 100)
     assert len(list(read_bag(out))) == 200
     words = map(json.loads, events.read_text().splitlines())
     assert max(word["end"] for word in words if word["event"] == "Word") == 200
 
 
-def test_an_event_before_the_first_reading_is_no_message_of_1970(model_path, tmp_path, monkeypatch):
+def test_an_event_before_the_first_reading_is_no_message_of_1970(model_path, tmp_path, rcbht):
     """A line that could not be read made a file of 54 years."""
     rows = [{"wrench": [0.0] * 6, "time": 1.7e9 + 0.005 * k} for k in range(40)]
-    lines = [b"garbage\n", b'{"begin": true}\n', *(json.dumps(row).encode() + b"\n" for row in rows)]
-    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    rcbht.feed([b"garbage\n", {"begin": True}, *rows])
     words = ["stream", "-", "-m", str(model_path), "--mcap", str(tmp_path / "o.mcap")]
-    assert main([*words, "-o", str(tmp_path / "o.jsonl")]) == 0
+    rcbht(*words, "-o", tmp_path / "o.jsonl")
     with AnyReader([tmp_path / "o.mcap"]) as reader:
         told = [(time * 1e-9, connection.topic) for connection, time, _ in reader.messages()]
     assert min(told)[0] == pytest.approx(1.7e9)
     assert [topic for _, topic in told].count("/events") == 2
 
 
-def test_trials_follow_each_other_in_a_file(model_path, tmp_path, monkeypatch):
+def test_trials_follow_each_other_in_a_file(model_path, tmp_path, rcbht):
     """The stamps of each trial begin at zero: in Foxglove and PlotJuggler all trials lay on top of each other."""
     rows = [{"wrench": [float(n)] * 6, "time": 0.005 * k} for n in range(3) for k in range(40 + n)]
     ends = [40, 40 + 41]
-    lines = [json.dumps(row | ({"reset": True} if n in ends else {})).encode() + b"\n" for n, row in enumerate(rows)]
-    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    rcbht.feed(row | ({"reset": True} if n in ends else {}) for n, row in enumerate(rows))
     words = ["stream", "-", "-m", str(model_path), "--words", "--mcap", str(tmp_path / "o.mcap")]
-    assert main([*words, "-o", str(tmp_path / "o.jsonl")]) == 0
+    rcbht(*words, "-o", tmp_path / "o.jsonl")
     begins = np.cumsum([0, 39 * 0.005 + 1, 40 * 0.005 + 1])
     expected = [(row["wrench"][0], begins[int(row["wrench"][0])] + row["time"]) for row in rows]
     found = [(sample.wrench[0], sample.time) for sample in read_bag(tmp_path / "o.mcap")]
@@ -222,12 +210,11 @@ def test_trials_follow_each_other_in_a_file(model_path, tmp_path, monkeypatch):
     assert max(told) == pytest.approx(expected[-1][1])
 
 
-def test_a_clock_that_goes_back_goes_on_in_a_file(tmp_path, monkeypatch):
+def test_a_clock_that_goes_back_goes_on_in_a_file(tmp_path, rcbht):
     rows = [{"wrench": [start + k], "time": start + 0.005 * k} for start in (90.0, 50.0) for k in range(40)]
-    lines = [json.dumps(row).encode() + b"\n" for row in rows]
-    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    rcbht.feed(rows)
     words = ["stream", "-", "--axes", "Fz", "--robot", "hiro", "--mcap", str(tmp_path / "o.mcap")]
-    assert main([*words, "-o", str(tmp_path / "o.jsonl")]) == 0
+    rcbht(*words, "-o", tmp_path / "o.jsonl")
     found: dict[str, list[float]] = {}
     with AnyReader([tmp_path / "o.mcap"]) as reader:
         for connection, time, _ in sorted(reader.messages(), key=lambda message: message[1]):
@@ -239,7 +226,7 @@ def test_a_clock_that_goes_back_goes_on_in_a_file(tmp_path, monkeypatch):
     np.testing.assert_allclose(found["/words"], np.where(told < 60, told - 50 + ends[0] + 1, told))
 
 
-def test_a_signal_in_nmm_is_recorded_as_no_wrench(tmp_path):
+def test_a_signal_in_nmm_is_recorded_as_no_wrench(tmp_path, rcbht):
     """It was one of ROS, which is in Nm, and came back a thousand times too large."""
     axes, units = rj.labels.AXES, ("N",) * 3 + ("Nmm",) * 3
     recordings = rj.Recordings.from_arrays([trial(1, 3)], rate=200, axes=axes, units=units)
@@ -247,21 +234,18 @@ def test_a_signal_in_nmm_is_recorded_as_no_wrench(tmp_path):
     named = replace(model(), extra={"axes": list(axes), "units": list(units)})
     model_files.save(tmp_path / "m", named)
     words = ["stream", str(tmp_path / "s.zarr"), "-m", str(tmp_path / "m"), "--mcap", str(tmp_path / "o.mcap")]
-    assert main([*words, "-o", str(tmp_path / "o.jsonl")]) == 0
+    rcbht(*words, "-o", tmp_path / "o.jsonl")
     with AnyReader([tmp_path / "o.mcap"]) as reader:
         topics = {connection.topic for connection in reader.connections}
     assert topics & {"/signal", "/wrench"} == {"/signal"}
 
 
 @pytest.mark.parametrize("rule", ["paper", "fit"])
-def test_provisional_words_after_a_gap_are_new_ones(capsys, monkeypatch, rule):
+def test_provisional_words_after_a_gap_are_new_ones(rcbht, rule):
     """Words that began at the same sample as one before the gap were not reported, or as its revisions."""
-    lines = [{"wrench": [0.0], "time": start + 0.005 * k} for start in (0.0, 2.0) for k in range(60)]
-    data = b"".join(json.dumps(line).encode() + b"\n" for line in lines)
-    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(data)}))
+    rcbht.feed({"wrench": [0.0], "time": start + 0.005 * k} for start in (0.0, 2.0) for k in range(60))
     own = ["--tolerance", "0.5"] if rule == "fit" else []
-    assert main(["stream", "-", "--axes", "Fz", "--robot", "hiro", "--rule", rule, "--provisional", *own]) == 0
-    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    events = rcbht.events("stream", "-", "--axes", "Fz", "--robot", "hiro", "--rule", rule, "--provisional", *own)
     shown = [
         [(one["sample"], one["layer"], one["label"], one["revision"]) for one in events
          if one["event"] == "ProvisionalWord" and (one["time"] < 1) == first]
@@ -272,14 +256,13 @@ def test_provisional_words_after_a_gap_are_new_ones(capsys, monkeypatch, rule):
 
 
 @pytest.mark.parametrize("starts", [(), ("--starts", "recorded"), ("--starts", "tool")])
-def test_sub_tasks_begin_by_the_track_that_the_model_has_learned(model_path, tmp_path, capsys, starts):
+def test_sub_tasks_begin_by_the_track_that_the_model_has_learned(model_path, tmp_path, rcbht, starts):
     """By the first track, as before, its beliefs were about stretches that are none of its sub-tasks."""
     marks = [(0, "tool", "light", 0.0, 0.3), (0, "tool", "camera", 0.3, 1.5)]
     marks += [(0, "states", "push", 0.0, 0.75), (0, "states", "mate", 0.75, 1.5)]
     recordings = rj.Recordings.from_arrays([trial(1, 4, 300)], rate=200, annotations=marks)
     write_recordings(tmp_path / "s.zarr", recordings, {})
-    assert main(["stream", str(tmp_path / "s.zarr"), "--model", str(model_path), *starts]) == 0
-    events = map(json.loads, capsys.readouterr().out.splitlines())
+    events = rcbht.events("stream", tmp_path / "s.zarr", "--model", model_path, *starts)
     began = [(event["begin"], event["label"]) for event in events if event["event"] == "SubtaskStarted"]
     assert began == ([(60, "camera")] if "tool" in starts else [(150, "mate")])
 
@@ -297,39 +280,32 @@ def test_beliefs_of_the_report_are_about_the_sub_tasks_of_the_model():
 
 @pytest.mark.parametrize(
     ("words", "named"),
-    [
-        ((), "right arm"),
-        (("--arm", "L\x1b"), r"arm L\x1b"),
-        (("--trial", "a"), "right arm"),
-        (("--trial", "b"), ""),
-    ],
+    [((), "right arm"), (("--arm", "L\x1b"), r"arm L\x1b"), (("--trial", "a"), "right arm"), (("--trial", "b"), "")],
 )
 @pytest.mark.parametrize("command", ["stream", "serve"])
-def test_the_arm_that_is_played_is_named(tmp_path, capsys, command, words, named):
+def test_the_arm_that_is_played_is_named(tmp_path, rcbht, command, words, named):
     """Trials of another arm were skipped without a remark."""
     store = tmp_path / "s.zarr"
     wrench = [trial(1, seed, 40) for seed in range(4)]
     two = rj.Recordings.from_arrays(wrench, rate=200, arm=["R", "L\x1b"] * 2, trial=["a", "a", "b", "c"])
     rj.write_recordings(store, two, {})
     port = ["--port", "0", "--no-stay", "--speed", "0", "--rule", "paper"] if command == "serve" else []
-    assert main([command, str(store), "--robot", "hiro", *words, *port]) == 0
-    remarks = [line for line in capsys.readouterr().err.splitlines() if line.startswith("Only the")]
+    printed = rcbht.ended(0, command, store, "--robot", "hiro", *words, *port).err
+    remarks = [line for line in printed.splitlines() if line.startswith("Only the")]
     assert remarks == [f"Only the {named} is used."] * bool(named)
 
 
-def test_the_arm_that_a_model_learned_is_played(tmp_path, capsys):
+def test_the_arm_that_a_model_learned_is_played(tmp_path, rcbht):
     """The model of a left arm read the wrench of the right one, without a remark."""
     two = rj.Recordings.from_arrays([trial(1, 3), trial(0, 4)], rate=200, trial=["one"] * 2, arm=["L", "R"])
     write_recordings(tmp_path / "two.zarr", two, {})
     model_files.save(tmp_path / "left", replace(model(), extra={"arm": "L"}))
     model_files.save(tmp_path / "unnamed", model())
 
-    def said(name: str, *words: str) -> list[str]:
-        assert main(["stream", str(tmp_path / "two.zarr"), "--model", str(tmp_path / name), *words]) == 0
-        return capsys.readouterr().out.splitlines()
+    def said(name: str, *words: str) -> str:
+        return rcbht("stream", tmp_path / "two.zarr", "--model", tmp_path / name, *words)
 
     left, right = (said("unnamed", "--arm", arm) for arm in "LR")
     assert (said("left"), said("unnamed"), said("left", "--arm", "R")) == (left, right, right)
-    drawn = ["plot", "beliefs", str(tmp_path / "two.zarr"), "one", "--model", str(tmp_path / "left")]
-    assert main([*drawn, "-o", str(tmp_path / "b.png")]) == 0
-    assert "left arm" in capsys.readouterr().out
+    drawn = ["plot", "beliefs", tmp_path / "two.zarr", "one", "--model", tmp_path / "left", "-o", tmp_path / "b.png"]
+    assert "left arm" in rcbht(*drawn)

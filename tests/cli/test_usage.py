@@ -18,6 +18,7 @@ from rcbht_jax.cli import commands, main
 from rcbht_jax.cli.command import progress_bar
 from rcbht_jax.cli.completion import options_of
 from tests.cli.test_commands import synthetic
+from tests.support.command_line import CommandLine
 
 HEAVY = {"jax", "matplotlib", "mujoco", "optax", "rosbags", "scipy", "sklearn", "zarr"}
 ALL_HELP = f"""
@@ -75,18 +76,29 @@ def test_help_is_as_quick_as_importing_jax() -> None:
         ("classify x.zarr --model m --source a -o o.csv --source=b", "--source is given twice"),
     ],
 )
-def test_mistyped_words_get_suggestions(words: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(words.split()) == 2
-    captured = capsys.readouterr()
-    assert sentence in captured.out + captured.err
-    assert len(captured.err.splitlines()) <= 1
+def test_mistyped_words_get_suggestions(words: str, sentence: str, rcbht: CommandLine) -> None:
+    out, err = rcbht.ended(2, *words.split())
+    assert sentence in out + err
+    assert len(err.splitlines()) <= 1
 
 
-def test_a_mistyped_second_word_of_a_command_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["fidelity", "fitt", "x.zarr"]) == 2
-    assert "did you mean fidelity fit?" in capsys.readouterr().err
-    assert main.main(["fidelity", "--trials", "x"]) == 2
-    assert '"rcbht fidelity --help" lists them' in capsys.readouterr().err
+def test_a_mistyped_second_word_of_a_command_gets_a_suggestion(rcbht: CommandLine) -> None:
+    assert "did you mean fidelity fit?" in rcbht.refused("fidelity", "fitt", "x.zarr")
+    assert '"rcbht fidelity --help" lists them' in rcbht.refused("fidelity", "--session", "x")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("encode x --window y", "--window is 'y'; expected a whole number."),
+        ("simulate x --max-seconds=1s --trials 3", "--max-seconds is '1s'; expected a number."),
+        ("encode x --latency_cap None", "--latency-cap is 'None'; expected a number."),
+        ("calibrate x -o y --rungs 0.5 z", "--rungs is 'z'; expected a number."),
+        ("train x --costs 1 -1 --seed 0.5", "--seed is '0.5'; expected a whole number."),
+    ],
+)
+def test_other_words_in_place_of_numbers_are_refused(words: str, sentence: str, rcbht: CommandLine) -> None:
+    assert rcbht.refused(*words.split()) == f"rcbht: {sentence}\n"
 
 
 @pytest.mark.parametrize(
@@ -106,9 +118,8 @@ def test_former_spellings_of_options_mean_the_same(name: str, former: str, prese
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_has_every_command_and_option(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["completion", shell]) == 0
-    script = capsys.readouterr().out
+def test_completion_has_every_command_and_option(shell: str, rcbht: CommandLine) -> None:
+    script = rcbht("completion", shell)
     for name in main.all_commands():
         words = name.split()
         assert words[-1] in script
@@ -145,11 +156,8 @@ def installed(shell: str) -> object:
 
 @pytest.mark.parametrize("shell", list(map(installed, RUN)))
 @pytest.mark.parametrize(("typed", "completions"), COMPLETED)
-def test_shells_complete(
-    shell: str, typed: str, completions: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main.main(["completion", shell]) == 0
-    (tmp_path / "script").write_text(capsys.readouterr().out)
+def test_shells_complete(shell: str, typed: str, completions: str, tmp_path: Path, rcbht: CommandLine) -> None:
+    (tmp_path / "script").write_text(rcbht("completion", shell))
     words = typed.split(" ")
     known = {"words": " ".join(f'"{word}"' for word in words), "last": len(words) - 1, "typed": f"'{typed}'"}
     command = [word.format(**known) for word in RUN[shell]] + [str(tmp_path / "script")]
@@ -160,9 +168,8 @@ def test_shells_complete(
     assert not done.stderr
 
 
-def test_zsh_takes_no_word_for_a_modifier(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["completion", "zsh"]) == 0
-    assert not re.search(r"\{[^}]*:[A-Za-z]", capsys.readouterr().out)  # where no zsh is installed
+def test_zsh_takes_no_word_for_a_modifier(rcbht: CommandLine) -> None:
+    assert not re.search(r"\{[^}]*:[A-Za-z]", rcbht("completion", "zsh"))  # where no zsh is installed
 
 
 @pytest.mark.parametrize(
@@ -179,14 +186,13 @@ def test_zsh_takes_no_word_for_a_modifier(capsys: pytest.CaptureFixture[str]) ->
     ],
 )
 def test_what_is_missing_is_named_with_the_command_that_makes_it(
-    words: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rcbht: CommandLine
 ) -> None:
     from rcbht_jax.io.store import write_recordings
 
     monkeypatch.chdir(tmp_path)
     write_recordings(Path("STORE"), synthetic(), {})
-    assert main.main(words.split()) == 2
-    assert f'"{hint}"' in capsys.readouterr().err
+    assert f'"{hint}"' in rcbht.refused(*words.split())
 
 
 def test_progress_is_shown_on_terminals_only(monkeypatch: pytest.MonkeyPatch) -> None:

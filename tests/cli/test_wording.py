@@ -9,6 +9,7 @@ import pytest
 
 from rcbht_jax.cli import main
 from rcbht_jax.cli.learning import WIDEST, Evaluate, _table
+from tests.support.command_line import CommandLine
 
 ROOT = Path(__file__).resolve().parents[2]
 COUNTED = "axes|cores|events|files|folds|recordings|results|sessions|shards|trials"
@@ -58,26 +59,17 @@ def test_a_wide_confusion_matrix_numbers_its_columns() -> None:
 
 
 @pytest.mark.parametrize("name", list(main.all_commands()))
-def test_help_shows_what_an_option_takes(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main([*name.split(), "--help"]) == 0
-    assert not re.search(r"None\b", capsys.readouterr().out)
-
-
-@pytest.mark.parametrize("name", list(main.all_commands()))
-def test_help_fits_into_the_terminal(
-    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_help_fits_into_the_terminal(name: str, rcbht: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for what is copied: the usage and the example."""
     monkeypatch.setenv("COLUMNS", "60")
-    assert main.main([*name.split(), "--help"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = rcbht(*name.split(), "--help").splitlines()
     assert [line for line in lines if len(line) > 60 and not line.startswith(("usage: ", "Example: "))] == []
 
 
-def test_only_what_is_left_out_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_what_is_left_out_is_none(rcbht: CommandLine) -> None:
     given = main.parse("plot trial", ["x", "t", "-o", "t.png", "--seconds", "1", "2.5"])
     assert vars(given)["seconds"] == (1.0, 2.5)
     left = main.parse("plot trial", ["x", "t", "-o", "t.png"])
     assert vars(left)["seconds"] is None
-    assert main.main(["stream", "x", "--rate", "None"]) == 2
-    assert main.main(["encode", "x", "--robot", "None"]) == 2
+    rcbht.refused("stream", "x", "--rate", "None")
+    rcbht.refused("encode", "x", "--robot", "None")

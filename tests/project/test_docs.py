@@ -61,6 +61,19 @@ def test_python_runs_and_prints_what_the_page_shows(page: Path) -> None:
         assert not output or printed == output, f"{page.name}:\n{code}prints\n{printed}"
 
 
+def test_three_recipes_of_the_readme_are_short() -> None:
+    """Lines of code without imports and output: labels of an array, a classifier, a store."""
+    recipes = (ROOT / "README.md").read_text().split("## Three recipes")[1]
+    blocks = [code for code, _ in python_blocks(ROOT / "README.md") if code in recipes]
+    lines = [
+        [line for line in code.splitlines() if line and not line.startswith(("from ", "print("))] for code in blocks
+    ]
+    labels, _, classifier, store = map(len, lines)  # the second block makes the data
+    assert labels <= 2
+    assert classifier <= 5
+    assert store <= 5
+
+
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run(notebook: Path) -> None:
     namespace = {"__name__": "notebook"}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import markdown
+import numpy as np
 import pytest
 import yaml
 
@@ -134,6 +135,24 @@ with redirect_stderr(sys.stdout):
     assert main([{command!r}, "x.zarr"]) == 2
 """)
     assert out == 'rcbht: tyro is not installed: pip install "rcbht-jax[all]".\n'
+
+
+@pytest.mark.parametrize(
+    ("extra", "commands"),
+    [
+        ("store", ["encode a.zarr", "stream a.zarr --robot hiro --speed 0"]),
+        ("report", ["report a.zarr -o a.html"]),
+        ("export", [f"export a.zarr --format {kind} -o {kind}" for kind in ("csv", "parquet", "lerobot")]),
+        ("stream", ["export a.zarr --format mcap -o mcap"]),
+    ],
+)
+def test_a_command_needs_no_other_extra(extra: str, commands: list[str], tmp_path: Path) -> None:
+    """As the install page promises."""
+    wrench = np.random.default_rng(0).normal(size=(40, 6))
+    rcbht_jax.write_recordings(tmp_path / "a.zarr", rcbht_jax.Recordings.from_arrays([wrench], outcome="success"), {})
+    program = "import os\nfrom rcbht_jax.cli.main import main\n"
+    program += f"os.chdir({str(tmp_path)!r})\nassert [main(words.split()) for words in {commands!r}].count(0)"
+    without_extras(f"{program} == {len(commands)}", "cli", "store", extra)
 
 
 def test_all_is_everything_but_hardware_peers_and_tools() -> None:
