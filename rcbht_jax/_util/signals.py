@@ -8,13 +8,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rcbht_jax._util.columns import decoded, unit_of_time
-from rcbht_jax._util.values import Copyable, number, usable
+from rcbht_jax._util.values import number, usable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 
@@ -198,31 +198,6 @@ def moving_mean(values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     for shift in range(count):
         total += padded[shift : shift + len(values)]
     return total / count
-
-
-class AxesReader(Copyable):
-    """Base of readers of a stream: ``axes`` are those that one needs, ``dt`` the s between samples that it expects."""
-
-    axes: tuple[str, ...]
-    dt: float
-    _called: ClassVar[str] = "The reader"  # in errors
-
-    def columns(self, axes: Sequence[str], dt: float) -> list[int]:
-        """Column numbers of its axes in a signal with these axes and ``dt`` s between samples.
-
-        Raises:
-            InputError: the signal lacks an axis or has another rate.
-
-        Example:
-            >>> import rcbht_jax as rj
-            >>> rj.SnapDetector(200.0, ["Fz"], least=3.0).columns(("Fx", "Fy", "Fz"), 0.005)
-            [2]
-        """
-        if not set(self.axes) <= set(axes):
-            raise InputError(f"{self._called} needs the axes {', '.join(self.axes)}; the stream has {', '.join(axes)}.")
-        if not np.isclose(dt, self.dt):
-            raise InputError(f"{self._called} needs samples at {1 / self.dt:g} Hz; the stream has {1 / dt:g} Hz.")
-        return [tuple(axes).index(axis) for axis in self.axes]
 
 
 def read_chunk(samples: Any, dt: float, axes: Sequence[str] = ()) -> Any:

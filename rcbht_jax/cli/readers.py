@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from rcbht_jax.cli.command import option
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
+    from rcbht_jax.introspection.reader import Reader
     from rcbht_jax.introspection.snaps import SnapDetector
-    from rcbht_jax.introspection.together import Reader
 
 SnapSize = Annotated[
     tuple[str, ...],
@@ -63,7 +63,7 @@ class Reads(NamedTuple):
 
 def readers_of(
     segmenter: Path | None, monitor: Path | None, certainty: float, false_alarms: float
-) -> tuple[list[Reader], list[Reads]]:
+) -> tuple[list[Reader[Any]], list[Reads]]:
     """The readers of the files that are given, and what each of them reads.
 
     Args:
@@ -75,7 +75,7 @@ def readers_of(
     Raises:
         InputError: a file is missing, damaged or of another kind, or a number is out of range.
     """
-    readers: list[Reader] = []
+    readers: list[Reader[Any]] = []
     reads: list[Reads] = []
     if segmenter is not None:
         from rcbht_jax.introspection import segmenter_file

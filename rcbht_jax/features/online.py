@@ -144,7 +144,7 @@ def add(spec: FeatureSpec, dt: float, stats: RunningStats, tracks: LabelTracks) 
     span = jnp.maximum(words.t1 - jnp.maximum(words.t0, stats.begin), 0)
     used = (label > 0) & (span > 0)
     code = jnp.where(used, label, 0)
-    hot = _hot(code - 1, CODES)
+    hot = jax.nn.one_hot(code - 1, CODES, dtype=bool)  # none in empty slots
     spans = jnp.where(hot, span[..., None], 0)
     last, runs, run_hot = _add_runs(spec, stats, code)
     weighed = {
@@ -172,8 +172,10 @@ def _add_values(
 ) -> Values:
     values = stats.values
     assert values is not None
-    weighted = _values(words) * span.astype(jnp.float32)[..., None]
-    group_hot = _hot(_group(spec, code) - 1, CODES)
+    weighted = (
+        jnp.stack([words.vmax - words.vmin, words.grad, words.avg], axis=-1) * span.astype(jnp.float32)[..., None]
+    )
+    group_hot = jax.nn.one_hot(_group(spec, code) - 1, CODES, dtype=bool)
     sums = jnp.sum(jnp.where(group_hot[..., None], weighted[..., None, :], 0), axis=2)
     total, lost = two_sum(values.total, values.lost, sums)
     lowest = float(np.finfo(np.float32).min)
@@ -186,16 +188,6 @@ def _add_values(
         first=first,
         final=final,
     )
-
-
-def _hot(index: Array, size: int) -> Array:
-    """One-hot along a new last axis; negative indices are nowhere."""
-    numbers = jnp.arange(size, dtype=jnp.int32).reshape((1,) * index.ndim + (size,))
-    return index[..., None] == numbers
-
-
-def _values(words: LabelTrack) -> Array:
-    return jnp.stack([words.vmax - words.vmin, words.grad, words.avg], axis=-1)
 
 
 def _edge_values(values: Values, before: Array, words: LabelTrack, used: Array) -> tuple[Array, Array]:
@@ -243,7 +235,7 @@ def _add_runs(spec: FeatureSpec, stats: RunningStats, code: Array) -> tuple[Arra
         whole = jnp.all(window > 0, axis=-1)
         index.append(jnp.where(whole, jnp.sum((window - 1) * place[None, None], axis=-1), -1))
         last = jnp.where(here > 0, window[..., 1:], last)
-    hot = _hot(jnp.stack(index, axis=-1), stats.runs.shape[-1])
+    hot = jax.nn.one_hot(jnp.stack(index, axis=-1), stats.runs.shape[-1], dtype=bool)
     return last, stats.runs + jnp.sum(hot, axis=2, dtype=jnp.int32), hot
 
 

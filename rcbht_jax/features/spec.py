@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import signal_families
 from rcbht_jax.features import word_families as families
-from rcbht_jax.features.spans import Intervals, check_rate, clip
+from rcbht_jax.features.spans import ClippedSpans, Intervals, check_rate, clip
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks, axis_names
 
@@ -111,10 +112,6 @@ class Features:
     families: tuple[str, ...]  # [feature] one of FAMILIES
     meanings: tuple[str, ...]  # [feature] one line each
 
-    def meaning(self, i: int) -> str:
-        """Description of column ``i`` in one line."""
-        return self.meanings[i]
-
     def weights(self, spec: FeatureSpec) -> Float[np.ndarray, " feature"] | None:
         """Factors of the scaled columns, mean square 1; None = all weigh the same.
 
@@ -122,12 +119,6 @@ class Features:
         the same total weight, as far as they are present.
         """
         return balanced_weights(self.families) if spec.balance else None
-
-    def select(self, families: Sequence[str]) -> Features:
-        """Only the columns of these families."""
-        columns = [i for i, family in enumerate(self.families) if family in families]
-        described = {f: tuple(getattr(self, f)[i] for i in columns) for f in ("names", "families", "meanings")}
-        return Features(values=self.values[:, columns], **described)
 
 
 def balanced_weights(families: Sequence[str]) -> Float[np.ndarray, " feature"] | None:
@@ -234,11 +225,11 @@ def _check(intervals: Intervals, recordings: int) -> None:
 def _layer(
     track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpec, axes: tuple[str, ...]
 ) -> list[Features]:
-    makers = {
-        "sentence": families.resampled(spec.slots[LAYERS.index(layer)], spec.one_hot),
-        "histogram": families.histogram(spec.word_weighing),
-        "ngram": families.ngram(spec.ngram, spec.run_weighing),
-        "duration": families.duration(intervals.dt),
+    makers: dict[str, Callable[[ClippedSpans], families.Block]] = {
+        "sentence": partial(families.resampled, slots=spec.slots[LAYERS.index(layer)], one_hot=spec.one_hot),
+        "histogram": partial(families.histogram, weighing=spec.word_weighing),
+        "ngram": partial(families.ngram, n=spec.ngram, weighing=spec.run_weighing),
+        "duration": partial(families.duration, dt=intervals.dt),
         "attributes": families.attributes,
         "offset": families.offset,
         "course": families.course,

@@ -1,4 +1,4 @@
-"""Causal description of every sample: what the wrench and its words did in windows that end there.
+"""Causal description of every sample: what the wrench, its words and beliefs did in windows that end there.
 
 A window of ``s`` seconds at sample ``t`` holds the samples ``t - n + 1 ... t`` with ``n = s / dt``; before the record
 began nothing is known, so that windows are cut off there. No value depends on a later sample.
@@ -15,7 +15,9 @@ from rcbht_jax._util.values import Copyable
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
 
-WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s
+PERIOD = 0.025  # s between decisions of a segmenter; a label stays until the next one
+WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)  # s, that a segmenter reads
+BELIEF_WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s
 _REBASE = 2**16  # samples after which totals begin anew, at least: they lose digits as they grow
 
 
@@ -23,7 +25,7 @@ Signal = Float[np.ndarray, "time axis"]
 Table = Float[np.ndarray, "time column"]
 
 
-def trailing_statistics(signal: Signal, dt: float, windows: Sequence[float] = WINDOWS) -> Table:
+def trailing_statistics(signal: Signal, dt: float, windows: Sequence[float]) -> Table:
     """Value now, and per window mean, deviation, slope, lowest and highest value relative to the mean.
 
     Args:
@@ -52,7 +54,7 @@ class TrailingStatistics:
         True
     """
 
-    def __init__(self, dt: float, windows: Sequence[float] = WINDOWS) -> None:
+    def __init__(self, dt: float, windows: Sequence[float]) -> None:
         self._dt = dt
         self._counts = [max(2, round(seconds / dt)) for seconds in windows]
         self._period = max(_REBASE, *self._counts, 1)
@@ -125,17 +127,14 @@ def _delayed(x: Signal, steps: int) -> Signal:
     return np.concatenate([np.repeat(x[:1], min(steps, len(x)), 0), x[: max(len(x) - steps, 0)]])
 
 
-def running_totals(signal: Signal) -> Table:
+class RunningTotals(Copyable):
     """Largest absolute value so far, and length of the path so far; neither ever decreases.
 
-    >>> running_totals(np.array([[1.0], [-2.0], [0.0]])).tolist()
+    Pieces of any size give the rows of the whole, bit for bit.
+
+    >>> RunningTotals().push(np.array([[1.0], [-2.0], [0.0]])).tolist()
     [[1.0, 0.0], [2.0, 3.0], [2.0, 5.0]]
     """
-    return RunningTotals().push(signal)
-
-
-class RunningTotals(Copyable):
-    """:func:`running_totals` of a stream: pieces of any size give the rows of the whole, bit for bit."""
 
     def __init__(self) -> None:
         self._last: Signal | None = None  # sample
@@ -230,3 +229,32 @@ class LatestWords(Copyable):
         label, change, start, end = np.moveaxis(self._newest, -1, 0)
         facts = np.stack([label, change, end - start, received - end], -1)
         return np.where(label[..., None] > 0, facts, 0.0).reshape(1, -1)
+
+
+class Course(Copyable):
+    """Beliefs of the first ensemble until each decision, as the second one reads them; in pieces of any size."""
+
+    def __init__(self) -> None:
+        self._statistics = TrailingStatistics(PERIOD, BELIEF_WINDOWS)
+        self._largest, self._total = Accumulated(np.maximum), Accumulated(np.add)
+
+    def push(self, belief: Float[np.ndarray, "moment class"]) -> Float[np.ndarray, "moment column"]:
+        """Columns of new beliefs."""
+        largest, total = self._largest.push(belief), self._total.push(belief)
+        return np.concatenate([belief, self._statistics.push(belief), largest, total * PERIOD], 1)
+
+
+def columns_of(units: Sequence[str], classes: int, words: bool) -> tuple[int, int]:
+    """Columns that the first and the second ensemble of a causal segmenter read.
+
+    >>> columns_of(("N",), 2, words=False)
+    (43, 91)
+    """
+    channels = len(with_norms(np.zeros((1, len(units))), units)[0])
+    first = channels * (1 + 5 * len(WINDOWS) + 2) + words * len(LAYERS) * len(units) * 4
+    return first, first + classes * (4 + 5 * len(BELIEF_WINDOWS))
+
+
+def decision_period(dt: float) -> int:
+    """Samples between two decisions."""
+    return max(1, round(PERIOD / dt))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int, Num
+from numpy.lib.stride_tricks import sliding_window_view
 
 from rcbht_jax.features.spans import ClippedSpans, ratio, share, weighted_counts
 from rcbht_jax.labels import ALPHABETS, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group, name
@@ -49,24 +50,19 @@ def majority(words: ClippedSpans, slots: int) -> Int[np.ndarray, "interval axis 
     return np.where(held.max(-1) > 0, held.argmax(-1) + 1, 0)
 
 
-def resampled(slots: int, one_hot: bool) -> Callable[[ClippedSpans], Block]:
+def resampled(words: ClippedSpans, slots: int, one_hot: bool) -> Block:
     """Labels of ``slots`` equal parts of the interval, as codes or one-hot."""
-
-    def make(words: ClippedSpans) -> Block:
-        codes = majority(words, slots)
-        if not one_hot:
-            return codes.astype(np.float64), [
-                (f"{k}", f"code of the label that fills slot {k + 1} of {slots}") for k in range(slots)
-            ]
-        hot = codes[..., None] == np.arange(1, words.size + 1)
-        columns = [
-            (f"{k}.{label}", f"1 if {label} fills slot {k + 1} of {slots}")
-            for k in range(slots)
-            for label in _names(words.layer)
-        ]
-        return hot.reshape(*codes.shape[:2], -1).astype(np.float64), columns
-
-    return make
+    codes = majority(words, slots)
+    if not one_hot:
+        columns = [(f"{k}", f"code of the label that fills slot {k + 1} of {slots}") for k in range(slots)]
+        return codes.astype(np.float64), columns
+    hot = codes[..., None] == np.arange(1, words.size + 1)
+    columns = [
+        (f"{k}.{label}", f"1 if {label} fills slot {k + 1} of {slots}")
+        for k in range(slots)
+        for label in _names(words.layer)
+    ]
+    return hot.reshape(*codes.shape[:2], -1).astype(np.float64), columns
 
 
 WEIGHINGS = ("count", "time", "change")
@@ -94,55 +90,44 @@ def word_weights(words: ClippedSpans, kind: str) -> Float[np.ndarray, "interval 
     return ratio((words.value["vmax"] - words.value["vmin"]) * words.duration, words.value["whole"])
 
 
-def histogram(weighing: Sequence[str]) -> Callable[[ClippedSpans], Block]:
+def histogram(words: ClippedSpans, weighing: Sequence[str]) -> Block:
     """Share of each label in the sum of all, by each weighing in turn."""
-
-    def make(words: ClippedSpans) -> Block:
-        shares = [share(weighted_counts(words.code, word_weights(words, kind), words.size)) for kind in weighing]
-        labels = _names(words.layer)
-        columns = [(f"{kind}.{x}", _WORD_SHARE[kind].format(x)) for kind in weighing for x in labels]
-        return np.concatenate(shares, -1), columns
-
-    return make
+    shares = [share(weighted_counts(words.code, word_weights(words, kind), words.size)) for kind in weighing]
+    labels = _names(words.layer)
+    columns = [(f"{kind}.{x}", _WORD_SHARE[kind].format(x)) for kind in weighing for x in labels]
+    return np.concatenate(shares, -1), columns
 
 
-def ngram(n: int, weighing: Sequence[str] = ("count",)) -> Callable[[ClippedSpans], Block]:
+def ngram(words: ClippedSpans, n: int, weighing: Sequence[str]) -> Block:
     """Share of each run of ``n`` successive labels, by each weighing in turn; a run weighs what its labels weigh."""
-
-    def make(words: ClippedSpans) -> Block:
-        named = list(itertools.product(_names(words.layer), repeat=n))
-        columns = [
-            ("-".join(run) if kind == "count" else f"{kind}.{'-'.join(run)}", _RUN_SHARE[kind].format(n, " ".join(run)))
-            for kind in weighing
-            for run in named
-        ]
-        if words.code.shape[-1] < n:
-            return np.zeros((*words.code.shape[:2], len(columns))), columns
-        windows = partial(np.lib.stride_tricks.sliding_window_view, window_shape=n, axis=-1)
-        runs = windows(words.code)
-        place = words.size ** np.arange(n - 1, -1, -1)
-        code = np.where((runs > 0).all(-1), ((runs - 1) * place).sum(-1) + 1, 0)
-        weights = [windows(word_weights(words, kind)).sum(-1) for kind in weighing]
-        return np.concatenate([share(weighted_counts(code, one, words.size**n)) for one in weights], -1), columns
-
-    return make
+    named = list(itertools.product(_names(words.layer), repeat=n))
+    columns = [
+        ("-".join(run) if kind == "count" else f"{kind}.{'-'.join(run)}", _RUN_SHARE[kind].format(n, " ".join(run)))
+        for kind in weighing
+        for run in named
+    ]
+    if words.code.shape[-1] < n:
+        return np.zeros((*words.code.shape[:2], len(columns))), columns
+    windows = partial(sliding_window_view, window_shape=n, axis=-1)
+    runs = windows(words.code)
+    place = words.size ** np.arange(n - 1, -1, -1)
+    code = np.where((runs > 0).all(-1), ((runs - 1) * place).sum(-1) + 1, 0)
+    weights = [windows(word_weights(words, kind)).sum(-1) for kind in weighing]
+    return np.concatenate([share(weighted_counts(code, one, words.size**n)) for one in weights], -1), columns
 
 
-def duration(dt: float) -> Callable[[ClippedSpans], Block]:
+def duration(words: ClippedSpans, dt: float) -> Block:
     """Mean and longest duration per label in seconds, from ``dt`` seconds per sample."""
-
-    def make(words: ClippedSpans) -> Block:
-        total = weighted_counts(words.code, words.duration, words.size)
-        mean = ratio(total, weighted_counts(words.code, words.code > 0, words.size))
-        lanes = np.arange(total[..., 0].size).reshape(*total.shape[:2], 1)
-        longest = np.zeros((lanes.size, words.size + 1))
-        np.maximum.at(longest, (lanes, words.code), words.duration)
-        top = longest[:, 1:].reshape(total.shape)
-        columns = [(f"mean.{x}", f"mean duration of a label {x}, s") for x in _names(words.layer)]
-        columns += [(f"max.{x}", f"longest duration of a label {x}, s") for x in _names(words.layer)]
-        return np.concatenate([mean, top], -1) * dt, columns
-
-    return make
+    total = weighted_counts(words.code, words.duration, words.size)
+    mean = ratio(total, weighted_counts(words.code, words.code > 0, words.size))
+    lanes = np.arange(total[..., 0].size).reshape(*total.shape[:2], 1)
+    longest = np.zeros((lanes.size, words.size + 1))
+    np.maximum.at(longest, (lanes, words.code), words.duration)
+    top = longest[:, 1:].reshape(total.shape)
+    labels = _names(words.layer)
+    columns = [(f"mean.{x}", f"mean duration of a label {x}, s") for x in labels]
+    columns += [(f"max.{x}", f"longest duration of a label {x}, s") for x in labels]
+    return np.concatenate([mean, top], -1) * dt, columns
 
 
 def _groups(words: ClippedSpans) -> tuple[Int[np.ndarray, "interval axis word"], list[str]]:
@@ -199,6 +184,9 @@ def offset(words: ClippedSpans) -> Block:
     return compressed(values), columns
 
 
+_EDGES = ("first", "last", "highest", "lowest")
+
+
 def _edges(words: ClippedSpans) -> Float[np.ndarray, "interval axis 4"]:
     """First, last, highest and lowest value of the fitted lines, N or Nm; 0 without any label."""
     used = words.code > 0
@@ -216,12 +204,10 @@ def course(words: ClippedSpans) -> Block:
     """First, last, highest and lowest value relative to the mean level of the interval, and the change."""
     edges, level = _edges(words), _mean_level(words)
     values = np.concatenate([edges - level, edges[..., 1:2] - edges[..., :1]], -1)
-    named = ("first", "last", "highest", "lowest")
-    columns = [(x, f"{x} value minus the interval's mean level, signed log") for x in named]
+    columns = [(x, f"{x} value minus the interval's mean level, signed log") for x in _EDGES]
     return compressed(values), [*columns, ("change", "last minus first value, signed log")]
 
 
 def edges(words: ClippedSpans) -> Block:
     """First, last, highest and lowest value, absolute."""
-    named = ("first", "last", "highest", "lowest")
-    return compressed(_edges(words)), [(x, f"{x} value of the interval, signed log") for x in named]
+    return compressed(_edges(words)), [(x, f"{x} value of the interval, signed log") for x in _EDGES]

@@ -222,11 +222,10 @@ class FaultMonitor:
         shown = (snapshots.time >= visible[snapshots.trial]) & ~held[snapshots.trial]
         machines, probability = {}, np.zeros(len(snapshots.trial))
         for subtask in np.unique(snapshots.subtask).tolist() if subtasks is None else subtasks:
-            here = snapshots.subtask == subtask
-            rows = _training_rows(snapshots, np.flatnonzero(here & shown), cause, config)
+            rows = _training_rows(snapshots, subtask, shown, cause, config)
             trained = snapshots.trial[rows]
             if calm[trained].any() and not nominal[trained].all():  # else no trial sets the level
-                machines[subtask] = _classifier(snapshots, here, rows, cause, config.cost, seed, probability)
+                machines[subtask] = _classifier(snapshots, subtask, rows, cause, config.cost, seed, probability)
         if not machines:
             raise InputError(f"no sub-task shows {config.fewest} nominal trials and as many of a cause of failure.")
         scored = streamed & ~nominal & ~np.isnan(deadline)
@@ -307,14 +306,15 @@ def _limit(subtask: int, lasted: Float[np.ndarray, " trial"], share: float) -> f
 
 def _training_rows(
     snapshots: SubtaskSnapshots,
-    rows: Int[np.ndarray, " row"],
+    subtask: int,
+    shown: Bool[np.ndarray, " row"],
     cause: Shaped[np.ndarray, " trial"],
     config: FaultMonitorConfig,
 ) -> Int[np.ndarray, " chosen"]:
-    """A few evenly spaced rows of every trial whose cause is frequent enough."""
-    parts = [part for part in np.split(rows, np.flatnonzero(np.diff(snapshots.trial[rows])) + 1) if len(part)]
+    """A few evenly spaced rows of a sub-task, among those ``shown``, of every trial whose cause is frequent enough."""
+    parts = [part for rows in snapshots.by_trial(subtask).values() if len(part := rows[shown[rows]])]
     few = [part[np.unique(np.linspace(0, len(part) - 1, config.snapshots).round().astype(np.int64))] for part in parts]
-    rows = np.concatenate([rows[:0], *few])
+    rows = np.concatenate([np.zeros(0, np.int64), *few])
     trial = snapshots.trial[rows]
     causes = np.unique(cause[trial])
     frequent = causes[groups_of_classes(cause[trial], trial, causes) >= config.fewest]
@@ -323,7 +323,7 @@ def _training_rows(
 
 def _classifier(
     snapshots: SubtaskSnapshots,
-    here: Bool[np.ndarray, " snapshot"],
+    subtask: int,
     rows: Int[np.ndarray, " row"],
     cause: Shaped[np.ndarray, " trial"],
     cost: float,
@@ -335,7 +335,7 @@ def _classifier(
     causes, y = np.unique(cause[trial], return_inverse=True)
     spec = SvmSpec("linear", cost, scaling=True, balanced=True, floor=0.1)
     machine = fit_probabilistic(x, y, trial, causes.tolist(), spec, seed)
-    streamed = np.flatnonzero(here & np.isin(snapshots.trial, trial))
+    streamed = np.flatnonzero((snapshots.subtask == subtask) & np.isin(snapshots.trial, trial))
     classes = held_out(machine, x, y, trial, snapshots.features[streamed], snapshots.trial[streamed], seed)
     probability[streamed] = _fault(machine, classes)
     return machine

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -92,12 +92,8 @@ def infer(
 
     Args:
         chain: static.
-        limits: of :func:`rcbht_jax.encoding.rules.checked_limits`.
         heads: one per classifier.
-        state: at the end of the last complete window.
-        window: samples since then, N and Nm; those from ``count`` on are ignored.
-        count: samples in ``window``.
-        begins: first sample of the present interval of each view.
+        limits, state, window, count, begins: as of :func:`rcbht_jax.introspection.chain.step`.
 
     Returns:
         the new state, the class probabilities of each classifier, and the labels published by a complete window.
@@ -307,12 +303,9 @@ class Introspector(Copyable):
                     f"the belief of head {head.name} is not finite at sample {sample}; the model is damaged."
                 )
             best = int(p.argmax())
-            level, since = confidence.update(head.classes[best], float(p[best]), time)
-            values: dict[str, Any] = {"probability": float(p[best]), "level": level, "certain_for": since}
-            belief = Belief(
-                sample, time, head.name, head.classes[best], classes=head.classes,
-                probabilities=tuple(p.tolist()), **values,
-            )  # fmt: skip
+            label, probability = head.classes[best], float(p[best])
+            level, since = confidence.update(label, probability, time)
+            belief = Belief(sample, time, head.name, label, probability, level, since, head.classes, tuple(p.tolist()))
             self.latest[head.name] = belief
             events.append(belief)
             if head.alarm:

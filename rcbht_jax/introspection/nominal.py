@@ -42,6 +42,11 @@ with needs_extra("learn"):
     from sklearn.base import BaseEstimator, clone
     from sklearn.utils.validation import check_is_fitted
 
+Channels = Float[np.ndarray, "_ channel"]
+Described = Float[np.ndarray, "time _ kind"]
+Times = Int[np.ndarray, " time"]
+Scores = Float[np.ndarray, " time"]
+
 FREEDOM = 3.0  # degrees of freedom of the Student t whose negative logarithm is the surprise
 
 
@@ -174,7 +179,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
                 raise InputError(f"{name} is {getattr(self, name)}; expected {least:g} to 1e+09.")
 
     def _cross_peaks(
-        self, model: Any, parts: list[Float[np.ndarray, "_ channel"]], groups: Int[np.ndarray, " recording"]
+        self, model: Any, parts: list[Channels], groups: Int[np.ndarray, " recording"]
     ) -> Float[np.ndarray, " recording"]:
         """Peak of each recording, scored by what was learned from the other folds."""
         fold = groups % int(self.folds)
@@ -198,13 +203,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
     def _lags(self) -> list[int]:
         return []
 
-    def _describe(
-        self,
-        part: Float[np.ndarray, "time channel"],
-        head: Float[np.ndarray, "first channel"],
-        before: Float[np.ndarray, "past channel"],
-        time: Int[np.ndarray, " time"],
-    ) -> Float[np.ndarray, "time _ kind"]:
+    def _describe(self, part: Channels, head: Channels, before: Channels, time: Times) -> Described:
         """The features that the score reads at each moment: by default the values themselves."""
         return part[..., None]
 
@@ -216,9 +215,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         """A model from averaged nominal recordings ``[time, channel]``."""
 
     @abstractmethod
-    def _score(
-        self, model: Any, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
-    ) -> Float[np.ndarray, " time"]:
+    def _score(self, model: Any, described: Described, time: Times) -> Scores:
         """Score of each moment by itself, before it is averaged over ``memory``."""
 
 
@@ -361,13 +358,7 @@ class NominalMonitor(Monitor):
     def _lags(self) -> list[int]:
         return [self._count(lag) for lag in self.lags]
 
-    def _describe(
-        self,
-        part: Float[np.ndarray, "time channel"],
-        head: Float[np.ndarray, "first channel"],
-        before: Float[np.ndarray, "past channel"],
-        time: Int[np.ndarray, " time"],
-    ) -> Float[np.ndarray, "time _ kind"]:
+    def _describe(self, part: Channels, head: Channels, before: Channels, time: Times) -> Described:
         seen = np.cumsum(head, 0) / np.arange(1, len(head) + 1)[:, None]
         kinds = [part - seen[np.minimum(time, len(head) - 1)]]
         joined, first = np.concatenate([before, part]), time[0] - len(before)
@@ -390,9 +381,7 @@ class NominalMonitor(Monitor):
         slack = float(self.slack * self.rate / self.score_step)
         return make_bank(self._described(parts), groups, slack, float(self.drift), int(self.neighbours))
 
-    def _score(
-        self, model: Bank, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
-    ) -> Float[np.ndarray, " time"]:
+    def _score(self, model: Bank, described: Described, time: Times) -> Scores:
         distance = nearest(distances(model, described, time), model.neighbours)
         ratio = distance / model.reference[np.minimum(time, len(model.reference) - 1)]
         return np.log1p(ratio**2 / FREEDOM).mean(1)

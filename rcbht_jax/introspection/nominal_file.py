@@ -44,10 +44,7 @@ def save(path: Path | str, file: MonitorFile) -> None:
     meta = {
         "format": FORMAT,
         "version": rcbht_jax.__version__,
-        "axes": file.axes,
-        "units": file.units,
-        "where": file.where,
-        "arm": file.arm,
+        **{name: getattr(file, name) for name in ("axes", "units", "where", "arm")},
         "parameters": {name: plain(value) for name, value in file.monitor.get_params().items()},
         "levels": file.monitor.levels_,
         **{name: plain(getattr(bank, name)) for name in _NUMBERS},

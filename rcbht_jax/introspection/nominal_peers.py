@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.neighbours import of_one_length
-from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
+from rcbht_jax.introspection.nominal import Described, Monitor, NominalMonitor, Scores, Times
 
 with needs_extra("learn"):
     from sklearn.ensemble import IsolationForest
@@ -35,9 +35,7 @@ class Band:
 class _BandMonitor(Monitor):
     """Scores by the distance from the middle of a band."""
 
-    def _score(
-        self, model: Band, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
-    ) -> Float[np.ndarray, " time"]:
+    def _score(self, model: Band, described: Described, time: Times) -> Scores:
         at = np.minimum(time, len(model.middle) - 1)
         return (np.abs(described[..., 0] - model.middle[at]) / model.half[at]).max(1)
 
@@ -146,14 +144,10 @@ class IsolationForestMonitor(NominalMonitor):
         rows = [_table(described, np.arange(len(described))) for described in self._described(parts)]
         return IsolationForest(n_estimators=int(self.trees), random_state=self.random_state).fit(np.concatenate(rows))
 
-    def _score(
-        self, model: Any, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
-    ) -> Float[np.ndarray, " time"]:
+    def _score(self, model: Any, described: Described, time: Times) -> Scores:
         return -model.score_samples(_table(described, time))
 
 
-def _table(
-    described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
-) -> Float[np.ndarray, "time feature"]:
+def _table(described: Described, time: Times) -> Float[np.ndarray, "time feature"]:
     """A row per moment: all features, and the elapsed time."""
     return np.concatenate([described.reshape(len(time), -1), time[:, None]], 1)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from numpy.typing import ArrayLike
+from typing import Any
 
-from rcbht_jax._util.signals import AxesReader, read_chunk
-from rcbht_jax._util.values import finite
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, AnomalyScore, Event, stamp_of
 from rcbht_jax.introspection.alarms import conformal_p
 from rcbht_jax.introspection.nominal_file import MonitorFile
+from rcbht_jax.introspection.reader import Reader
 
 MONITOR = "monitor"  # name in the events of alarms
 
 
-class NominalWatch(AxesReader):
-    """The scores of a nominal monitor over a stream, and its alarms; chunks of any size give the same events.
+class NominalWatch(Reader[Event]):
+    """The scores of a nominal monitor over a stream, and its alarms.
 
     The stream must begin where recordings of the skill do; :meth:`reset` begins the next one. After a gap that is too
     long to be bridged, a session leaves the watch silent until then, since the time in the skill is not known. The
@@ -41,8 +40,7 @@ class NominalWatch(AxesReader):
         [2.1]
     """
 
-    whole_trials = True  # nothing can be said of a trial whose beginning was missed
-
+    whole_trials = True
     _fixed, _called = ("_monitor",), "The monitor"
 
     def __init__(self, file: MonitorFile, false_alarms: float = 0.05) -> None:
@@ -51,9 +49,6 @@ class NominalWatch(AxesReader):
         self.threshold = monitor.threshold(false_alarms)
         self._hold = monitor.memory
         self._restart()
-
-    def warm_up(self) -> None:
-        """Nothing is compiled."""
 
     def reset(self) -> list[Event]:
         """Start a new recording; an alarm that stood is cleared."""
@@ -67,19 +62,9 @@ class NominalWatch(AxesReader):
         self._received, self._above, self._raised = 0, 0, False  # samples; after which the threshold was exceeded
         self._time = self._probability = 0.0  # of the latest sample and score
 
-    def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
-        """Feed any number of samples ``[time, axis]``; returns the scores and alarms that come with them, in order.
-
-        Args:
-            samples: in the units of the training recordings.
-            time: stamp of the last of them, s; None = samples received x period.
-
-        Raises:
-            InputError: other axes, another order or rate, values that are not finite, or a time that is no number;
-                then nothing is consumed.
-        """
-        time = None if time is None else finite("The time", time)
-        scores = self._stream.push(read_chunk(samples, self.dt, self.axes))
+    def _push(self, samples: Any, time: float | None) -> list[Event]:
+        """The scores and alarms."""
+        scores = self._stream.push(samples)
         count = len(scores)
         end = self._received + count
         step = self._monitor.score_step

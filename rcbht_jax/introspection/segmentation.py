@@ -13,8 +13,8 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.selection import group_numbers
 from rcbht_jax.errors import InputError
+from rcbht_jax.features.trailing import decision_period
 from rcbht_jax.introspection.segmenter import WrenchSegmenter
-from rcbht_jax.introspection.segmenter_columns import decision_period
 from rcbht_jax.learning.class_groups import column_groups
 from rcbht_jax.learning.segment_metrics import (
     UNKNOWN,

@@ -26,8 +26,15 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
-from rcbht_jax.features.trailing import latest_words, running_totals, trailing_statistics, with_norms
-from rcbht_jax.introspection.segmenter_columns import WINDOWS, Course, decision_period
+from rcbht_jax.features.trailing import (
+    WINDOWS,
+    Course,
+    RunningTotals,
+    decision_period,
+    latest_words,
+    trailing_statistics,
+    with_norms,
+)
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.learning.segment_metrics import UNKNOWN
 from rcbht_jax.types import Recordings
@@ -196,7 +203,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         for values, length, word in zip(recordings.wrench, recordings.length.tolist(), words, strict=True):
             signal = with_norms(values[:length].astype(np.float64), recordings.units)
             make = partial(trailing_statistics, dt=dt, windows=WINDOWS)
-            parts = [make(signal)[::every], running_totals(signal)[::every]]
+            parts = [make(signal)[::every], RunningTotals().push(signal)[::every]]
             if self.offline:
                 parts.append(make(signal[::-1])[::-1][::every])
             tables.append(np.concatenate([*parts, word] if self.words else parts, 1))

@@ -19,7 +19,7 @@ from rcbht_jax.encoding.rules import (
     limits_from,
 )
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.segmenter_columns import columns_of
+from rcbht_jax.features.trailing import columns_of
 from rcbht_jax.learning.forest import Forest
 from rcbht_jax.learning.model_io import reading, write_archive
 

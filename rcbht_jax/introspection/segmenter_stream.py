@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
-from rcbht_jax._util.signals import AxesReader, in_precision, numbers_of, read_chunk
-from rcbht_jax._util.values import finite, usable
+from rcbht_jax._util.signals import in_precision, numbers_of
+from rcbht_jax._util.values import usable
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, stamp_of
-from rcbht_jax.features.trailing import LatestWords, RunningTotals, TrailingStatistics, with_norms
+from rcbht_jax.features.trailing import (
+    WINDOWS,
+    Course,
+    LatestWords,
+    RunningTotals,
+    TrailingStatistics,
+    decision_period,
+    with_norms,
+)
 from rcbht_jax.introspection.alarms import Confidence
-from rcbht_jax.introspection.segmenter_columns import WINDOWS, Course, decision_period
+from rcbht_jax.introspection.reader import Reader
 from rcbht_jax.introspection.segmenter_file import SegmenterFile
 
 MARGIN = 0.05  # below the certainty, until which a belief stays certain
@@ -31,8 +39,8 @@ class SegmenterHead:
     alarm_level: float = 0.0
 
 
-class SegmenterStream(AxesReader):
-    """Beliefs of a segmenter over a stream; chunks of any size give the same events.
+class SegmenterStream(Reader[Belief]):
+    """Beliefs of a segmenter over a stream.
 
     They equal :meth:`rcbht_jax.introspection.segmenter.WrenchSegmenter.predict_proba`, but for words that a
     recording publishes only because it ends. :meth:`reset` begins the next recording.
@@ -81,19 +89,9 @@ class SegmenterStream(AxesReader):
         if self._encoder is not None:
             self._encoder.restart()
 
-    def push(self, samples: ArrayLike, time: float | None = None) -> list[Belief]:
-        """Feed samples; returns the beliefs that come with them.
-
-        Args:
-            samples: any number, ``[time, axis]``, in the units of the training recordings.
-            time: stamp of the last one, s; None = samples received x period.
-
-        Raises:
-            InputError: other axes, another order or rate, values that are not finite, or too large, or a time that is
-                no number; then nothing is consumed.
-        """
-        time = None if time is None else finite("The time", time)
-        chunk = in_precision(numbers_of(read_chunk(samples, self.dt, self.axes)), np.float32)
+    def _push(self, samples: Any, time: float | None) -> list[Belief]:
+        """The beliefs."""
+        chunk = in_precision(numbers_of(samples), np.float32)
         if chunk.ndim != 2 or chunk.shape[1] != len(self.axes) or not usable(chunk):
             raise InputError(f"Samples have shape {chunk.shape}; expected finite [time, {len(self.axes)}].")
         end = self._received + len(chunk)

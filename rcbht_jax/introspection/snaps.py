@@ -9,20 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.signals import AxesReader, distinct, numbers_of, period, read_chunk
-from rcbht_jax._util.values import expect, finite
+from rcbht_jax._util.signals import distinct, numbers_of, period
+from rcbht_jax._util.values import expect
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Snap, stamp_of
+from rcbht_jax.introspection.reader import Reader
 from rcbht_jax.introspection.snap_rule import SnapConfig, Snaps, SnapSizes, fall_time, init, line_of, steps
 
 LOOK = 0.01  # s of each window, if it has two samples in this time
 TOLERANCES = 10.0  # of the words in the smallest fall
 
 
-class SnapDetector(AxesReader):
+class SnapDetector(Reader[Snap]):
     """Snaps in a stream of forces, found with words of the fit rule; chunks of any size give the same events.
 
     Only stamps that are dates may differ, by a microsecond, where samples are not whole microseconds apart.
@@ -86,20 +87,8 @@ class SnapDetector(AxesReader):
         self._encoder.restart()
         self._state = init(self.config, self.dt, self._words.window, (len(self.axes),))
 
-    def push(self, samples: ArrayLike, time: float | None = None) -> list[Snap]:
-        """Feed any number of samples ``[time, axis]``; returns the snaps that are seen or published with them.
-
-        Args:
-            samples: tared, N or Nm.
-            time: stamp of the last of them, s; None = samples received x period.
-
-        Raises:
-            InputError: wrong shape, a frame of other axes or of another rate, a value that is not finite, a time that
-                is no number, or more samples than are counted (``MOST_SAMPLES`` of
-                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
-        """
-        time = None if time is None else finite("The time", time)
-        samples = read_chunk(samples, self.dt, self.axes)
+    def _push(self, samples: Any, time: float | None) -> list[Snap]:
+        """The snaps that are seen or published."""
         blocks = self._encoder.lines(samples)
         end = self._encoder.received + len(np.asarray(samples))
         events = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -16,25 +16,9 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, Word
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import Head
+from rcbht_jax.introspection.reader import Reader
 from rcbht_jax.introspection.segmenter_stream import SegmenterHead, SegmenterStream
 from rcbht_jax.introspection.words import WordIntrospector
-
-
-@runtime_checkable
-class Reader(Protocol):
-    """Reads some axes of a stream."""
-
-    def columns(self, axes: Sequence[str], dt: float) -> list[int]:
-        """Column numbers of its axes in a signal with these axes and ``dt`` s between samples."""
-
-    def warm_up(self) -> None:
-        """Compile everything now."""
-
-    def reset(self) -> Sequence[Event] | None:
-        """Start a new trial; returns the events that end the one before, if there are any."""
-
-    def push(self, samples: ArrayLike, time: float | None = None) -> Sequence[Event]:
-        """Feed samples ``[time, axis]`` of these columns; returns the events that they cause."""
 
 
 class Together(Copyable):
@@ -74,7 +58,7 @@ class Together(Copyable):
         self,
         main: Introspector | WordIntrospector | Together,
         words: WordIntrospector | None = None,
-        readers: Sequence[Reader] = (),
+        readers: Sequence[Reader[Any]] = (),
     ) -> None:
         self._main = main
         self._words: WordIntrospector | Introspector | Together = words or main
@@ -96,9 +80,8 @@ class Together(Copyable):
         self._readers = [(reader, reader.columns(main.axes, main.config.dt)) for reader in readers]
         for reader, columns in self._readers:
             read = [main.axes[column] for column in columns]
-            learned = getattr(reader, "units", ())  # of a reader that has learned from recordings
-            check_axes(read, [main.units[column] for column in columns], read, learned, "The stream")
-        self._waiting: list[Reader] = []
+            check_axes(read, [main.units[column] for column in columns], read, reader.units, "The stream")
+        self._waiting: list[Reader[Any]] = []
 
     @property
     def labels(self) -> Int[np.ndarray, "3 3 axis"]:
@@ -144,7 +127,7 @@ class Together(Copyable):
         """Leave readers of whole trials silent until the next :meth:`reset`: what follows is no beginning."""
         if isinstance(self._main, Together):
             self._main.wait()
-        self._waiting = [reader for reader, _ in self._readers if getattr(reader, "whole_trials", False)]
+        self._waiting = [reader for reader, _ in self._readers if reader.whole_trials]
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
         """Feed samples ``[time, axis]``; returns all events that they cause, in order; see ``Introspector.push``."""

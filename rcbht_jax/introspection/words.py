@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -165,17 +164,7 @@ class WordIntrospector(Copyable):
         return []
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
-        """Feed any number of samples ``[time, axis]``; returns the words that they publish, in order.
-
-        Args:
-            samples: in the units of the axes.
-            time: stamp of the last of them, s; None = samples received x period.
-
-        Raises:
-            InputError: wrong shape, a frame of other axes or of another rate, a value that is not finite, a time that
-                is no number, or more samples than are counted (``MOST_SAMPLES`` of
-                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
-        """
+        """Feed samples ``[time, axis]``; returns the words that they publish, in order; see ``Introspector.push``."""
         time = None if time is None else finite("The time", time)
         samples = read_chunk(samples, self.config.dt, self.axes)
         complete = self.received // self.config.window
@@ -185,7 +174,8 @@ class WordIntrospector(Copyable):
         for number, tracks in enumerate(published, complete + 1):
             sample = number * self.config.window
             when = stamp_of(sample, self.received, time, self.config.dt)
-            new = np.array([[np.asarray(leaf)[:, 0] for leaf in _spans(tracks, layer)] for layer in LAYERS], np.int32)
+            layers = [getattr(tracks, layer) for layer in LAYERS]
+            new = np.array([[np.asarray(x)[:, 0] for x in (one.label, one.t0, one.t1)] for one in layers], np.int32)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
             events += words_of_window(new, self.axes, sample, when, self.config.dt)
         return events
@@ -200,8 +190,3 @@ class WordIntrospector(Copyable):
 
     def _now(self) -> float:
         return stamp_of(self.received, self.received, self._time, self.config.dt)
-
-
-def _spans(tracks: LabelTracks, layer: str) -> tuple[Any, Any, Any]:
-    track = getattr(tracks, layer)
-    return track.label, track.t0, track.t1

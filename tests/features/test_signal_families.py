@@ -249,7 +249,7 @@ def test_grammars_stand_side_by_side():
     both = concatenate_features({"W5": coarse, "fine": fine})
     np.testing.assert_array_equal(both.values, np.concatenate([coarse.values, fine.values], 1))
     assert both.names[0] == "W5." + coarse.names[0]
-    assert both.meaning(len(coarse.names)) == "fine, " + fine.meaning(0)
+    assert both.meanings[len(coarse.names)] == "fine, " + fine.meanings[0]
     assert concatenate_features({"W5": coarse}).names == coarse.names
     short = Features(fine.values[:1], fine.names, fine.families, fine.meanings)
     for bad in ({"W5": coarse, "fine": short}, {}):

@@ -12,11 +12,11 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features.trailing import (
+    BELIEF_WINDOWS,
     LatestWords,
     RunningTotals,
     TrailingStatistics,
     latest_words,
-    running_totals,
     trailing_statistics,
     with_norms,
 )
@@ -42,7 +42,7 @@ def test_nothing_depends_on_the_future():
     signal = np.random.default_rng(2).normal(size=(50, 3))
     other = signal.copy()
     other[30:] += 7
-    for describe in (lambda x: trailing_statistics(x, 0.1), running_totals):
+    for describe in (lambda x: trailing_statistics(x, 0.1, BELIEF_WINDOWS), lambda x: RunningTotals().push(x)):
         assert np.array_equal(describe(signal)[:30], describe(other)[:30])
         assert not np.array_equal(describe(signal)[30:], describe(other)[30:])
 
@@ -92,7 +92,7 @@ def test_pieces_of_a_stream_give_the_rows_of_the_whole(sizes):
     pieces = np.split(signal, np.cumsum(sizes)[:-1])
     for stream, whole in (
         (TrailingStatistics(0.025, (0.05, 0.2, 1.0)), trailing_statistics(signal, 0.025, (0.05, 0.2, 1.0))),
-        (RunningTotals(), running_totals(signal)),
+        (RunningTotals(), RunningTotals().push(signal)),
     ):
         rows = np.concatenate([stream.push(piece) for piece in pieces])
         assert np.array_equal(rows, whole[: len(rows)])

@@ -43,7 +43,7 @@ def test_all_arms_stand_side_by_side_under_their_names() -> None:
     items = labelled_intervals(recordings, TaskSpec("outcome", arms="both"))
     found = extract_features(encode(recordings.wrench, rate=200), items, FeatureSpec(("histogram",)))
     assert list(dict.fromkeys(name.partition(".")[0] for name in found.names)) == ["right", "left", "a"]
-    assert [found.meaning(at).partition(",")[0] for at in (0, len(found.names) - 1)] == ["right arm", "arm a"]
+    assert [found.meanings[at].partition(",")[0] for at in (0, -1)] == ["right arm", "arm a"]
     one = extract_features(
         encode(recordings.wrench, rate=200), labelled_intervals(recordings, TaskSpec("outcome", arms="a")),
         FeatureSpec(("histogram",)),
