@@ -258,7 +258,8 @@ def parse(name: str, words: list[str]) -> Command | None:
     except SystemExit as stop:
         if not stop.code:
             return None
-        check_numbers(described, words)  # only now: a word after numbers may be a positional one
+        # only now: a word after numbers may be a positional one
+        check_numbers(described, words, complaint.getvalue())
         print(complaint.getvalue(), end="", file=sys.stderr)
         below = [other.removeprefix(f"{name} ") for other in all_commands() if other.startswith(f"{name} ")]
         close = [f"{name} {word}" for word in _similar(words[0], below)] if words else []

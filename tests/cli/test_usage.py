@@ -101,6 +101,11 @@ def test_other_words_in_place_of_numbers_are_refused(words: str, sentence: str, 
     assert rcbht.refused(*words.split()) == f"rcbht: {sentence}\n"
 
 
+def test_a_positional_word_after_numbers_is_not_blamed_for_another_option(rcbht: CommandLine) -> None:
+    assert "--rule" in (error := rcbht.refused("encode", "--tolerance", "0.1", "x", "--rule", "y"))
+    assert "--tolerance is" not in error
+
+
 @pytest.mark.parametrize(
     ("words", "same"),
     [
