@@ -133,8 +133,6 @@ def seats(share: Share) -> Bool[np.ndarray, " trial"]:
 
 def _events(target: Target, run: Rollouts) -> float:
     """Logarithms of the ratios of first impact and of the ring's frequency, peak and damping, each at most 1."""
-    if target.dynamics is None:
-        return 0.0
     ours = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
     pairs = [(np.median(ours.impact) if len(ours.impact) else np.nan, np.median(target.dynamics.impact))]
     if target.dynamics.ring is not None:

@@ -70,6 +70,17 @@ def _rows(data: CalibrationData, span: slice) -> CalibrationData:
     return device_calibration_data(CONFIG, data.wrench[span], data.edges[span], data.y[span], data.classes)
 
 
+def unseen(work: Callable[[], Any], direction: Any) -> tuple[Any, str]:
+    """Run under a guard that forbids implicit copies; if it raises, run again without it, and report that."""
+    try:
+        with direction("disallow"):
+            return work(), "none"
+    except jax.errors.JaxRuntimeError as error:
+        if "isallowed" not in str(error):
+            raise
+        return work(), str(error)[:200]
+
+
 def rollouts(run: Run) -> dict[str, Any]:
     """Simulate; the compiled programs do not depend on how long the trials last, so short ones compile them."""
     given, impl = run.given, engines.IMPLEMENTATIONS[run.given.engine]
@@ -79,7 +90,8 @@ def rollouts(run: Run) -> dict[str, Any]:
     (params, faults), drawn = seconds_of(lambda: scenario.draw_batch(SEED, range(given.trials), spec))
     short = replace(params, task=replace(params.task, timeout=np.full(given.trials, 0.2)))
     _, compiling = seconds_of(lambda: device.run(scene, short, impl).wrench)
-    out, simulated = seconds_of(lambda: device.run(scene, params, impl))
+    guard = jax.transfer_guard_device_to_host
+    (out, copies), simulated = seconds_of(lambda: unseen(lambda: device.run(scene, params, impl), guard))
     kinds = [fault.failure_type for fault in faults]
     y = np.array([FAILURE_TYPES.index(kind) if kind in FAILURE_TYPES else -1 for kind in kinds])
     run.data = whole_corpus(out, y, FAILURE_TYPES, CONFIG)
@@ -91,6 +103,7 @@ def rollouts(run: Run) -> dict[str, Any]:
         "seconds to simulate": round(simulated, 2),
         "physics steps per second": round(scene.substeps * periods / simulated),
         "mean length, s": round(periods * CONTROL_PERIOD / given.trials, 2),
+        "implicit copies to the host": copies,
     }  # fmt: skip
 
 
@@ -119,7 +132,7 @@ def searched(run: Run) -> dict[str, Any]:
     options = SearchOptions(space=SPACE, candidates=given.candidates, generations=given.generations, seed=SEED)
     few = replace(options, candidates=min(given.candidates, 256), generations=min(given.generations, 1))
     _, compiling = seconds_of(lambda: search(training, CONFIG, few).value)
-    found, spent = seconds_of(lambda: search(training, CONFIG, options))
+    (found, copies), spent = seconds_of(lambda: unseen(lambda: search(training, CONFIG, options), jax.transfer_guard))
     samples = 6 * int(training.windows.length.sum()) * found.evaluations
     run.limits["search"] = np.asarray(found.thresholds.limits)
     both = np.stack([run.limits[name] for name in ("preset", "search")])
@@ -127,7 +140,7 @@ def searched(run: Run) -> dict[str, Any]:
     return {
         "evaluations": found.evaluations, "seconds of a first, small search (compiles)": round(compiling, 2),
         "seconds": round(spent, 2), "billion samples per second": round(samples / spent / 1e9, 3),
-        "limits": run.limits["search"].round(4).tolist(),
+        "implicit copies": copies, "limits": run.limits["search"].round(4).tolist(),
         "training objective of preset and found": [round(found.start_value, 4), round(found.value, 4)],
         "held-out scores of preset and found": [_named(row) for row in held_out],
     }  # fmt: skip

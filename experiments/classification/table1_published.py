@@ -61,10 +61,11 @@ def resampled(golden: Path, row: str, count: int, seed: int) -> Iterator[tuple[D
         parts = [archive[prefix + name] for name in (STATES if what == "states" else ("failure", "success"))]
     fewest = min(len(part) for part in parts)
     for one in repeat_seeds(seed, count):
-        rng, chosen, trial = np.random.default_rng(one), parts, np.tile(np.arange(fewest), len(parts))
-        if what != "states":
+        if what == "states":
+            chosen, trial = parts, np.tile(np.arange(fewest), len(parts))
+        else:
+            rng, trial = np.random.default_rng(one), np.arange(2 * fewest)
             chosen = [part[rng.choice(len(part), fewest, replace=False)] for part in parts]
-            trial = np.arange(2 * fewest)
         table = np.concatenate(chosen)
         yield (table[:, :-1].astype(np.float64), table[:, -1].astype(np.int64), trial), one
 

@@ -61,6 +61,8 @@ def errors(p: Floats, y: Ints, quarter: Ints, classes: tuple[str, ...], trial: N
         found[f"quarter {part + 1}"] = {
             "likeliest": metrics.calibration_error(p[mine], y[mine]),
             "likeliest interval": interval(top[mine], right[mine], trial[mine]),
+            "mean belief": float(top[mine].mean()),
+            "accuracy": metrics.accuracy(y[mine], p[mine].argmax(1)),
             "worst class": alone[worst],
             "worst class interval": interval(p[mine, worst], y[mine] == worst, trial[mine]),
             "classes": dict(zip(classes, alone, strict=True)),

@@ -173,11 +173,16 @@ def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
     """Alarms in nominal trials that were streamed, over the repeats."""
     calm = [those.nominal & ~run.inside for run in runs]
     false = [int((mine & np.isfinite(run.alarm)).sum()) for mine, run in zip(calm, runs, strict=True)]
+    by = {
+        name: [int((mine & np.isfinite(run.first[name])).sum()) for mine, run in zip(calm, runs, strict=True)]
+        for name in ("words", "clock")
+    }
     streamed = [int(mine.sum()) for mine in calm]
     return {
         "nominal trials streamed in each repeat": streamed,
         "false alarms in each repeat": false,
         "false alarms per nominal trial": _share(false, streamed, (1 - NOMINAL_SHARE) / NOMINAL_SHARE),
+        "false alarms in each repeat, by watcher": by,
     }
 
 

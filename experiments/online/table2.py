@@ -64,6 +64,19 @@ def certainty_rows(p: Floats, snapshots: Snapshots, items: LabelledIntervals) ->
     return rows
 
 
+def time_to_confidence(p: Floats, snapshots: Snapshots, items: LabelledIntervals, k: float, dt: float) -> Floats:
+    """Median seconds until a belief is first right and certain for good, per class; inf where most never are."""
+    seconds: list[list[float]] = [[] for _ in items.classes]
+    for s in np.unique(snapshots.interval):
+        mine = snapshots.interval == s
+        sure = (p[mine].argmax(1) == items.y[s]) & (p[mine].max(1) > k)
+        last_doubt = np.flatnonzero(~sure)
+        first = int(last_doubt[-1]) + 1 if last_doubt.size else 0
+        elapsed = (snapshots.now[mine] - snapshots.begin[mine]) * dt
+        seconds[items.y[s]].append(float(elapsed[first]) if first < len(elapsed) else np.inf)
+    return np.array([np.median(x) for x in seconds])
+
+
 def early(p: Floats, snapshots: Snapshots, items: LabelledIntervals) -> Floats:
     """Accuracy ``[class, fraction]`` at 10, 20, ... 100 % of the sub-task."""
     where = items.intervals[0]
@@ -81,11 +94,8 @@ def repeat(stream: Stream, relative: bool, seed: int) -> Any:
     """All numbers of one half-split."""
     items, inside = stream.items, halves(stream.items, seed)
     seen, p = stream.given(relative, inside, seed)
-    y_true, whole, spec = (
-        items.y[seen.interval],
-        seen.complete,
-        stream.trained("state", relative, inside, seed).svm.spec,
-    )
+    y_true, whole, dt = items.y[seen.interval], seen.complete, stream.data.dt
+    spec = stream.trained("state", relative, inside, seed).svm.spec
     return {
         "macro step accuracy": metrics.macro_step_accuracy(p, y_true),
         FULL: metrics.accuracy(y_true[whole], p[whole].argmax(1)),
@@ -93,8 +103,10 @@ def repeat(stream: Stream, relative: bool, seed: int) -> Any:
         "ClassPr": metrics.class_pr(p[whole], y_true[whole]),
         "ECE steps": metrics.calibration_error(p, y_true),
         "ECE full sequences": metrics.calibration_error(p[whole], y_true[whole]),
+        "seconds to lasting confidence at .70": time_to_confidence(p, seen, items, 0.70, dt),
         "accuracy by tenth of the sub-task": early(p, seen, items),
         "certainty": certainty_rows(p, seen, items),
+        "confusion of full sequences": metrics.confusion(y_true[whole], p[whole].argmax(1), len(items.classes)),
         "reliability": metrics.reliability(p, y_true),
         "chosen": f"{spec.kernel} C={spec.cost:g}",
         WHOLE: (p[whole], y_true[whole]),
@@ -125,8 +137,9 @@ def summary(runs: list[Any], items: int = 0) -> Any:
     stacked = np.asarray(runs, float)
     if stacked.ndim == 1 and len(runs) > 1:
         return with_interval(stacked, places=4, items=items)
-    middle: Any = _mean(stacked)
-    rounded: Any = np.where(np.isfinite(middle), middle.round(4), None)  # None: undefined, as in an empty bin
+    # Unbounded: None = never in most repeats. Undefined (an empty bin): None.
+    middle = np.median(stacked, axis=0) if np.isinf(stacked).any() else _mean(stacked)
+    rounded: Any = np.where(np.isfinite(middle), middle.round(4), None)
     return rounded.tolist()
 
 

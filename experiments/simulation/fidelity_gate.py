@@ -58,8 +58,8 @@ def of_session(preset: SessionPreset, recordings: Recordings) -> dict[str, Any]:
     for name in models if preset.name in OTHER else models[:3]:  # those with hooks have the same parts
         model = preset if name == "the preset" else replace(preset, parts=parts_of(name, preset))
         run, events, found = rerun(model, seed=SEED)
-        pair = None if target.dynamics is None else (target.dynamics, events)
-        out[name] = row(preset, reference, sessions.profiles(run), pair, snap_shares(target, found))
+        pair, shares = (target.dynamics, events), snap_shares(target, found)
+        out[name] = row(preset, reference, sessions.profiles(run), pair, shares)
         out[name]["seated"] = float(run.seated.all(1).mean())
         if preset.placements:
             out[name]["outcomes as recorded"] = sessions.agreement(preset, run)

@@ -215,11 +215,13 @@ def of_rule(trials: list[Trial], axis: int, dt: float) -> dict[str, Any]:
         for trial in trials
         for force in [trial.wrench[:, axis]]
     ]
+    late = [seconds for trial in each for seconds in trial]
     seen = [sum(seconds <= SEEN * dt for seconds in trial) for trial in each]
     old = {layer: np.concatenate([ages(getattr(trial.published, layer), dt) for trial in trials]) for layer in LAYERS}
     return {
-        "contacts": sum(map(len, each)),
+        "contacts": len(late),
         "contacts_seen_within_50_ms": of_sums(np.array(seen, float), np.array(list(map(len, each)), float)),
+        "seconds_to_see_median": float(np.median(late)),
         "newest_published_age": {layer: np.percentile(values, (50, 95)).tolist() for layer, values in old.items()},
         "revised": {layer: shares["revised"] for layer, shares in labels_shown(trials)["shown"].items()},
     }

@@ -69,14 +69,15 @@ def of_several_values(command: type[Command]) -> set[str]:
     return {f"--{name.replace('_', '-')}" for name, hint in hints.items() if _has_tuple(hint)}
 
 
-def check_numbers(command: type[Command], words: list[str]) -> None:
-    """Refuse other words where options of a command take numbers.
+def check_numbers(command: type[Command], words: list[str], complaint: str) -> None:
+    """Refuse other words where options take numbers, of those options that a complaint about the words names.
 
     Raises:
         InputError: such a word, with the option and what it takes.
     """
     hints = typing.get_type_hints(command, include_extras=True)
-    kinds = {f"--{name.replace('_', '-')}": kind for name, hint in hints.items() if (kind := _number(hint))}
+    options = {f"--{name.replace('_', '-')}": hint for name, hint in hints.items()}
+    kinds = {option: kind for option, hint in options.items() if option in complaint and (kind := _number(hint))}
     several, option = of_several_values(command), ""
     for word in words:
         value = word

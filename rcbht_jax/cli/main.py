@@ -22,7 +22,7 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, suppress
 from functools import cache
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -241,25 +241,29 @@ def parse(name: str, words: list[str]) -> Command | None:
             raise InputError(
                 f"rcbht {name} has no option {option}; {_suggestion(close, f'rcbht {name} --help', 'the options')}"
             )
-    check_numbers(described, words)
     if {"-h", "--help"} & set(words):  # tyro would not wrap this
         about = [*inspect.cleandoc(described.__doc__).split("\n\n"), "--json prints the result as JSON on stdout."]
         print(*map(_wrapped, about), sep="\n\n", end="\n\n")
+    complaint = io.StringIO()
     try:
-        command: Command = tyro.cli(
-            described,
-            args=words,
-            prog=f"rcbht {name}",
-            description="",
-            config=(tyro.conf.FlagCreatePairsOff,),
-            registry=RULES,
-        )
+        with redirect_stderr(complaint):
+            command: Command = tyro.cli(
+                described,
+                args=words,
+                prog=f"rcbht {name}",
+                description="",
+                config=(tyro.conf.FlagCreatePairsOff,),
+                registry=RULES,
+            )
     except SystemExit as stop:
-        if stop.code:
-            below = [other.removeprefix(f"{name} ") for other in all_commands() if other.startswith(f"{name} ")]
-            close = [f"{name} {word}" for word in _similar(words[0], below)] if words else []
-            raise InputError(f"The options are wrong; {_suggestion(close, f'rcbht {name} --help', 'them')}") from None
-        return None
+        if not stop.code:
+            return None
+        # only now: a word after numbers may be a positional one
+        check_numbers(described, words, complaint.getvalue())
+        print(complaint.getvalue(), end="", file=sys.stderr)
+        below = [other.removeprefix(f"{name} ") for other in all_commands() if other.startswith(f"{name} ")]
+        close = [f"{name} {word}" for word in _similar(words[0], below)] if words else []
+        raise InputError(f"The options are wrong; {_suggestion(close, f'rcbht {name} --help', 'them')}") from None
     return command
 
 

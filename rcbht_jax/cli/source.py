@@ -42,9 +42,11 @@ class Source(RuleCommand):
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
     """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
-    model: Annotated[Path | None, unset("none: words only", aliases=["-m"], metavar="MODEL"), common.ONLINE_MODEL] = (
-        None
-    )
+    model: Annotated[
+        Path | None,
+        unset("none: words only", aliases=["-m"], metavar="MODEL"),
+        common.ONLINE_MODEL,
+    ] = None
     """Model file of "rcbht train-online"."""
     trial: Annotated[tuple[str, ...], option("Trials of a store; default all, one after the other.", "")] = ()
     arm: Annotated[str, unset("that of the model, monitor or segmenter, else the last by name, as the right one")] = ""

@@ -101,6 +101,29 @@ def test_other_words_in_place_of_numbers_are_refused(words: str, sentence: str, 
     assert rcbht.refused(*words.split()) == f"rcbht: {sentence}\n"
 
 
+def test_a_positional_word_after_numbers_is_not_blamed_for_another_option(rcbht: CommandLine) -> None:
+    assert "--rule" in (error := rcbht.refused("encode", "--tolerance", "0.1", "x", "--rule", "y"))
+    assert "--tolerance is" not in error
+
+
+@pytest.mark.parametrize(
+    ("words", "same"),
+    [
+        ("encode --tolerance 0.1 -0.2 x", "encode x --tolerance 0.1 -0.2"),
+        ("plot trial x --seconds 1 2 t -o y", "plot trial x t -o y --seconds 1 2"),
+        ("encode x --window y --help", "encode --help"),
+    ],
+)
+def test_words_after_numbers_may_be_positional_and_help_is_shown_all_the_same(
+    words: str, same: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parsed = [
+        main.parse(name := main.command_name(one.split()), one.split()[name.count(" ") + 1 :]) for one in (words, same)
+    ]
+    assert parsed[0] == parsed[1]
+    assert ("usage: rcbht encode" in capsys.readouterr().out) == (parsed[0] is None)
+
+
 @pytest.mark.parametrize(
     ("name", "former", "present"),
     [

@@ -249,6 +249,8 @@ def test_table2_trains_on_one_half_and_scores_the_other(stream: Spoilt, relative
     assert np.isfinite(probability).all()
     np.testing.assert_array_equal(y_true, stream.items.y[~stream.inside])
     assert result["full-sequence accuracy"] > 0.8
+    assert result["confusion of full sequences"].trace() == result["full-sequence accuracy"] * len(y_true)
+    assert (result["seconds to lasting confidence at .70"] >= 0).all()
 
 
 def test_detected_beginnings_are_scored_on_the_half_that_is_streamed(stream: Spoilt) -> None:

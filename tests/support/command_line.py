@@ -29,8 +29,8 @@ class CommandLine:
         return self.ended(2, *words).err
 
     def json(self, *words: object) -> dict[str, Any]:
-        """The result as JSON."""
-        return json.loads(self(*words, "--json").splitlines()[-1])
+        """The result as JSON, which is all of standard output."""
+        return json.loads(self(*words, "--json"))
 
     def events(self, *words: object) -> list[dict[str, Any]]:
         """The lines of JSON on standard output."""
