@@ -197,7 +197,6 @@ class Train(_Learning):
             spec = self.spec(recordings)
             with progress_bar("train", "folds", grid.inner) as bar:
                 model = train(recordings, grammars, spec, families, grid, how, self.seed, bar.update, facts, self.group)
-            known = examined(recordings, spec, facts)[1]
         save(self.out, model)
         svm = model.svm.spec
         return {
@@ -208,7 +207,7 @@ class Train(_Learning):
             "cost": svm.cost,
             "scaling": svm.scaling,
             **model.extra,
-            "confounds": " ".join(known),
+            "confounds": " ".join(examined(recordings, spec, facts)[1]),
         }
 
     def text(self, result: dict[str, Any]) -> str:
