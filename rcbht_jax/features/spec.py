@@ -120,6 +120,12 @@ class Features:
         """
         return balanced_weights(self.families) if spec.balance else None
 
+    def select(self, families: Sequence[str]) -> Features:
+        """Only the columns of these families."""
+        columns = [i for i, family in enumerate(self.families) if family in families]
+        described = {f: tuple(getattr(self, f)[i] for i in columns) for f in ("names", "families", "meanings")}
+        return Features(values=self.values[:, columns], **described)
+
 
 def balanced_weights(families: Sequence[str]) -> Float[np.ndarray, " feature"] | None:
     """Weights of columns with these families, see :meth:`Features.weights`; None = all weigh the same.
