@@ -163,9 +163,17 @@ def flush(
     rest: Float[Array, " window *lanes"],
     count: Int[Array, "*lanes"],
 ) -> LabelTracks:
-    """End of the stream, as :func:`rcbht_jax.encoding.encoder.flush`: labels ``[*lanes, slot]`` with 1 + 5 slots.
+    """End of the stream: the last partial window, then all that is still held.
 
-    Limits are those of :func:`step`. For a stream that goes on see :mod:`rcbht_jax.encoding.provisional`.
+    The state stays as it is; for a stream that goes on see :mod:`rcbht_jax.encoding.provisional`.
+
+    Args:
+        config, limits, state: as of :func:`step`, which also has the errors.
+        rest: the samples that did not fill a window, then anything.
+        count: how many of them there are, < window.
+
+    Returns:
+        labels ``[*lanes, slot]`` with 1 + 5 slots: the window's, then the drained ones.
     """
     state, out = step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))

@@ -20,11 +20,25 @@ E = TypeVar("E", bound=Event)
 class Reader(Copyable, ABC, Generic[E]):
     """Base of readers of a stream; chunks of any size give the same events.
 
+    An own one sets ``axes`` and ``dt``, and defines ``reset`` and ``_push``, which checks values and consumes nothing
+    where it raises an error.
+
     Attributes:
         axes: names of those that it reads.
         units: of each axis, where it has learned from recordings; none = any.
         dt: s between samples.
         whole_trials: whether nothing can be said of a trial whose beginning was missed.
+
+    Example:
+        >>> class Pressed(Reader[Event]):
+        ...     axes, dt = ("Fz",), 0.005
+        ...
+        ...     def reset(self): ...
+        ...
+        ...     def _push(self, samples, time):
+        ...         return [Event(sample=1, time=0.005)] if np.max(samples) > 10 else []
+        >>> Pressed().push([[1.0], [3.0]]), len(Pressed().push([[12.0]]))
+        ([], 1)
     """
 
     axes: tuple[str, ...]
@@ -58,8 +72,8 @@ class Reader(Copyable, ABC, Generic[E]):
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, a frame of other axes or of another rate, a value that is not finite, a time that
-                is no number, or more samples than are counted (``MOST_SAMPLES`` of
+            InputError: wrong shape, a frame of other axes or of another rate, a value that is not finite or too large,
+                a time that is no number, or, where words are read, more samples than are counted (``MOST_SAMPLES`` of
                 :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         time = None if time is None else finite("The time", time)

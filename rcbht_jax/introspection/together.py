@@ -27,7 +27,8 @@ class Together(Copyable):
     Args:
         main: reports sub-tasks, and beliefs if it has a model.
         words: whose words are reported in place of those of ``main``.
-        readers: such as :class:`rcbht_jax.introspection.snaps.SnapDetector`,
+        readers: of :class:`rcbht_jax.introspection.reader.Reader`, such as
+            :class:`rcbht_jax.introspection.snaps.SnapDetector`,
             :class:`rcbht_jax.introspection.nominal_watch.NominalWatch` and
             :class:`rcbht_jax.introspection.segmenter_stream.SegmenterStream`; each gets its axes by name.
 

@@ -164,7 +164,10 @@ class WordIntrospector(Copyable):
         return []
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
-        """Feed samples ``[time, axis]``; returns the words that they publish, in order; see ``Introspector.push``."""
+        """Feed samples ``[time, axis]`` in the units of the axes; returns the words that they publish, in order.
+
+        ``time`` and errors are those of ``Introspector.push``.
+        """
         time = None if time is None else finite("The time", time)
         samples = read_chunk(samples, self.config.dt, self.axes)
         complete = self.received // self.config.window

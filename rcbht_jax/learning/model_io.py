@@ -187,7 +187,7 @@ def reading(
             check_finite(name, values[:0] if name in gaps else values)
         yield meta, archive
     except InputError as error:
-        if str(path) in str(error):
+        if str(error).startswith(f"{path} "):
             raise
         raise InputError(f"{path} is damaged: {str(error).rstrip('.')}.") from error
     except Exception as error:  # a damaged archive can fail in any way inside zipfile, NumPy and json

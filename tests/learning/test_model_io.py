@@ -106,12 +106,13 @@ def test_arrays_that_are_not_finite_are_refused(model, name, value, path):
 
 
 @pytest.mark.parametrize("gamma", [-1.0, 0.0, 1e999])
-def test_a_width_of_the_kernel_that_is_none_is_refused(gamma, path):
+def test_a_width_of_the_kernel_that_is_none_is_refused(gamma, path, monkeypatch):
     with np.load(path) as archive:
         meta = json.loads(str(archive["meta"]))
     rewritten(path, meta=np.array(json.dumps(meta | {"gamma": gamma})))
-    with pytest.raises(InputError, match=r"gamma is|is no number"):
-        load(path)
+    monkeypatch.chdir(path.parent)
+    with pytest.raises(InputError, match=r"^m is (damaged: gamma is|not a readable).*\.$"):  # "gamma" has an m
+        load(path.name)
 
 
 def test_code_in_a_file_is_refused(path):

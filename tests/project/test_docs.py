@@ -155,6 +155,12 @@ def test_roles_of_docstrings_are_links_or_code(site: Path) -> None:
     assert links > 10
 
 
+def test_the_reference_shows_how_samples_are_pushed_to_each_reader(site: Path) -> None:
+    page = (site / "reference" / "introspection.html").read_text()
+    for name in ("snaps.SnapDetector", "nominal_watch.NominalWatch", "segmenter_stream.SegmenterStream"):
+        assert f'id="rcbht_jax.introspection.{name}.push"' in page
+
+
 def test_links_of_the_pages_lead_to_files_and_headings() -> None:
     """And images are there. What is in the reference, only the site knows."""
     texts = {page: re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M) for page in PAGES}
