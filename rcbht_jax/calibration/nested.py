@@ -24,7 +24,7 @@ from rcbht_jax.learning.validation import Estimator, Prediction, nested_svm
 from rcbht_jax.types import Recordings
 
 Rows = NDArray[np.int64]
-# (training recordings as rows of the calibration data, seed) -> thresholds [n, 6, 4], of which inner folds choose one
+# (training recordings as rows of the calibration data, seed) -> thresholds [n, axis, 4]; inner folds choose one of them
 Choose = Callable[[Rows, int], GradientThresholds]
 
 
@@ -36,14 +36,14 @@ class CandidateBank:
     fold; a fold scores the candidates on its own training trials.
     """
 
-    thresholds: GradientThresholds  # [candidate, 6, 4]
+    thresholds: GradientThresholds  # [candidate, axis, 4]
     times: Int[np.ndarray, "candidate recording sentence 6 25"]  # int32, samples
     y: Int[np.ndarray, "recording sentence"]  # int32
     classes: int
 
     @staticmethod
     def make(data: CalibrationData, config: EncoderConfig, thresholds: Thresholds, chunk: int = 256) -> CandidateBank:
-        """Encode all trials with all candidates ``[candidate, 6, 4]``, ``chunk`` of them at once.
+        """Encode all trials with all candidates ``[candidate, axis, 4]``, ``chunk`` of them at once.
 
         Raises:
             InputError: a candidate is not ordered, positive and finite.
@@ -94,7 +94,7 @@ def calibrated_svm(
 
     @cache  # folds often choose the same thresholds, and encoding is the longest part
     def features(limits: bytes) -> Features:
-        thresholds = GradientThresholds(np.frombuffer(limits).reshape(6, 4))
+        thresholds = GradientThresholds(np.frombuffer(limits).reshape(-1, 4))
         return extract_features(encode_batch(config, thresholds, wrench, length), local, spec)
 
     def predict(train: Rows, test: Rows, seed: int) -> Prediction:
@@ -110,11 +110,12 @@ def calibrated_svm(
 
 
 def fixed(thresholds: Thresholds) -> Choose:
-    """No calibration: the same thresholds ``[6, 4]`` or ``[n, 6, 4]`` in every fold.
+    """No calibration: the same thresholds ``[axis, 4]`` or ``[n, axis, 4]`` in every fold.
 
     Raises:
         InputError: they are not ordered, positive and finite.
     """
-    limits = np.asarray(limits_of(thresholds), np.float64).reshape(-1, 6, 4)
+    limits = np.asarray(limits_of(thresholds), np.float64)
+    limits = limits.reshape(-1, *limits.shape[-2:])
     validate(limits)
     return lambda rows, seed: GradientThresholds(limits)
