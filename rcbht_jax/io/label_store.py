@@ -162,6 +162,9 @@ def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any
     >>> tracks, attrs = read_tracks(Path("trials.zarr"), "online-W5")
     >>> tracks.primitive.label.shape[:2]  # [recording, axis]
     (4, 6)
+
+    Raises:
+        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     path = as_path(path)
     attrs, table = read_tracks_attrs(path, name), read_table(path)

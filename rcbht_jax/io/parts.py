@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_write, delete, flush_all, uninterrupted
 from rcbht_jax._util.digest import content_hash
-from rcbht_jax._util.untrusted import MAX_BYTES, MAX_FILES, MAX_RATIO, MAX_ROWS, read_object
+from rcbht_jax._util.untrusted import MAX_FILES, MAX_ROWS, read_object
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import chunk_files, chunk_reader
 from rcbht_jax.io import zarr as zarr_io
@@ -320,10 +320,9 @@ def each(check: Callable[[int], T], numbers: Iterable[int]) -> list[T]:
 
 def _rows(array: zarr_io.Array[Any], rows: slice | NDArray[np.int64], stops: tuple[int, ...]) -> NDArray[Any]:
     chosen = np.arange(*rows.indices(array.shape[0])) if isinstance(rows, slice) else rows
-    declared = len(chosen) * math.prod(stops) * array.dtype.itemsize
-    many = len(chosen) > MAX_FILES * (array.shards or array.chunks)[0]  # a file holds the rows of a part
-    if many or (declared > MAX_BYTES and declared > MAX_RATIO * array.nbytes_stored()):  # a large part may be sound
-        raise zarr_io.damaged(f"{zarr_io.path_of(array)} declares {declared} bytes, far more than its files hold.")
+    if len(chosen) > MAX_FILES * (array.shards or array.chunks)[0]:  # a file holds the rows of a part
+        raise zarr_io.damaged(f"{zarr_io.path_of(array)} has {len(chosen)} rows, in more than {MAX_FILES} files.")
+    zarr_io.check_size(array, (len(chosen), *stops))
     chunks = chunk_reader.chunks_of(array)
     if chunks is not None and (not len(chosen) or 0 <= chosen.min() <= chosen.max() < array.shape[0]):
         return chunk_reader.read(chunks, chosen, stops)

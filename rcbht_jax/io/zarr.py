@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import math
 import os
 import stat
 import warnings
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import uninterrupted
 from rcbht_jax._util.optional import MissingPackage, needs_extra, require
-from rcbht_jax._util.untrusted import MAX_BYTES, MAX_JSON_BYTES, SMALL, check_declared, load_json
+from rcbht_jax._util.untrusted import MAX_BYTES, MAX_JSON_BYTES, MAX_RATIO, load_json
 from rcbht_jax._util.url_path import url_of
 from rcbht_jax.errors import InputError
 
@@ -305,14 +306,20 @@ def _local_array(group: Group, name: str) -> Array[Any] | None:
 def read_array(group: Group, name: str, dtype: str | None) -> NDArray[Any]:
     """Read a whole array, strings as fixed-width NumPy strings; ``dtype`` None accepts any."""
     array = member(group, name)
-    if array.nbytes > SMALL:
-        check_declared(path_of(array), array.nbytes, array.nbytes_stored())
+    check_size(array, array.shape)
     values = np.asarray(array[...])
     if dtype == "string":
         return fixed_width(values, path_of(array))
     if dtype is not None and values.dtype != dtype:
         raise InputError(f"{path_of(group)}: {name} is {values.dtype}; expected {dtype}.")
     return values
+
+
+def check_size(array: Array[Any], shape: tuple[int, ...]) -> None:
+    """Raise an error before as much of an array is read, if that is large and its files cannot hold it."""
+    declared = math.prod(shape) * array.dtype.itemsize
+    if declared > MAX_BYTES and declared > MAX_RATIO * array.nbytes_stored():
+        raise damaged(f"{path_of(array)} declares {declared} bytes, far more than its files hold.")
 
 
 def fixed_width(texts: NDArray[Any], path: Path) -> NDArray[np.str_]:
@@ -322,8 +329,9 @@ def fixed_width(texts: NDArray[Any], path: Path) -> NDArray[np.str_]:
         InputError: that is too much.
     """
     values = texts.reshape(-1).tolist()
-    longest = max(map(len, values), default=0)
-    if 4 * longest * len(values) > MAX_BYTES:
+    sizes = list(map(len, values))
+    longest = max(sizes, default=0)
+    if 4 * longest * len(values) > max(MAX_BYTES, MAX_RATIO * sum(sizes)):  # names of many trials may be long
         raise damaged(f"{path} has {len(values)} texts, the longest of {longest} characters; that is no table.")
     return np.array(values, np.str_).reshape(texts.shape)
 

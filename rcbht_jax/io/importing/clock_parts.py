@@ -90,9 +90,9 @@ def _with_rest(table: Table, bases: dict[str, str]) -> tuple[list[str], NDArray[
         head = match[1] if (match := _HEAD.fullmatch(base)) else "" if base in TIMES else None
         if head is None or values.dtype.kind != "f" or base_and_unit(name)[1] not in ("", "s"):
             continue
-        whole = (np.isfinite(values) & (values == np.round(values))).all()
-        grows = len(values) > 1 and (np.diff(values) > 0).mean() > 0.9  # each recording of a table may begin anew
-        if not whole or grows:
+        if not (np.isfinite(values) & (values == np.round(values))).all():
+            continue
+        if len(values) > 1 and (np.diff(values) > 0).mean() > 0.9:  # each recording of a table may begin anew
             continue
         finer = _rest(table, bases, head)
         if finer and finer[1] < 9:  # nanoseconds stay apart, where doubles hold them

@@ -119,6 +119,11 @@ def test_a_rest_that_is_not_below_a_second_is_no_part(rest: np.ndarray) -> None:
     assert with_whole_times(table, Mapping()) is table
 
 
+def test_infinite_seconds_are_no_part() -> None:
+    table = Table("a.csv", {"sec": np.array([1.0, np.inf, np.inf]), "msec": np.arange(3.0)})
+    assert with_whole_times(table, Mapping()) is table
+
+
 def test_dates_that_do_not_exist_are_named(tmp_path: Path) -> None:
     rows = [f"2026-02-31,10:00:00,{k},{load}" for k, load in enumerate(LOADS)]
     (tmp_path / "run.csv").write_text("\n".join(["Date,Time,ms,Fz", *rows]))
