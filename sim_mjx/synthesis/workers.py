@@ -151,12 +151,16 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, share:
                 own.settle(writers.count)
                 tally.show(shards.finished(draft.folder))
             own.settle(0)
-    except BaseException as error:
-        failed = _is_of_shard(error)
+    except Exception as error:
+        ours = isinstance(error, InputError | OSError)  # of the input or the machine: it would fail again
         for claim, _ in own.held.values():
-            claim.failed(_reason(error)) if failed else claim.release()
-        if not failed:
+            claim.release() if ours else claim.failed(_reason(error))
+        if ours:
             raise
+    except BaseException:
+        for claim, _ in own.held.values():
+            claim.release()
+        raise
     return sum(len(indices(draft.job, shard)) for shard in own.done)
 
 
@@ -180,10 +184,13 @@ class _OwnShards:
             shard, claim = claimed
             try:
                 drawn = self._draft.draw(shard)
-            except BaseException as error:
-                if isinstance(error, InputError) or _is_of_shard(error):  # the first trial of the job could be drawn
-                    claim.failed(_reason(error))
-                    continue
+            except OSError:  # of the machine: the next shard would fail, too
+                claim.release()
+                raise
+            except Exception as error:
+                claim.failed(_reason(error))
+                continue
+            except BaseException:
                 claim.release()
                 raise
             self.held[shard] = claim, drawn
@@ -248,21 +255,19 @@ def _make(draft: Draft, simulate: Callable[[Any], Labelled], shard: int, claim: 
         out, tracks = simulate(drawn[0])
         labels = None if tracks is None else records.of_labels(tracks, len(drawn[1]))
         draft.write(shard, drawn, records.of_trials(out, draft.scenario.recorded), labels)
-    except BaseException as error:
-        if _is_of_shard(error):
-            claim.failed(_reason(error))
-            return 0
+    except (InputError, OSError):  # of the input or the machine: the next shard would fail, too
+        claim.release()
+        raise
+    except Exception as error:
+        claim.failed(_reason(error))
+        return 0
+    except BaseException:
         claim.release()
         raise
     claim.done()
     return len(drawn[1])
 
 
-def _is_of_shard(error: BaseException) -> bool:
-    """Whether a shard alone failed: the next one would meet an interruption, and errors of input or machine, too."""
-    return isinstance(error, Exception) and not isinstance(error, InputError | OSError)
-
-
-def _reason(error: BaseException) -> str:
+def _reason(error: Exception) -> str:
     kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
     return f"{kind}{' '.join(str(error).split()) or 'no reason given'}".rstrip(".") + "."
