@@ -41,14 +41,14 @@ encode = jax.jit(encoder.encode, static_argnums=0)
 
 
 def wrench_of(seed: int, style: str, samples: int = SAMPLES, axes: int = 6) -> np.ndarray:
-    """Random signals; steps and ramps are quantised, so that equal labels, ties and impulses are common."""
+    """Random signals; steps and ramps are quantised, so that equal labels, exact ties and impulses are common."""
     rng = np.random.default_rng(seed)
     if style == "noise":
         return np.cumsum(rng.normal(size=(samples, axes)) * rng.choice([0.01, 0.1, 1.0], (1, axes)), 0)
-    knots = rng.integers(-8, 9, (samples // 10 + 2, axes)) * 0.25
+    knots = rng.integers(-8, 9, (samples // 8 + 2, axes)) * 0.25
     if style == "steps":
-        return np.repeat(knots, 10, 0)[:samples]
-    times = np.arange(samples) / 10
+        return np.repeat(knots, 8, 0)[:samples]
+    times = np.arange(samples) / 8  # multiples of 1/32, whose differences are exact: 0.45 x 5 is not 2.25 in binary
     return np.stack([np.interp(times, np.arange(len(knots)), knot) for knot in knots.T], 1)
 
 
