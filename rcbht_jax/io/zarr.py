@@ -150,8 +150,8 @@ def _fsspec(path: Path) -> Any:
 def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a group, which one process has at a time; the kernel releases it however the process ends.
 
-    It is on the description of the group, opened for writing: NFS and Lustre know no locks of folders. One that may
-    only be read, which writers replace, is locked so, which local file systems allow.
+    It is on the description of the group, opened for writing: NFS and Lustre know no locks of folders. A description
+    without write permission is opened for reading, which is enough on local file systems.
     """
     file = folder / META
     with ExitStack() as handles:
