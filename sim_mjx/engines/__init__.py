@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 require("mujoco", "sim")
 
-ENGINES = ("native", "mjx", "warp")
-IMPLEMENTATIONS = {"mjx": "jax", "warp": "warp"}  # of MJX
+ENGINES = ("native", "mjx", "warp", "fused")
+IMPLEMENTATIONS = {"mjx": "jax", "warp": "warp", "fused": "fused"}  # of the device engines
 
 
 def simulate(
@@ -50,5 +50,5 @@ def check(engine: str) -> None:
     """
     if engine not in ENGINES:
         raise InputError(f"There is no engine {engine!r}; expected one of {', '.join(ENGINES)}.")
-    if engine == "warp" and find_spec("warp") is None:
-        raise InputError('The engine "warp" needs warp-lang; install it with: pip install "rcbht-jax[warp]".')
+    if engine in ("warp", "fused") and find_spec("warp") is None:
+        raise InputError(f'The engine "{engine}" needs warp-lang; install it with: pip install "rcbht-jax[warp]".')

@@ -58,10 +58,10 @@ class Layout:
 class Fixed:
     """Constants of the trials; leaves have a leading lane axis."""
 
-    model: mjx.Model
+    model: Any  # ``mjx.Model``, or the fused kernel's ``Structure``
     fields: dict[str, Array]  # of the model, [trial, ...]
     params: Any  # of the scene's program, [trial, ...]
-    empty: mjx.Data  # of one trial
+    empty: Any  # ``mjx.Data`` or ``Body`` of one trial
 
 
 @jax.tree_util.register_dataclass
@@ -151,7 +151,7 @@ def layout_of(scene: Scene) -> Layout:
 
 
 @single
-def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]:
+def put_scene(scene: Scene, count: int, impl: str) -> tuple[Any, Any]:
     """The scene's model on the device, and data of one trial; Warp's kernels step at most ``count`` at once.
 
     Raises:
@@ -161,6 +161,8 @@ def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]
     if impl == "warp":
         contacts, rows = most_contacts(scene.model)
         sizes = {"naconmax": count * contacts, "njmax": rows}
+    if impl == "fused":
+        return _put_fused(scene)
     compiled = copy.copy(scene.model)
     compiled.opt.tolerance = max(compiled.opt.tolerance, TOLERANCE)
     compiled.opt.iterations = min(compiled.opt.iterations, SOLVER[0])
@@ -173,6 +175,16 @@ def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]
     if impl == "warp":  # its kernels would print whenever a line search ends at its limit
         model = model.tree_replace({"opt._impl.warn_overflow": 0})
     return model, empty
+
+
+def _put_fused(scene: Scene) -> tuple[Any, Body]:
+    from sim_mjx.engines.fused import prepare
+
+    if what := prepare.missing(scene.model):
+        raise InputError(f"The engine fused does not have {what}; choose the engine warp or native.")
+    model = scene.model
+    zeros = [jnp.zeros(size, jnp.float32) for size in (model.nq, model.nv, model.nv, model.nsensordata)]
+    return prepare.structure(scene), Body(*zeros)
 
 
 def fields_of(scene: Scene, params: Any, dtype: type[np.floating] = np.float32) -> dict[str, NDArray[np.floating]]:
@@ -240,8 +252,8 @@ def start(layout: Layout, fixed: Fixed) -> State:
     count = batch_size(fixed.params)
     # what else can move, such as a free part, begins where the model has it
     places = fixed.fields["qpos0"].at[:, jnp.array(layout.joints)].set(0.0)
-    body: Any = jax.vmap(lambda qpos: fixed.empty.replace(qpos=qpos))(places)
-    if fixed.model.impl == mjx.Impl.JAX:
+    body: Any = jax.vmap(lambda qpos: dataclasses.replace(fixed.empty, qpos=qpos))(places)
+    if isinstance(fixed.model, mjx.Model) and fixed.model.impl == mjx.Impl.JAX:
         body = body_of(body)
     tick = jnp.full(count, -(-SETTLING // layout.substeps), jnp.int32)
     return State(body, _begin(layout, fixed, body), -tick)
@@ -257,7 +269,7 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
     Settling runs in the same program, in which the controller begins anew each period until time zero: the physics
     takes a minute to compile, and this way it is compiled once.
     """
-    home = layout.program.home(fixed.params)
+    home, advance = layout.program.home(fixed.params), _advance(layout, fixed)
 
     def period(state: State, _: None) -> tuple[State, Log]:
         body, settling = state.body, state.tick < 0
@@ -266,11 +278,36 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
         loop, ends, log = jax.vmap(layout.program.control)(fixed.params, loop, joints, _raw(layout, body))
         before, after = (jnp.where(settling[:, None], 0.0, ends[:, i] - home) for i in (0, 1))
 
-        moved, past = _substeps(layout, fixed, body, lambda share: before + share * (after - before))
-        moved = kept(body, moved, (log.phase == layout.program.ended) & ~settling)
+        still = (log.phase == layout.program.ended) & ~settling
+        moved, past = advance(body, before, after, still)
         return State(moved, loop, state.tick + 1), Log(log.wrench, log.joints, log.phase, past)
 
     return jax.lax.scan(period, state, length=STRETCH)
+
+
+def _advance(layout: Layout, fixed: Fixed) -> Callable[..., tuple[Any, Array]]:
+    """What moves the bodies over a control period, between two controls, but those of trials that keep still."""
+    if not isinstance(fixed.model, mjx.Model):
+        return _fused(layout, fixed)
+
+    def advance(body: Any, before: Array, after: Array, still: Array) -> tuple[Any, Array]:
+        moved, past = _substeps(layout, fixed, body, lambda share: before + share * (after - before))
+        return kept(body, moved, still), past
+
+    return advance
+
+
+def _fused(layout: Layout, fixed: Fixed) -> Callable[..., tuple[Any, Array]]:
+    from sim_mjx.engines.fused import prepare, step
+
+    numbers = prepare.numbers_of(fixed.model, fixed.fields)
+
+    def advance(body: Body, before: Array, after: Array, still: Array) -> tuple[Body, Array]:
+        state = (body.qpos, body.qvel, body.qacc_warmstart, body.sensordata)
+        *moved, places = step.advance(fixed.model, numbers, layout.substeps, state, before, after, still)
+        return Body(*moved), jax.vmap(layout.seated)(places)
+
+    return advance
 
 
 def _substeps(layout: Layout, fixed: Fixed, body: Any, ctrl: Callable[[Array], Array]) -> tuple[Any, Array]:

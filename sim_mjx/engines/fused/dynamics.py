@@ -1,0 +1,189 @@
+"""Kinematics and dynamics of one trial, by the recursions over bodies of Featherstone's *Rigid Body Dynamics Algorithms*.
+
+Spatial vectors have their angular half first and are taken about the model's origin, in the world's axes.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sim_mjx.engines.fused.model import Model, rotation, value, vector
+
+Vectors = wp.array(dtype=wp.vec3)
+Rotations = wp.array(dtype=wp.quat)
+Spatial = wp.array(dtype=wp.spatial_vector)
+Numbers = wp.array(dtype=float)
+Matrix = wp.array2d(dtype=float)
+
+
+@wp.func
+def cross_motion(v: wp.spatial_vector, m: wp.spatial_vector) -> wp.spatial_vector:
+    """The rate of a motion that is carried along with velocity ``v``."""
+    w = wp.spatial_top(v)
+    u = wp.spatial_bottom(v)
+    return wp.spatial_vector(
+        wp.cross(w, wp.spatial_top(m)), wp.cross(w, wp.spatial_bottom(m)) + wp.cross(u, wp.spatial_top(m))
+    )
+
+
+@wp.func
+def cross_force(v: wp.spatial_vector, f: wp.spatial_vector) -> wp.spatial_vector:
+    """The rate of a momentum that is carried along with velocity ``v``."""
+    w = wp.spatial_top(v)
+    u = wp.spatial_bottom(v)
+    return wp.spatial_vector(
+        wp.cross(w, wp.spatial_top(f)) + wp.cross(u, wp.spatial_bottom(f)), wp.cross(w, wp.spatial_bottom(f))
+    )
+
+
+@wp.func
+def momentum(mass: float, first: wp.vec3, second: wp.mat33, v: wp.spatial_vector) -> wp.spatial_vector:
+    """Of a body with this mass, mass times place, and inertia about the origin."""
+    w = wp.spatial_top(v)
+    u = wp.spatial_bottom(v)
+    return wp.spatial_vector(second * w + wp.cross(first, u), mass * u + wp.cross(w, first))
+
+
+@wp.func
+def place(m: Model, trial: int, qpos: Numbers, pos: Vectors, rot: Rotations, axes: Spatial):
+    """Places and rotations of all bodies, and the motion that a unit of each joint's velocity is."""
+    pos[0] = -m.origin
+    rot[0] = wp.quat_identity()
+    for b in range(1, m.body_parentid.shape[0]):
+        parent = m.body_parentid[b]
+        at = pos[parent] + wp.quat_rotate(rot[parent], vector(m.body_pos, b, trial))
+        turn = rot[parent] * rotation(m.body_quat, b, trial)
+        for d in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
+            moved = qpos[d] - value(m.qpos0, d, trial)
+            own = vector(m.jnt_axis, d, trial)
+            axis = wp.quat_rotate(turn, own)
+            if m.jnt_slides[d] == 1:
+                at = at + axis * moved
+                axes[d] = wp.spatial_vector(wp.vec3(0.0), axis)
+            else:
+                anchor = at + wp.quat_rotate(turn, vector(m.jnt_pos, d, trial))
+                turn = turn * wp.quat_from_axis_angle(own, moved)
+                at = anchor - wp.quat_rotate(turn, vector(m.jnt_pos, d, trial))
+                axes[d] = wp.spatial_vector(axis, wp.cross(anchor, axis))
+        pos[b] = at
+        rot[b] = wp.normalize(turn)
+
+
+@wp.func
+def inertias(
+    m: Model, trial: int, pos: Vectors, rot: Rotations, mass: Numbers, first: Vectors, second: wp.array(dtype=wp.mat33)
+):
+    """Mass, mass times place, and inertia about the origin of each body."""
+    for b in range(m.body_parentid.shape[0]):
+        k = wp.min(trial, m.body_inertia.shape[2] - 1)
+        own = wp.mat33(
+            m.body_inertia[b, 0, k], m.body_inertia[b, 3, k], m.body_inertia[b, 4, k],
+            m.body_inertia[b, 3, k], m.body_inertia[b, 1, k], m.body_inertia[b, 5, k],
+            m.body_inertia[b, 4, k], m.body_inertia[b, 5, k], m.body_inertia[b, 2, k],
+        )  # fmt: skip
+        turn = wp.quat_to_matrix(rot[b])
+        centre = pos[b] + turn * vector(m.body_ipos, b, trial)
+        mass[b] = value(m.body_mass, b, trial)
+        first[b] = mass[b] * centre
+        shift = wp.dot(centre, centre) * wp.identity(n=3, dtype=float) - wp.outer(centre, centre)
+        second[b] = turn * own * wp.transpose(turn) + mass[b] * shift
+
+
+@wp.func
+def forces(
+    m: Model,
+    axes: Spatial,
+    mass: Numbers,
+    first: Vectors,
+    second: wp.array(dtype=wp.mat33),
+    qvel: Numbers,
+    qacc: Numbers,
+    v: Spatial,
+    a: Spatial,
+    f: Spatial,
+):
+    """Velocity and acceleration of each body, and the force that moves it so against gravity."""
+    v[0] = wp.spatial_vector()
+    a[0] = wp.spatial_vector(wp.vec3(0.0), -m.gravity)
+    f[0] = wp.spatial_vector()
+    for b in range(1, m.body_parentid.shape[0]):
+        vel = v[m.body_parentid[b]]
+        acc = a[m.body_parentid[b]]
+        for d in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
+            acc = acc + axes[d] * qacc[d] + cross_motion(vel, axes[d]) * qvel[d]
+            vel = vel + axes[d] * qvel[d]
+        v[b] = vel
+        a[b] = acc
+        f[b] = momentum(mass[b], first[b], second[b], acc) + cross_force(
+            vel, momentum(mass[b], first[b], second[b], vel)
+        )
+
+
+@wp.func
+def compensate(m: Model, trial: int, mass: Numbers, first: Vectors, f: Spatial):
+    """Take away what bodies whose weight is carried need against gravity."""
+    for b in range(1, m.body_parentid.shape[0]):
+        share = value(m.body_gravcomp, b, trial)
+        f[b] = f[b] + share * wp.spatial_vector(wp.cross(first[b], m.gravity), mass[b] * m.gravity)
+
+
+@wp.func
+def inertia_matrix(
+    m: Model,
+    trial: int,
+    axes: Spatial,
+    mass: Numbers,
+    first: Vectors,
+    second: wp.array(dtype=wp.mat33),
+    f: Spatial,
+    matrix: Matrix,
+    bias: Numbers,
+):
+    """The joints' inertia matrix (lower half) and the forces of ``f`` on them; sums bodies into their parents."""
+    for i in range(matrix.shape[0]):
+        for j in range(i):
+            matrix[i, j] = 0.0
+    for k in range(m.body_parentid.shape[0] - 1):
+        b = m.body_parentid.shape[0] - 1 - k
+        parent = m.body_parentid[b]
+        for d in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
+            bias[d] = wp.dot(axes[d], f[b])
+            push = momentum(mass[b], first[b], second[b], axes[d])
+            matrix[d, d] = wp.dot(axes[d], push) + value(m.dof_armature, d, trial)
+            other = m.dof_parentid[d]
+            while other >= 0:
+                matrix[d, other] = wp.dot(axes[other], push)
+                other = m.dof_parentid[other]
+        f[parent] = f[parent] + f[b]
+        mass[parent] = mass[parent] + mass[b]
+        first[parent] = first[parent] + first[b]
+        second[parent] = second[parent] + second[b]
+
+
+@wp.func
+def joint_forces(
+    m: Model,
+    trial: int,
+    qpos: Numbers,
+    qvel: Numbers,
+    ctrl: Numbers,
+    force: Numbers,
+    slope: Numbers,
+):
+    """Add the forces of springs, dampers and actuators, and their derivatives by velocity."""
+    for d in range(qpos.shape[0]):
+        stretched = qpos[d] - value(m.qpos_spring, d, trial)
+        damping = value(m.dof_damping, d, trial)
+        force[d] += -value(m.jnt_stiffness, d, trial) * stretched - damping * qvel[d]
+        slope[d] = -damping
+    for u in range(m.actuator_jnt.shape[0]):
+        d = m.actuator_jnt[u]
+        k = wp.min(trial, m.actuator_bias.shape[2] - 1)
+        pull = value(m.actuator_gain, u, trial) * ctrl[u] + m.actuator_bias[u, 0, k]
+        pull += m.actuator_bias[u, 1, k] * qpos[d] + m.actuator_bias[u, 2, k] * qvel[d]
+        r = wp.min(trial, m.actuator_range.shape[2] - 1)
+        low = m.actuator_range[u, 0, r]
+        high = m.actuator_range[u, 1, r]
+        if pull > low and pull < high:
+            slope[d] += m.actuator_bias[u, 2, k]
+        force[d] += wp.clamp(pull, low, high)

@@ -1,0 +1,232 @@
+"""Newton's method for MuJoCo's constraint problem, and the implicit integrator's linear system.
+
+A trial stops when its own steps have become small; with one trial a thread none waits for another but those of its warp.
+"""
+
+
+from functools import lru_cache
+from typing import Any
+
+import warp as wp
+
+from sim_mjx.engines.fused.constraints import Jacobians
+from sim_mjx.engines.fused.dynamics import Matrix, Numbers, Vectors
+
+SEARCHES = wp.constant(8)  # steps of a line search at most
+FLAT = wp.constant(0.01)  # of the initial slope: where a line search ends
+Pairs = wp.array(dtype=wp.vec2)
+
+
+@wp.func
+def cone_force(missing: wp.vec3, weight: wp.vec3, cone: wp.vec3) -> wp.vec3:
+    """The force of a contact whose rows miss their reference accelerations by so much."""
+    normal = missing[0] * cone[0]
+    one = missing[1] * cone[1]
+    two = missing[2] * cone[2]
+    across = wp.sqrt(one * one + two * two)
+    if normal >= cone[0] * across:
+        return wp.vec3(0.0)
+    if cone[0] * normal + across <= 0.0:
+        return -wp.cw_mul(weight, missing)
+    push = weight[0] * (cone[0] * across - normal) / (cone[0] * (1.0 + cone[0] * cone[0]))
+    return push * wp.vec3(1.0, -one * cone[1] / across, -two * cone[2] / across)
+
+
+@wp.func
+def cone_slope(missing: wp.vec3, weight: wp.vec3, cone: wp.vec3) -> wp.mat33:
+    """By how much the force falls per missing acceleration: the second derivative of the contact's cost."""
+    normal = missing[0] * cone[0]
+    one = missing[1] * cone[1]
+    two = missing[2] * cone[2]
+    across = wp.sqrt(one * one + two * two)
+    if normal >= cone[0] * across:
+        return wp.mat33(0.0)
+    if cone[0] * normal + across <= 0.0:
+        return wp.diag(weight)
+    mu = cone[0]
+    scale = weight[0] / (mu * mu * (1.0 + mu * mu))
+    bend = mu * (mu * across - normal) / across  # of the two tangents' part
+    x = one / across
+    y = two / across
+    a = mu * cone[1] * x
+    b = mu * cone[2] * y
+    xx = cone[1] * cone[1] * (mu * mu * x * x + bend * y * y)
+    yy = cone[2] * cone[2] * (mu * mu * y * y + bend * x * x)
+    xy = cone[1] * cone[2] * x * y * (mu * mu - bend)
+    return scale * wp.mat33(mu * mu, -mu * a, -mu * b, -mu * a, xx, xy, -mu * b, xy, yy)
+
+
+@lru_cache
+def newton(n: int) -> Any:
+    """The solver for ``n`` joints."""
+    column = wp.types.vector(n, float)
+    square = wp.types.matrix((n, n), float)
+
+    @wp.func
+    def factor(lower: square) -> square:
+        """Cholesky's factor of a matrix by its lower half, with the reciprocals of its diagonal."""
+        for j in range(n):
+            for i in range(j, n):
+                rest = lower[i, j]
+                for k in range(j):
+                    rest -= lower[i, k] * lower[j, k]
+                if i == j:
+                    lower[j, j] = 1.0 / wp.sqrt(rest)
+                else:
+                    lower[i, j] = rest * lower[j, j]
+        return lower
+
+    @wp.func
+    def solved(factor: square, right: column) -> column:
+        """The solution of a linear system by its matrix's factor."""
+        for i in range(n):
+            for k in range(i):
+                right[i] -= factor[i, k] * right[k]
+            right[i] = right[i] * factor[i, i]
+        for back in range(n):
+            i = n - 1 - back
+            for k in range(i + 1, n):
+                right[i] -= factor[k, i] * right[k]
+            right[i] = right[i] * factor[i, i]
+        return right
+
+    @wp.func
+    def seen(rows: Jacobians, contact: int, motion: column) -> wp.vec3:
+        """A joint motion in a contact's frame."""
+        out = wp.vec3(0.0)
+        for i in range(n):
+            out += wp.vec3(rows[contact, 0, i], rows[contact, 1, i], rows[contact, 2, i]) * motion[i]
+        return out
+
+    @wp.func
+    def slope_along(
+        at: float, quadratic: wp.vec2, count: int, missing: Vectors, moved: Vectors, weights: Vectors, cones: Vectors,
+        limits: Pairs, limit_weights: Pairs, qacc: column, step: column,
+    ) -> wp.vec2:  # fmt: skip
+        """First and second derivative of the cost along a step."""
+        first = quadratic[0] + at * quadratic[1]
+        second = quadratic[1]
+        for c in range(count):
+            there = missing[c] + at * moved[c]
+            first -= wp.dot(cone_force(there, weights[c], cones[c]), moved[c])
+            second += wp.dot(moved[c], cone_slope(there, weights[c], cones[c]) * moved[c])
+        for i in range(n):
+            acc = qacc[i] + at * step[i]
+            low = wp.min(acc - limits[i][0], 0.0)
+            high = wp.min(-acc - limits[i][1], 0.0)
+            first += step[i] * (limit_weights[i][0] * low - limit_weights[i][1] * high)
+            if low < 0.0:
+                second += limit_weights[i][0] * step[i] * step[i]
+            if high < 0.0:
+                second += limit_weights[i][1] * step[i] * step[i]
+        return wp.vec2(first, second)
+
+    @wp.func
+    def line_search(
+        begin: float, quadratic: wp.vec2, count: int, missing: Vectors, moved: Vectors, weights: Vectors,
+        cones: Vectors, limits: Pairs, limit_weights: Pairs, qacc: column, step: column,
+    ) -> float:  # fmt: skip
+        """How much of a step lowers the cost most: where its slope, ``begin`` at first, is almost none."""
+        low = float(0.0)
+        high = float(1e10)
+        at = float(1.0)
+        for _ in range(SEARCHES):
+            slope = slope_along(
+                at, quadratic, count, missing, moved, weights, cones, limits, limit_weights, qacc, step
+            )
+            if wp.abs(slope[0]) <= FLAT * wp.abs(begin):
+                break
+            if slope[0] < 0.0:
+                low = at
+            else:
+                high = at
+            at = at - slope[0] / slope[1]
+            if at <= low or at >= high:
+                at = 0.5 * (low + wp.min(high, 2.0 * low + 1.0))
+        return at
+
+    @wp.func
+    def solve(
+        matrix: Matrix, smooth: Numbers, count: int, rows: Jacobians, wanted: Vectors, weights: Vectors,
+        cones: Vectors, limits: Pairs, limit_weights: Pairs, iterations: int, tolerance: float, qacc: Numbers,
+        total: Numbers, push: Vectors, missing: Vectors, moved: Vectors,
+    ) -> int:  # fmt: skip
+        """Accelerations from the first guess in ``qacc``, all forces on the joints, those of contacts, iterations."""
+        acc = column()
+        inertia = square()
+        for i in range(n):
+            acc[i] = qacc[i]
+            for j in range(i + 1):
+                inertia[i, j] = matrix[i, j]
+        done = int(0)
+        while True:
+            hessian = square()
+            gradient = column()
+            for i in range(n):
+                for j in range(i):
+                    hessian[i, j] = inertia[i, j]
+                    gradient[i] += inertia[i, j] * acc[j]
+                    gradient[j] += inertia[i, j] * acc[i]
+                hessian[i, i] = inertia[i, i]
+                gradient[i] += inertia[i, i] * acc[i]
+            flat = gradient  # inertia times acceleration
+            for i in range(n):
+                gradient[i] -= smooth[i]
+                low = acc[i] - limits[i][0]
+                high = -acc[i] - limits[i][1]
+                if low < 0.0:
+                    gradient[i] += limit_weights[i][0] * low
+                    hessian[i, i] += limit_weights[i][0]
+                if high < 0.0:
+                    gradient[i] -= limit_weights[i][1] * high
+                    hessian[i, i] += limit_weights[i][1]
+            for c in range(count):
+                missing[c] = seen(rows, c, acc) - wanted[c]
+                push[c] = cone_force(missing[c], weights[c], cones[c])
+                curved = cone_slope(missing[c], weights[c], cones[c])
+                if curved[0, 0] > 0.0:
+                    for i in range(n):
+                        row = wp.vec3(rows[c, 0, i], rows[c, 1, i], rows[c, 2, i])
+                        gradient[i] -= wp.dot(row, push[c])
+                        bent = curved * row
+                        for j in range(i + 1):
+                            hessian[i, j] += wp.dot(bent, wp.vec3(rows[c, 0, j], rows[c, 1, j], rows[c, 2, j]))
+            step = solved(factor(hessian), -gradient)
+            begin = wp.dot(gradient, step)
+            if done == iterations or -begin <= tolerance:
+                for i in range(n):
+                    qacc[i] = acc[i]
+                    total[i] = flat[i] - gradient[i]
+                break
+            bowed = float(0.0)
+            for i in range(n):
+                bowed += inertia[i, i] * step[i] * step[i]
+                for j in range(i):
+                    bowed += 2.0 * inertia[i, j] * step[i] * step[j]
+            flown = float(0.0)
+            for i in range(n):
+                flown += (flat[i] - smooth[i]) * step[i]
+            for c in range(count):
+                moved[c] = seen(rows, c, step)
+            at = line_search(
+                begin, wp.vec2(flown, bowed), count, missing, moved, weights, cones, limits, limit_weights, acc, step
+            )
+            acc = acc + at * step
+            done += 1
+        return done
+
+    @wp.func
+    def implicit(matrix: Matrix, slope: Numbers, timestep: float, total: Numbers, qvel: Numbers):
+        """Advance velocities over a step in which forces that depend on them are those at its end."""
+        lower = square()
+        right = column()
+        for i in range(n):
+            right[i] = total[i]
+            for j in range(i + 1):
+                lower[i, j] = matrix[i, j]
+            lower[i, i] = lower[i, i] - timestep * slope[i]
+        right = solved(factor(lower), right)
+        for i in range(n):
+            qvel[i] = qvel[i] + timestep * right[i]
+
+    return solve, implicit
