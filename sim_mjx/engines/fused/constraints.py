@@ -3,14 +3,15 @@
 Formulas: MuJoCo's documentation, "Computation", sections "Constraint model" and "Friction cones".
 """
 
-from __future__ import annotations
+from functools import lru_cache
+from typing import Any
 
 import warp as wp
 
 from sim_mjx.engines.fused.dynamics import Numbers, Rotations, Spatial, Vectors
-from sim_mjx.engines.fused.model import Model, Rows, entry, rotation, value, vector
+from sim_mjx.engines.fused.model import Model, Rows, entry, rotation, shapes, value, vector
 
-Jacobians = wp.array3d(dtype=float)  # [contact, direction, joint]: normal and two tangents
+Pairs = wp.array(dtype=wp.vec2)
 Numbered = wp.array(dtype=int)
 
 LEAST = wp.constant(1e-15)  # MuJoCo's mjMINVAL
@@ -32,7 +33,11 @@ def impedance(solimp: Rows, item: int, trial: int, depth: float) -> float:
     if x >= 1.0:
         return high
     y = x
-    if power > 1.0:
+    if power == 2.0:  # the default, without two calls of a power function
+        y = x * x / middle
+        if x > middle:
+            y = 1.0 - (1.0 - x) * (1.0 - x) / (1.0 - middle)
+    elif power > 1.0:
         if x <= middle:
             y = wp.pow(x, power) / wp.pow(middle, power - 1.0)
         else:
@@ -80,109 +85,28 @@ def sphere_on_box(centre: wp.vec3, radius: float, half: wp.vec3) -> wp.vec4:
 
 
 @wp.func
-def tangent(normal: wp.vec3) -> wp.vec3:
-    """MuJoCo's first tangent of a contact."""
+def frame_of(normal: wp.vec3) -> wp.mat33:
+    """Rows: a contact's normal, and MuJoCo's two tangents."""
     side = wp.vec3(0.0, 1.0, 0.0)
     if normal[1] >= 0.5 or normal[1] <= -0.5:
         side = wp.vec3(0.0, 0.0, 1.0)
-    return wp.normalize(side - wp.dot(normal, side) * normal)
+    along = wp.normalize(side - wp.dot(normal, side) * normal)
+    return wp.matrix_from_rows(normal, along, wp.cross(normal, along))
 
 
 @wp.func
-def find_contacts(
-    m: Model,
-    trial: int,
-    pos: Vectors,
-    rot: Rotations,
-    axes: Spatial,
-    qvel: Numbers,
-    pairs: Numbered,
-    points: Vectors,
-    frames: wp.array(dtype=wp.mat33),
-    rows: Jacobians,
-    wanted: Vectors,
-    weights: Vectors,
-    cones: Vectors,
-) -> int:
-    """Fill in the contacts that there are, and count them.
-
-    ``wanted`` are reference accelerations, ``weights`` inverse regularisers, ``cones`` the regularised and the two
-    tangents' coefficients of friction.
-    """
-    count = int(0)
-    for p in range(m.pair_geom.shape[0]):
-        ball = m.pair_geom[p, 0]
-        box = m.pair_geom[p, 1]
-        first = m.geom_bodyid[ball]
-        second = m.geom_bodyid[box]
-        centre = pos[first] + wp.quat_rotate(rot[first], vector(m.geom_pos, ball, trial))
-        at = pos[second] + wp.quat_rotate(rot[second], vector(m.geom_pos, box, trial))
-        turn = rot[second] * rotation(m.geom_quat, box, trial)
-        radius = entry(m.geom_size, ball, 0, trial)
-        half = vector(m.geom_size, box, trial)
-        touch = sphere_on_box(wp.quat_rotate_inv(turn, centre - at), radius, half)
-        depth = touch[3] - value(m.pair_margin, p, trial)
-        if depth < 0.0:
-            normal = wp.quat_rotate(turn, wp.vec3(touch[0], touch[1], touch[2]))
-            along = tangent(normal)
-            frame = wp.matrix_from_rows(normal, along, wp.cross(normal, along))
-            pairs[count] = p
-            frames[count] = frame
-            points[count] = centre + normal * (radius + 0.5 * touch[3])
-            for d in range(qvel.shape[0]):
-                for direction in range(3):
-                    rows[count, direction, d] = 0.0
-            add_jacobian(m, first, -1.0, points[count], frame, axes, count, rows)
-            add_jacobian(m, second, 1.0, points[count], frame, axes, count, rows)
-            weigh(m, trial, p, depth, count, qvel, rows, wanted, weights, cones)
-            count += 1
-    return count
+def limit(m: Model, trial: int, d: int, depth: float, speed: float) -> wp.vec2:
+    """Reference acceleration and weight of one limit of a joint."""
+    if depth >= 0.0:
+        return wp.vec2(0.0)
+    spring = reference(m, m.jnt_solref, m.jnt_solimp, d, trial)
+    strength = impedance(m.jnt_solimp, d, trial, depth)
+    soft = wp.max((1.0 - strength) * value(m.dof_invweight0, d, trial) / strength, LEAST)
+    return wp.vec2(-spring[1] * speed - spring[0] * strength * depth, 1.0 / soft)
 
 
 @wp.func
-def add_jacobian(
-    m: Model, body: int, sign: float, point: wp.vec3, frame: wp.mat33, axes: Spatial, contact: int, rows: Jacobians
-):
-    """Add the velocity of a body's point, in the contact's frame, by each joint's velocity."""
-    d = m.body_lastdof[body]
-    while d >= 0:
-        moved = wp.spatial_bottom(axes[d]) + wp.cross(wp.spatial_top(axes[d]), point)
-        seen = frame * (sign * moved)
-        for direction in range(3):
-            rows[contact, direction, d] = rows[contact, direction, d] + seen[direction]
-        d = m.dof_parentid[d]
-
-
-@wp.func
-def weigh(
-    m: Model,
-    trial: int,
-    p: int,
-    depth: float,
-    contact: int,
-    qvel: Numbers,
-    rows: Jacobians,
-    wanted: Vectors,
-    weights: Vectors,
-    cones: Vectors,
-):
-    """Reference acceleration, weights and cone of a contact of pair ``p``."""
-    speed = wp.vec3(0.0)
-    for d in range(qvel.shape[0]):
-        speed += wp.vec3(rows[contact, 0, d], rows[contact, 1, d], rows[contact, 2, d]) * qvel[d]
-    spring = reference(m, m.pair_solref, m.pair_solimp, p, trial)
-    strength = impedance(m.pair_solimp, p, trial, depth)
-    wanted[contact] = -spring[1] * speed - wp.vec3(spring[0] * strength * depth, 0.0, 0.0)
-    soft = wp.max((1.0 - strength) * value(m.pair_invweight, p, trial) / strength, LEAST)
-    one = entry(m.pair_friction, p, 0, trial)
-    two = entry(m.pair_friction, p, 1, trial)
-    across = soft / m.impratio
-    weights[contact] = wp.vec3(1.0 / soft, 1.0 / across, two * two / (across * one * one))
-    cones[contact] = wp.vec3(one / wp.sqrt(m.impratio), one, two)
-
-
-@wp.func
-def find_limits(m: Model, trial: int, qpos: Numbers, qvel: Numbers, wanted: wp.array(dtype=wp.vec2), weights: wp.array(dtype=wp.vec2)):
+def find_limits(m: Model, trial: int, qpos: Numbers, qvel: Numbers, wanted: Pairs, weights: Pairs):
     """Reference accelerations and weights of each joint's lower and upper limit; weight 0 = not reached."""
     for d in range(qpos.shape[0]):
         wanted[d] = wp.vec2(0.0)
@@ -199,11 +123,76 @@ def find_limits(m: Model, trial: int, qpos: Numbers, qvel: Numbers, wanted: wp.a
 
 
 @wp.func
-def limit(m: Model, trial: int, d: int, depth: float, speed: float) -> wp.vec2:
-    """Reference acceleration and weight of one limit."""
-    if depth >= 0.0:
-        return wp.vec2(0.0)
-    spring = reference(m, m.jnt_solref, m.jnt_solimp, d, trial)
-    strength = impedance(m.jnt_solimp, d, trial, depth)
-    soft = wp.max((1.0 - strength) * value(m.dof_invweight0, d, trial) / strength, LEAST)
-    return wp.vec2(-spring[1] * speed - spring[0] * strength * depth, 1.0 / soft)
+def find_contacts(
+    m: Model, trial: int, pos: Vectors, rot: Rotations, pairs: Numbered, points: Vectors, normals: Vectors,
+    depths: wp.array(dtype=float),
+) -> int:  # fmt: skip
+    """Fill in the contacts that there are, and count them: their pairs, places, normals and depths, negative."""
+    count = int(0)
+    for p in range(m.pair_geom.shape[0]):
+        ball, box = m.pair_geom[p, 0], m.pair_geom[p, 1]
+        first, second = m.geom_bodyid[ball], m.geom_bodyid[box]
+        centre = pos[first] + wp.quat_rotate(rot[first], vector(m.geom_pos, ball, trial))
+        at = pos[second] + wp.quat_rotate(rot[second], vector(m.geom_pos, box, trial))
+        turn = rot[second] * rotation(m.geom_quat, box, trial)
+        radius, half = entry(m.geom_size, ball, 0, trial), vector(m.geom_size, box, trial)
+        touch = sphere_on_box(wp.quat_rotate_inv(turn, centre - at), radius, half)
+        depth = touch[3] - value(m.pair_margin, p, trial)
+        if depth < 0.0:
+            normal = wp.quat_rotate(turn, wp.vec3(touch[0], touch[1], touch[2]))
+            pairs[count] = p
+            points[count] = centre + normal * (radius + 0.5 * touch[3])
+            normals[count] = normal
+            depths[count] = depth
+            count += 1
+    return count
+
+
+@lru_cache
+def contact_rows(n: int) -> Any:
+    """What makes the rows of contacts in a model with ``n`` joints."""
+    _, _, wide = shapes(n)
+
+    @wp.func
+    def jacobian(m: Model, first: int, second: int, point: wp.vec3, frame: wp.mat33, axes: Spatial) -> wide:
+        """By each joint's velocity, that of the second body relative to the first at a point, in a contact's frame."""
+        out = wide()
+        for d in range(n):
+            sign = ((m.body_moves[second] >> d) & 1) - ((m.body_moves[first] >> d) & 1)
+            if sign != 0:
+                moved = wp.spatial_bottom(axes[d]) + wp.cross(wp.spatial_top(axes[d]), point)
+                seen = frame * (float(sign) * moved)
+                out[0, d] = seen[0]
+                out[1, d] = seen[1]
+                out[2, d] = seen[2]
+        return out
+
+    @wp.func
+    def make_rows(
+        m: Model, trial: int, axes: Spatial, qvel: Numbers, count: int, pairs: Numbered, points: Vectors,
+        normals: Vectors, depths: Numbers, rows: wp.array(dtype=wide), wanted: Vectors, weights: Vectors,
+        cones: Vectors,
+    ):  # fmt: skip
+        """Fill in the rows of contacts.
+
+        ``rows`` are Jacobians along normal and tangents, ``wanted`` reference accelerations, ``weights`` inverse
+        regularisers, ``cones`` the regularised and the two tangents' coefficients of friction.
+        """
+        for c in range(count):
+            p, depth = pairs[c], depths[c]
+            first, second = m.geom_bodyid[m.pair_geom[p, 0]], m.geom_bodyid[m.pair_geom[p, 1]]
+            own = jacobian(m, first, second, points[c], frame_of(normals[c]), axes)
+            rows[c] = own
+            speed = wp.vec3(0.0)
+            for d in range(n):
+                speed += wp.vec3(own[0, d], own[1, d], own[2, d]) * qvel[d]
+            spring = reference(m, m.pair_solref, m.pair_solimp, p, trial)
+            strength = impedance(m.pair_solimp, p, trial, depth)
+            soft = wp.max((1.0 - strength) * value(m.pair_invweight, p, trial) / strength, LEAST)
+            one, two = entry(m.pair_friction, p, 0, trial), entry(m.pair_friction, p, 1, trial)
+            across = soft / m.impratio
+            wanted[c] = -spring[1] * speed - wp.vec3(spring[0] * strength * depth, 0.0, 0.0)
+            weights[c] = wp.vec3(1.0 / soft, 1.0 / across, two * two / (across * one * one))
+            cones[c] = wp.vec3(one / wp.sqrt(m.impratio), one, two)
+
+    return make_rows

@@ -3,11 +3,12 @@
 Spatial vectors have their angular half first and are taken about the model's origin, in the world's axes.
 """
 
-from __future__ import annotations
+from functools import lru_cache
+from typing import Any
 
 import warp as wp
 
-from sim_mjx.engines.fused.model import Model, rotation, value, vector
+from sim_mjx.engines.fused.model import Model, entry, rotation, shapes, value, vector
 
 Vectors = wp.array(dtype=wp.vec3)
 Rotations = wp.array(dtype=wp.quat)
@@ -128,62 +129,65 @@ def compensate(m: Model, trial: int, mass: Numbers, first: Vectors, f: Spatial):
 
 
 @wp.func
-def inertia_matrix(
-    m: Model,
-    trial: int,
-    axes: Spatial,
-    mass: Numbers,
-    first: Vectors,
-    second: wp.array(dtype=wp.mat33),
-    f: Spatial,
-    matrix: Matrix,
-    bias: Numbers,
-):
-    """The joints' inertia matrix (lower half) and the forces of ``f`` on them; sums bodies into their parents."""
-    for i in range(matrix.shape[0]):
-        for j in range(i):
-            matrix[i, j] = 0.0
+def sum_up(m: Model, mass: Numbers, first: Vectors, second: wp.array(dtype=wp.mat33), f: Spatial):
+    """Add each body's inertia and force to its parent's."""
     for k in range(m.body_parentid.shape[0] - 1):
         b = m.body_parentid.shape[0] - 1 - k
         parent = m.body_parentid[b]
-        for d in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
-            bias[d] = wp.dot(axes[d], f[b])
-            push = momentum(mass[b], first[b], second[b], axes[d])
-            matrix[d, d] = wp.dot(axes[d], push) + value(m.dof_armature, d, trial)
-            other = m.dof_parentid[d]
-            while other >= 0:
-                matrix[d, other] = wp.dot(axes[other], push)
-                other = m.dof_parentid[other]
         f[parent] = f[parent] + f[b]
         mass[parent] = mass[parent] + mass[b]
         first[parent] = first[parent] + first[b]
         second[parent] = second[parent] + second[b]
 
 
-@wp.func
-def joint_forces(
-    m: Model,
-    trial: int,
-    qpos: Numbers,
-    qvel: Numbers,
-    ctrl: Numbers,
-    force: Numbers,
-    slope: Numbers,
-):
-    """Add the forces of springs, dampers and actuators, and their derivatives by velocity."""
-    for d in range(qpos.shape[0]):
-        stretched = qpos[d] - value(m.qpos_spring, d, trial)
-        damping = value(m.dof_damping, d, trial)
-        force[d] += -value(m.jnt_stiffness, d, trial) * stretched - damping * qvel[d]
-        slope[d] = -damping
-    for u in range(m.actuator_jnt.shape[0]):
-        d = m.actuator_jnt[u]
-        k = wp.min(trial, m.actuator_bias.shape[2] - 1)
-        pull = value(m.actuator_gain, u, trial) * ctrl[u] + m.actuator_bias[u, 0, k]
-        pull += m.actuator_bias[u, 1, k] * qpos[d] + m.actuator_bias[u, 2, k] * qvel[d]
-        r = wp.min(trial, m.actuator_range.shape[2] - 1)
-        low = m.actuator_range[u, 0, r]
-        high = m.actuator_range[u, 1, r]
-        if pull > low and pull < high:
-            slope[d] += m.actuator_bias[u, 2, k]
-        force[d] += wp.clamp(pull, low, high)
+@lru_cache
+def joint_space(n: int) -> Any:
+    """The inertia of ``n`` joints, and the forces on them."""
+    column, square, _ = shapes(n)
+
+    @wp.func
+    def inertia_matrix(
+        m: Model, trial: int, axes: Spatial, mass: Numbers, first: Vectors, second: wp.array(dtype=wp.mat33)
+    ) -> square:  # fmt: skip
+        """The lower half of the joints' inertia matrix, from summed inertias."""
+        matrix = square()
+        for d in range(n):
+            b = m.dof_bodyid[d]
+            push = momentum(mass[b], first[b], second[b], axes[d])
+            moves = m.body_moves[b]
+            for other in range(d + 1):
+                if (moves >> other) & 1 == 1:
+                    matrix[d, other] = wp.dot(axes[other], push)
+            matrix[d, d] += value(m.dof_armature, d, trial)
+        return matrix
+
+    @wp.func
+    def joint_forces(
+        m: Model, trial: int, axes: Spatial, f: Spatial, qpos: Numbers, qvel: Numbers, before: Matrix, after: Matrix,
+        share: float,
+    ) -> tuple[column, column]:  # fmt: skip
+        """Forces without constraints, and the derivatives by velocity of those of dampers and actuators.
+
+        Controls are the given share of the way from ``before`` to ``after``.
+        """
+        force = column()
+        slope = column()
+        for d in range(n):
+            stretched = qpos[d] - value(m.qpos_spring, d, trial)
+            slope[d] = -value(m.dof_damping, d, trial)
+            force[d] = slope[d] * qvel[d] - value(m.jnt_stiffness, d, trial) * stretched
+            force[d] -= wp.dot(axes[d], f[m.dof_bodyid[d]])
+            u = m.jnt_actuator[d]
+            if u >= 0:
+                ctrl = before[trial, u] + share * (after[trial, u] - before[trial, u])
+                damped = entry(m.actuator_bias, u, 2, trial)
+                pull = value(m.actuator_gain, u, trial) * ctrl + entry(m.actuator_bias, u, 0, trial)
+                pull += entry(m.actuator_bias, u, 1, trial) * qpos[d] + damped * qvel[d]
+                low = entry(m.actuator_range, u, 0, trial)
+                high = entry(m.actuator_range, u, 1, trial)
+                if pull > low and pull < high:
+                    slope[d] += damped
+                force[d] += wp.clamp(pull, low, high)
+        return force, slope
+
+    return inertia_matrix, joint_forces

@@ -8,7 +8,7 @@ from typing import Any
 import warp as wp
 
 from sim_mjx.engines.fused import constraints, dynamics
-from sim_mjx.engines.fused.model import Model, Rows, Values, rotation, vector
+from sim_mjx.engines.fused.model import Model, Rows, Values, rotation, shapes, vector
 from sim_mjx.engines.fused.solver import newton
 
 ITERATIONS = 20  # of the solver at most
@@ -22,19 +22,18 @@ class Sizes:
     bodies: int
     joints: int
     pairs: int
-    actuators: int
     substeps: int
 
 
 @wp.func
 def wrenches(
     m: Model, trial: int, pos: dynamics.Vectors, rot: dynamics.Rotations, f: dynamics.Spatial, count: int,
-    pairs: constraints.Numbered, points: dynamics.Vectors, frames: wp.array(dtype=wp.mat33), push: dynamics.Vectors,
+    pairs: constraints.Numbered, points: dynamics.Vectors, normals: dynamics.Vectors, push: dynamics.Vectors,
     sensor: wp.array(dtype=int), out: wp.array2d(dtype=float),
 ):  # fmt: skip
     """Force and torque that each sensor's body gets from its parent, about the site, in its axes."""
     for c in range(count):
-        pushed = wp.transpose(frames[c]) * push[c]
+        pushed = wp.transpose(constraints.frame_of(normals[c])) * push[c]
         wrench = wp.spatial_vector(wp.cross(points[c], pushed), pushed)
         first = m.geom_bodyid[m.pair_geom[pairs[c], 0]]
         second = m.geom_bodyid[m.pair_geom[pairs[c], 1]]
@@ -73,11 +72,13 @@ def tip_places(m: Model, trial: int, pos: dynamics.Vectors, rot: dynamics.Rotati
 @lru_cache
 def period(size: Sizes) -> Any:
     """The kernel of scenes of one size."""
-    solve, implicit = newton(size.joints)
+    inertia_matrix, joint_forces = dynamics.joint_space(size.joints)
+    make_rows = constraints.contact_rows(size.joints)
+    (solve, implicit) = newton(size.joints)
+    column, _, wide = shapes(size.joints)
     bodies = size.bodies
     joints = size.joints
     pairs = max(size.pairs, 1)
-    actuators = max(size.actuators, 1)
     substeps = size.substeps
     iterations = ITERATIONS
     tolerance = TOLERANCE
@@ -86,16 +87,16 @@ def period(size: Sizes) -> Any:
     def run(
         numbers: wp.array(dtype=float),  # gravity, origin, time step, ratio of impedances
         body_parentid: wp.array(dtype=int), body_jntadr: wp.array(dtype=int), body_jntnum: wp.array(dtype=int),
-        body_lastdof: wp.array(dtype=int), body_pos: Rows, body_quat: Rows, body_ipos: Rows, body_mass: Values,
+        body_moves: wp.array(dtype=int), body_pos: Rows, body_quat: Rows, body_ipos: Rows, body_mass: Values,
         body_inertia: Rows, body_gravcomp: Values,
-        jnt_slides: wp.array(dtype=int), jnt_limited: wp.array(dtype=int), dof_parentid: wp.array(dtype=int),
+        jnt_slides: wp.array(dtype=int), jnt_limited: wp.array(dtype=int), dof_bodyid: wp.array(dtype=int),
         qpos0: Values, qpos_spring: Values, jnt_pos: Rows, jnt_axis: Rows, jnt_range: Rows, jnt_margin: Values,
         jnt_solref: Rows, jnt_solimp: Rows, jnt_stiffness: Values, dof_damping: Values, dof_armature: Values,
         dof_invweight0: Values,
         geom_bodyid: wp.array(dtype=int), geom_pos: Rows, geom_quat: Rows, geom_size: Rows,
         pair_geom: wp.array2d(dtype=int), pair_friction: Rows, pair_solref: Rows, pair_solimp: Rows,
         pair_margin: Values, pair_invweight: Values,
-        actuator_jnt: wp.array(dtype=int), actuator_gain: Values, actuator_bias: Rows, actuator_range: Rows,
+        jnt_actuator: wp.array(dtype=int), actuator_gain: Values, actuator_bias: Rows, actuator_range: Rows,
         site_body: wp.array(dtype=int), site_sensor: wp.array(dtype=int), site_pos: Rows, site_quat: Rows,
         tip_geom: wp.array2d(dtype=int),
         still: wp.array(dtype=int), before: wp.array2d(dtype=float), after: wp.array2d(dtype=float),
@@ -113,7 +114,7 @@ def period(size: Sizes) -> Any:
         m.body_parentid = body_parentid
         m.body_jntadr = body_jntadr
         m.body_jntnum = body_jntnum
-        m.body_lastdof = body_lastdof
+        m.body_moves = body_moves
         m.body_pos = body_pos
         m.body_quat = body_quat
         m.body_ipos = body_ipos
@@ -122,7 +123,7 @@ def period(size: Sizes) -> Any:
         m.body_gravcomp = body_gravcomp
         m.jnt_slides = jnt_slides
         m.jnt_limited = jnt_limited
-        m.dof_parentid = dof_parentid
+        m.dof_bodyid = dof_bodyid
         m.qpos0 = qpos0
         m.qpos_spring = qpos_spring
         m.jnt_pos = jnt_pos
@@ -145,7 +146,7 @@ def period(size: Sizes) -> Any:
         m.pair_solimp = pair_solimp
         m.pair_margin = pair_margin
         m.pair_invweight = pair_invweight
-        m.actuator_jnt = actuator_jnt
+        m.jnt_actuator = jnt_actuator
         m.actuator_gain = actuator_gain
         m.actuator_bias = actuator_bias
         m.actuator_range = actuator_range
@@ -167,16 +168,11 @@ def period(size: Sizes) -> Any:
         qvel = wp.zeros(shape=(joints,), dtype=float)
         qacc = wp.zeros(shape=(joints,), dtype=float)
         none = wp.zeros(shape=(joints,), dtype=float)
-        smooth = wp.zeros(shape=(joints,), dtype=float)
-        slope = wp.zeros(shape=(joints,), dtype=float)
-        bias = wp.zeros(shape=(joints,), dtype=float)
-        total = wp.zeros(shape=(joints,), dtype=float)
-        ctrl = wp.zeros(shape=(actuators,), dtype=float)
-        matrix = wp.zeros(shape=(joints, joints), dtype=float)
         touching = wp.zeros(shape=(pairs,), dtype=int)
         points = wp.zeros(shape=(pairs,), dtype=wp.vec3)
-        frames = wp.zeros(shape=(pairs,), dtype=wp.mat33)
-        rows = wp.zeros(shape=(pairs, 3, joints), dtype=float)
+        normals = wp.zeros(shape=(pairs,), dtype=wp.vec3)
+        depths = wp.zeros(shape=(pairs,), dtype=float)
+        rows = wp.zeros(shape=(pairs,), dtype=wide)
         wanted = wp.zeros(shape=(pairs,), dtype=wp.vec3)
         weights = wp.zeros(shape=(pairs,), dtype=wp.vec3)
         cones = wp.zeros(shape=(pairs,), dtype=wp.vec3)
@@ -197,33 +193,37 @@ def period(size: Sizes) -> Any:
             dynamics.place(m, trial, qpos, pos, rot, axes)
             tip_places(m, trial, pos, rot, places)
         for step in range(steps):
-            share = float(step + 1) / float(steps)
-            for u in range(actuator_jnt.shape[0]):
-                ctrl[u] = before[trial, u] + share * (after[trial, u] - before[trial, u])
             dynamics.place(m, trial, qpos, pos, rot, axes)
             if step == 0:
                 tip_places(m, trial, pos, rot, places)
             dynamics.inertias(m, trial, pos, rot, mass, first, second)
             dynamics.forces(m, axes, mass, first, second, qvel, none, v, a, f)
             dynamics.compensate(m, trial, mass, first, f)
-            dynamics.inertia_matrix(m, trial, axes, mass, first, second, f, matrix, bias)
-            for d in range(qpos.shape[0]):
-                smooth[d] = -bias[d]
-            dynamics.joint_forces(m, trial, qpos, qvel, ctrl, smooth, slope)
-            count = constraints.find_contacts(
-                m, trial, pos, rot, axes, qvel, touching, points, frames, rows, wanted, weights, cones
+            dynamics.sum_up(m, mass, first, second, f)
+            matrix = inertia_matrix(m, trial, axes, mass, first, second)
+            share = float(step + 1) / float(steps)
+            smooth, slope = joint_forces(m, trial, axes, f, qpos, qvel, before, after, share)
+            count = constraints.find_contacts(m, trial, pos, rot, touching, points, normals, depths)
+            make_rows(
+                m, trial, axes, qvel, count, touching, points, normals, depths, rows, wanted, weights, cones
             )
             constraints.find_limits(m, trial, qpos, qvel, limits, limit_weights)
-            solve(
-                matrix, smooth, count, rows, wanted, weights, cones, limits, limit_weights, iterations, tolerance,
-                qacc, total, push, missing, moved,
+            guess = column()
+            for d in range(joints):
+                guess[d] = qacc[d]
+            acc, total = solve(
+                matrix, smooth, guess, count, rows, wanted, weights, cones, limits, limit_weights, iterations,
+                tolerance, push, missing, moved,
             )  # fmt: skip
+            for d in range(joints):
+                qacc[d] = acc[d]
             if step == steps - 1:
                 dynamics.inertias(m, trial, pos, rot, mass, first, second)
                 dynamics.forces(m, axes, mass, first, second, qvel, qacc, v, a, f)
-                wrenches(m, trial, pos, rot, f, count, touching, points, frames, push, site_sensor, new_sensordata)
-            implicit(matrix, slope, m.timestep, total, qvel)
-            for d in range(qpos.shape[0]):
+                wrenches(m, trial, pos, rot, f, count, touching, points, normals, push, site_sensor, new_sensordata)
+            advanced = implicit(matrix, slope, m.timestep, total)
+            for d in range(joints):
+                qvel[d] += m.timestep * advanced[d]
                 qpos[d] += m.timestep * qvel[d]
         for d in range(qpos.shape[0]):
             new_qpos[trial, d] = qpos[d]

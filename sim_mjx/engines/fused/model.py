@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import warp as wp
 
 Values = wp.array2d(dtype=float)  # [item, trial], or [item, 1] where all trials share them
 Rows = wp.array3d(dtype=float)  # [item, component, trial], likewise
+
+
+@lru_cache
+def shapes(joints: int) -> tuple[Any, Any, Any]:
+    """Types of a vector over the joints, a square matrix, and a matrix of three rows."""
+    return (wp.types.vector(joints, float), wp.types.matrix((joints, joints), float),
+            wp.types.matrix((3, joints), float))  # fmt: skip
 
 
 @wp.struct
@@ -24,7 +34,7 @@ class Model:
     body_parentid: wp.array(dtype=int)
     body_jntadr: wp.array(dtype=int)
     body_jntnum: wp.array(dtype=int)
-    body_lastdof: wp.array(dtype=int)  # the last joint that moves the body, -1 = none
+    body_moves: wp.array(dtype=int)  # bit d is set if joint d moves the body
     body_pos: Rows
     body_quat: Rows
     body_ipos: Rows
@@ -34,7 +44,7 @@ class Model:
 
     jnt_slides: wp.array(dtype=int)  # 1 = a slide, 0 = a hinge
     jnt_limited: wp.array(dtype=int)
-    dof_parentid: wp.array(dtype=int)
+    dof_bodyid: wp.array(dtype=int)
     qpos0: Values
     qpos_spring: Values
     jnt_pos: Rows
@@ -60,7 +70,7 @@ class Model:
     pair_margin: Values  # less the gap
     pair_invweight: Values  # of the two bodies, translational, summed
 
-    actuator_jnt: wp.array(dtype=int)
+    jnt_actuator: wp.array(dtype=int)  # of each joint, -1 = none
     actuator_gain: Values  # force per control, times the gear
     actuator_bias: Rows  # force of a joint: constant, per position, per velocity
     actuator_range: Rows  # of the joint's force

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rcbht_jax.types import Array
 from sim_mjx.assembly.scene import Scene
 
-MOST_JOINTS = 32  # the kernel's matrices are unrolled
+MOST_JOINTS = 31  # bits of an integer; the kernel's matrices are unrolled
 # Fields of the model that trials may have of their own.
 NUMBERS = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_gravcomp", "qpos0",
@@ -51,6 +51,8 @@ def missing(model: mujoco.MjModel) -> str | None:
         return "flags, fluids or wind"
     if kinds - {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}:
         return "ball and free joints"
+    if len(set(model.actuator_trnid[:, 0].tolist())) < model.nu:
+        return "several actuators of one joint"
     if not 0 < model.njnt <= MOST_JOINTS:
         return f"{model.njnt} joints (1 to {MOST_JOINTS} work)"
     for name, what in ZERO.items():
@@ -80,22 +82,24 @@ class Structure:
 def structure(scene: Scene) -> Structure:
     """The structure of a scene."""
     model = scene.model
-    last = np.full(model.nbody, -1)
+    moves = np.zeros(model.nbody, np.uint32)
     for body in range(1, model.nbody):
-        own = model.body_dofnum[body]
-        last[body] = model.body_dofadr[body] + own - 1 if own else last[model.body_parentid[body]]
+        first = model.body_jntadr[body]
+        moves[body] = moves[model.body_parentid[body]] | sum(1 << (first + k) for k in range(model.body_jntnum[body]))
+    actuator = np.full(model.njnt, -1)
+    actuator[model.actuator_trnid[:, 0]] = np.arange(model.nu)
     sites = model.sensor_objid[np.searchsorted(model.sensor_adr, scene.forces)]
     numbered = {
         "body_parentid": model.body_parentid, "body_jntadr": model.body_jntadr, "body_jntnum": model.body_jntnum,
-        "body_lastdof": last, "jnt_slides": model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE,
-        "jnt_limited": model.jnt_limited, "dof_parentid": model.dof_parentid, "geom_bodyid": model.geom_bodyid,
-        "pair_geom": np.stack([model.pair_geom1, model.pair_geom2], 1), "actuator_jnt": model.actuator_trnid[:, 0],
+        "body_moves": moves, "jnt_slides": model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE,
+        "jnt_limited": model.jnt_limited, "dof_bodyid": model.dof_bodyid, "geom_bodyid": model.geom_bodyid,
+        "pair_geom": np.stack([model.pair_geom1, model.pair_geom2], 1), "jnt_actuator": actuator,
         "site_body": model.site_bodyid[sites], "site_sensor": scene.forces,
         "tip_geom": np.stack([scene.tips, scene.lips], 1),
     }  # fmt: skip
     numbers = np.concatenate([model.opt.gravity, _origin(model), [model.opt.timestep, model.opt.impratio]])
     shared = {name: getattr(model, name).astype(np.float32)[..., None] for name in NUMBERS}
-    integers = {name: np.ascontiguousarray(value, np.int32) for name, value in numbered.items()}
+    integers = {name: np.ascontiguousarray(value).astype(np.int32) for name, value in numbered.items()}
     return jax.device_put(Structure(integers, shared, numbers.astype(np.float32), np.asarray(sites, np.int32), model.actuator_forcelimited.astype(np.bool_)))
 
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import warp as wp
 
-from sim_mjx.engines.fused.constraints import Jacobians
-from sim_mjx.engines.fused.dynamics import Matrix, Numbers, Vectors
+from sim_mjx.engines.fused.constraints import Pairs
+from sim_mjx.engines.fused.dynamics import Vectors
+from sim_mjx.engines.fused.model import shapes
 
 SEARCHES = wp.constant(8)  # steps of a line search at most
 FLAT = wp.constant(0.01)  # of the initial slope: where a line search ends
-Pairs = wp.array(dtype=wp.vec2)
 
 
 @wp.func
@@ -59,8 +59,7 @@ def cone_slope(missing: wp.vec3, weight: wp.vec3, cone: wp.vec3) -> wp.mat33:
 @lru_cache
 def newton(n: int) -> Any:
     """The solver for ``n`` joints."""
-    column = wp.types.vector(n, float)
-    square = wp.types.matrix((n, n), float)
+    column, square, wide = shapes(n)
 
     @wp.func
     def factor(lower: square) -> square:
@@ -91,11 +90,11 @@ def newton(n: int) -> Any:
         return right
 
     @wp.func
-    def seen(rows: Jacobians, contact: int, motion: column) -> wp.vec3:
+    def seen(own: wide, motion: column) -> wp.vec3:
         """A joint motion in a contact's frame."""
         out = wp.vec3(0.0)
         for i in range(n):
-            out += wp.vec3(rows[contact, 0, i], rows[contact, 1, i], rows[contact, 2, i]) * motion[i]
+            out += wp.vec3(own[0, i], own[1, i], own[2, i]) * motion[i]
         return out
 
     @wp.func
@@ -146,87 +145,85 @@ def newton(n: int) -> Any:
         return at
 
     @wp.func
-    def solve(
-        matrix: Matrix, smooth: Numbers, count: int, rows: Jacobians, wanted: Vectors, weights: Vectors,
-        cones: Vectors, limits: Pairs, limit_weights: Pairs, iterations: int, tolerance: float, qacc: Numbers,
-        total: Numbers, push: Vectors, missing: Vectors, moved: Vectors,
-    ) -> int:  # fmt: skip
-        """Accelerations from the first guess in ``qacc``, all forces on the joints, those of contacts, iterations."""
-        acc = column()
-        inertia = square()
+    def add_curvature(hessian: square, own: wide, curved: wp.mat33) -> square:
+        """The lower half of a Hessian with that of one contact."""
         for i in range(n):
-            acc[i] = qacc[i]
+            bent = curved * wp.vec3(own[0, i], own[1, i], own[2, i])
             for j in range(i + 1):
-                inertia[i, j] = matrix[i, j]
-        done = int(0)
-        while True:
-            hessian = square()
-            gradient = column()
-            for i in range(n):
-                for j in range(i):
-                    hessian[i, j] = inertia[i, j]
-                    gradient[i] += inertia[i, j] * acc[j]
-                    gradient[j] += inertia[i, j] * acc[i]
-                hessian[i, i] = inertia[i, i]
-                gradient[i] += inertia[i, i] * acc[i]
-            flat = gradient  # inertia times acceleration
-            for i in range(n):
-                gradient[i] -= smooth[i]
-                low = acc[i] - limits[i][0]
-                high = -acc[i] - limits[i][1]
-                if low < 0.0:
-                    gradient[i] += limit_weights[i][0] * low
-                    hessian[i, i] += limit_weights[i][0]
-                if high < 0.0:
-                    gradient[i] -= limit_weights[i][1] * high
-                    hessian[i, i] += limit_weights[i][1]
-            for c in range(count):
-                missing[c] = seen(rows, c, acc) - wanted[c]
-                push[c] = cone_force(missing[c], weights[c], cones[c])
-                curved = cone_slope(missing[c], weights[c], cones[c])
-                if curved[0, 0] > 0.0:
-                    for i in range(n):
-                        row = wp.vec3(rows[c, 0, i], rows[c, 1, i], rows[c, 2, i])
-                        gradient[i] -= wp.dot(row, push[c])
-                        bent = curved * row
-                        for j in range(i + 1):
-                            hessian[i, j] += wp.dot(bent, wp.vec3(rows[c, 0, j], rows[c, 1, j], rows[c, 2, j]))
-            step = solved(factor(hessian), -gradient)
-            begin = wp.dot(gradient, step)
-            if done == iterations or -begin <= tolerance:
-                for i in range(n):
-                    qacc[i] = acc[i]
-                    total[i] = flat[i] - gradient[i]
-                break
-            bowed = float(0.0)
-            for i in range(n):
-                bowed += inertia[i, i] * step[i] * step[i]
-                for j in range(i):
-                    bowed += 2.0 * inertia[i, j] * step[i] * step[j]
-            flown = float(0.0)
-            for i in range(n):
-                flown += (flat[i] - smooth[i]) * step[i]
-            for c in range(count):
-                moved[c] = seen(rows, c, step)
-            at = line_search(
-                begin, wp.vec2(flown, bowed), count, missing, moved, weights, cones, limits, limit_weights, acc, step
-            )
-            acc = acc + at * step
-            done += 1
-        return done
+                hessian[i, j] += bent[0] * own[0, j] + bent[1] * own[1, j] + bent[2] * own[2, j]
+        return hessian
 
     @wp.func
-    def implicit(matrix: Matrix, slope: Numbers, timestep: float, total: Numbers, qvel: Numbers):
-        """Advance velocities over a step in which forces that depend on them are those at its end."""
-        lower = square()
-        right = column()
+    def times(matrix: square, motion: column) -> column:
+        """A symmetric matrix, by its lower half, times a vector."""
+        out = column()
         for i in range(n):
-            right[i] = total[i]
-            for j in range(i + 1):
-                lower[i, j] = matrix[i, j]
-            lower[i, i] = lower[i, i] - timestep * slope[i]
-        right = solved(factor(lower), right)
+            out[i] += matrix[i, i] * motion[i]
+            for j in range(i):
+                out[i] += matrix[i, j] * motion[j]
+                out[j] += matrix[i, j] * motion[i]
+        return out
+
+    @wp.func
+    def solve(
+        matrix: square, smooth: column, first: column, count: int, rows: wp.array(dtype=wide), wanted: Vectors,
+        weights: Vectors, cones: Vectors, limits: Pairs, limit_weights: Pairs, iterations: int, tolerance: float,
+        push: Vectors, missing: Vectors, moved: Vectors,
+    ) -> tuple[column, column]:  # fmt: skip
+        """Accelerations, from a first guess, and all forces on the joints; fills in those of contacts, ``push``."""
+        acc = column()
+        total = column()
         for i in range(n):
-            qvel[i] = qvel[i] + timestep * right[i]
+            acc[i] = first[i]
+        done = int(0)
+        while True:
+            flat = times(matrix, acc) - smooth
+            gradient = column()
+            for i in range(n):
+                low = wp.min(acc[i] - limits[i][0], 0.0)
+                high = wp.min(-acc[i] - limits[i][1], 0.0)
+                gradient[i] = flat[i] + limit_weights[i][0] * low - limit_weights[i][1] * high
+            for c in range(count):
+                own = rows[c]
+                missing[c] = seen(own, acc) - wanted[c]
+                push[c] = cone_force(missing[c], weights[c], cones[c])
+                for i in range(n):
+                    gradient[i] -= wp.dot(wp.vec3(own[0, i], own[1, i], own[2, i]), push[c])
+            rough = float(0.0)
+            for i in range(n):
+                rough += gradient[i] * gradient[i] / matrix[i, i]
+            if done == iterations or rough <= tolerance:
+                total = flat - gradient + smooth
+                break
+            hessian = square()
+            for i in range(n):
+                for j in range(i + 1):
+                    hessian[i, j] = matrix[i, j]
+                if acc[i] < limits[i][0]:
+                    hessian[i, i] += limit_weights[i][0]
+                if -acc[i] < limits[i][1]:
+                    hessian[i, i] += limit_weights[i][1]
+            for c in range(count):
+                curved = cone_slope(missing[c], weights[c], cones[c])
+                if curved[0, 0] > 0.0:
+                    hessian = add_curvature(hessian, rows[c], curved)
+            step = solved(factor(hessian), -gradient)
+            for c in range(count):
+                moved[c] = seen(rows[c], step)
+            quadratic = wp.vec2(wp.dot(flat, step), wp.dot(step, times(matrix, step)))
+            at = line_search(
+                wp.dot(gradient, step), quadratic, count, missing, moved, weights, cones, limits, limit_weights, acc,
+                step,
+            )  # fmt: skip
+            acc = acc + at * step
+            done += 1
+        return acc, total
+
+    @wp.func
+    def implicit(matrix: square, slope: column, timestep: float, total: column) -> column:
+        """Accelerations over a step in which forces that depend on velocities are those at its end."""
+        for i in range(n):
+            matrix[i, i] = matrix[i, i] - timestep * slope[i]
+        return solved(factor(matrix), total)
 
     return solve, implicit

@@ -43,7 +43,7 @@ def advance(
     numbered = structure.numbered
     tabs = len(numbered["tip_geom"])
     size = Sizes(
-        len(numbered["body_parentid"]), joints, len(numbered["pair_geom"]), len(numbered["actuator_jnt"]), substeps
+        len(numbered["body_parentid"]), joints, len(numbered["pair_geom"]), substeps
     )
     call, names = _call(size)
     given = numbered | numbers | {"numbers": structure.numbers}
