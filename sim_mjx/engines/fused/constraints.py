@@ -9,7 +9,17 @@ from typing import Any
 import warp as wp
 
 from sim_mjx.engines.fused.dynamics import Numbers, Rotations, Spatial, Vectors
-from sim_mjx.engines.fused.model import Model, Rows, entry, rotation, shapes, value, vector
+from sim_mjx.engines.fused.model import (
+    Model,
+    Rows,
+    entry,
+    inverse_root,
+    reciprocal,
+    rotation,
+    shapes,
+    value,
+    vector,
+)
 
 Pairs = wp.array(dtype=wp.vec2)
 Numbered = wp.array(dtype=int)
@@ -29,14 +39,14 @@ def impedance(solimp: Rows, item: int, trial: int, depth: float) -> float:
     power = wp.max(entry(solimp, item, 4, trial), 1.0)
     if low == high or width <= LEAST:
         return 0.5 * (low + high)
-    x = wp.abs(depth) / width
+    x = wp.abs(depth) * reciprocal(width)
     if x >= 1.0:
         return high
     y = x
     if power == 2.0:  # the default, without two calls of a power function
-        y = x * x / middle
+        y = x * x * reciprocal(middle)
         if x > middle:
-            y = 1.0 - (1.0 - x) * (1.0 - x) / (1.0 - middle)
+            y = 1.0 - (1.0 - x) * (1.0 - x) * reciprocal(1.0 - middle)
     elif power > 1.0:
         if x <= middle:
             y = wp.pow(x, power) / wp.pow(middle, power - 1.0)
@@ -52,10 +62,10 @@ def reference(m: Model, solref: Rows, solimp: Rows, item: int, trial: int) -> wp
     first = entry(solref, item, 0, trial)
     second = entry(solref, item, 1, trial)
     if first <= 0.0:
-        return wp.vec2(-first / (high * high), -second / high)
+        return wp.vec2(-first * reciprocal(high * high), -second * reciprocal(high))
     time = wp.max(first, 2.0 * m.timestep)
     root = high * time * second
-    return wp.vec2(1.0 / wp.max(root * root, LEAST), 2.0 / (high * time))
+    return wp.vec2(reciprocal(wp.max(root * root, LEAST)), 2.0 * reciprocal(high * time))
 
 
 @wp.func
@@ -67,9 +77,10 @@ def sphere_on_box(centre: wp.vec3, radius: float, half: wp.vec3) -> wp.vec4:
         wp.clamp(centre[2], -half[2], half[2]),
     )
     out = nearest - centre
-    away = wp.length(out)
-    if away > 0.0:
-        return wp.vec4(out[0] / away, out[1] / away, out[2] / away, away - radius)
+    square = wp.dot(out, out)
+    if square > 0.0:
+        scale = inverse_root(square)
+        return wp.vec4(scale * out[0], scale * out[1], scale * out[2], scale * square - radius)
     depth = half - wp.abs(centre)  # the centre is inside: it leaves through the nearest face
     x = float(0.0)
     y = float(0.0)
@@ -90,7 +101,8 @@ def frame_of(normal: wp.vec3) -> wp.mat33:
     side = wp.vec3(0.0, 1.0, 0.0)
     if normal[1] >= 0.5 or normal[1] <= -0.5:
         side = wp.vec3(0.0, 0.0, 1.0)
-    along = wp.normalize(side - wp.dot(normal, side) * normal)
+    along = side - wp.dot(normal, side) * normal
+    along = along * inverse_root(wp.dot(along, along))
     return wp.matrix_from_rows(normal, along, wp.cross(normal, along))
 
 
@@ -101,8 +113,8 @@ def limit(m: Model, trial: int, d: int, depth: float, speed: float) -> wp.vec2:
         return wp.vec2(0.0)
     spring = reference(m, m.jnt_solref, m.jnt_solimp, d, trial)
     strength = impedance(m.jnt_solimp, d, trial, depth)
-    soft = wp.max((1.0 - strength) * value(m.dof_invweight0, d, trial) / strength, LEAST)
-    return wp.vec2(-spring[1] * speed - spring[0] * strength * depth, 1.0 / soft)
+    soft = wp.max((1.0 - strength) * value(m.dof_invweight0, d, trial) * reciprocal(strength), LEAST)
+    return wp.vec2(-spring[1] * speed - spring[0] * strength * depth, reciprocal(soft))
 
 
 @wp.func
@@ -129,22 +141,35 @@ def find_contacts(
 ) -> int:  # fmt: skip
     """Fill in the contacts that there are, and count them: their pairs, places, normals and depths, negative."""
     count = int(0)
+    last_ball = int(-1)
+    last_body = int(-1)
+    centre = wp.vec3(0.0)
+    seen = wp.vec3(0.0)
     for p in range(m.pair_geom.shape[0]):
-        ball, box = m.pair_geom[p, 0], m.pair_geom[p, 1]
-        first, second = m.geom_bodyid[ball], m.geom_bodyid[box]
-        centre = pos[first] + wp.quat_rotate(rot[first], vector(m.geom_pos, ball, trial))
-        at = pos[second] + wp.quat_rotate(rot[second], vector(m.geom_pos, box, trial))
-        turn = rot[second] * rotation(m.geom_quat, box, trial)
-        radius, half = entry(m.geom_size, ball, 0, trial), vector(m.geom_size, box, trial)
-        touch = sphere_on_box(wp.quat_rotate_inv(turn, centre - at), radius, half)
-        depth = touch[3] - value(m.pair_margin, p, trial)
-        if depth < 0.0:
-            normal = wp.quat_rotate(turn, wp.vec3(touch[0], touch[1], touch[2]))
-            pairs[count] = p
-            points[count] = centre + normal * (radius + 0.5 * touch[3])
-            normals[count] = normal
-            depths[count] = depth
-            count += 1
+        ball = m.pair_geom[p, 0]
+        box = m.pair_geom[p, 1]
+        first = m.geom_bodyid[ball]
+        second = m.geom_bodyid[box]
+        if ball != last_ball or second != last_body:
+            centre = pos[first] + wp.quat_rotate(rot[first], vector(m.geom_pos, ball, trial))
+            seen = wp.quat_rotate_inv(rot[second], centre - pos[second])
+            last_ball = ball
+            last_body = second
+        turn = rotation(m.geom_quat, box, trial)
+        local = wp.quat_rotate_inv(turn, seen - vector(m.geom_pos, box, trial))
+        radius = entry(m.geom_size, ball, 0, trial)
+        half = vector(m.geom_size, box, trial)
+        margin = value(m.pair_margin, p, trial)
+        if wp.max(wp.abs(local) - half) < radius + margin:  # else they are apart along one of the box's axes
+            touch = sphere_on_box(local, radius, half)
+            depth = touch[3] - margin
+            if depth < 0.0:
+                normal = wp.quat_rotate(rot[second], wp.quat_rotate(turn, wp.vec3(touch[0], touch[1], touch[2])))
+                pairs[count] = p
+                points[count] = centre + normal * (radius + 0.5 * touch[3])
+                normals[count] = normal
+                depths[count] = depth
+                count += 1
     return count
 
 
@@ -179,8 +204,10 @@ def contact_rows(n: int) -> Any:
         regularisers, ``cones`` the regularised and the two tangents' coefficients of friction.
         """
         for c in range(count):
-            p, depth = pairs[c], depths[c]
-            first, second = m.geom_bodyid[m.pair_geom[p, 0]], m.geom_bodyid[m.pair_geom[p, 1]]
+            p = pairs[c]
+            depth = depths[c]
+            first = m.geom_bodyid[m.pair_geom[p, 0]]
+            second = m.geom_bodyid[m.pair_geom[p, 1]]
             own = jacobian(m, first, second, points[c], frame_of(normals[c]), axes)
             rows[c] = own
             speed = wp.vec3(0.0)
@@ -188,11 +215,13 @@ def contact_rows(n: int) -> Any:
                 speed += wp.vec3(own[0, d], own[1, d], own[2, d]) * qvel[d]
             spring = reference(m, m.pair_solref, m.pair_solimp, p, trial)
             strength = impedance(m.pair_solimp, p, trial, depth)
-            soft = wp.max((1.0 - strength) * value(m.pair_invweight, p, trial) / strength, LEAST)
-            one, two = entry(m.pair_friction, p, 0, trial), entry(m.pair_friction, p, 1, trial)
-            across = soft / m.impratio
+            soft = wp.max((1.0 - strength) * value(m.pair_invweight, p, trial) * reciprocal(strength), LEAST)
+            one = entry(m.pair_friction, p, 0, trial)
+            two = entry(m.pair_friction, p, 1, trial)
+            hard = reciprocal(soft)
+            ratio = two * reciprocal(one)
             wanted[c] = -spring[1] * speed - wp.vec3(spring[0] * strength * depth, 0.0, 0.0)
-            weights[c] = wp.vec3(1.0 / soft, 1.0 / across, two * two / (across * one * one))
-            cones[c] = wp.vec3(one / wp.sqrt(m.impratio), one, two)
+            weights[c] = hard * wp.vec3(1.0, m.impratio, m.impratio * ratio * ratio)
+            cones[c] = wp.vec3(one * inverse_root(m.impratio), one, two)
 
     return make_rows

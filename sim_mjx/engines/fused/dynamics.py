@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from sim_mjx.engines.fused.model import Model, entry, rotation, shapes, value, vector
+from sim_mjx.engines.fused.model import Model, entry, inverse_root, rotation, shapes, value, vector
 
 Vectors = wp.array(dtype=wp.vec3)
 Rotations = wp.array(dtype=wp.quat)
@@ -46,78 +46,69 @@ def momentum(mass: float, first: wp.vec3, second: wp.mat33, v: wp.spatial_vector
 
 
 @wp.func
-def place(m: Model, trial: int, qpos: Numbers, pos: Vectors, rot: Rotations, axes: Spatial):
-    """Places and rotations of all bodies, and the motion that a unit of each joint's velocity is."""
+def inertia(
+    m: Model, trial: int, b: int, pos: wp.vec3, rot: wp.quat
+) -> tuple[float, wp.vec3, wp.mat33]:  # fmt: skip
+    """Mass, mass times place, and inertia about the origin of a body."""
+    k = wp.min(trial, m.body_inertia.shape[2] - 1)
+    own = wp.mat33(
+        m.body_inertia[b, 0, k], m.body_inertia[b, 3, k], m.body_inertia[b, 4, k],
+        m.body_inertia[b, 3, k], m.body_inertia[b, 1, k], m.body_inertia[b, 5, k],
+        m.body_inertia[b, 4, k], m.body_inertia[b, 5, k], m.body_inertia[b, 2, k],
+    )  # fmt: skip
+    turn = wp.quat_to_matrix(rot)
+    mass = value(m.body_mass, b, trial)
+    centre = pos + turn * vector(m.body_ipos, b, trial)
+    shift = wp.dot(centre, centre) * wp.identity(n=3, dtype=float) - wp.outer(centre, centre)
+    return mass, mass * centre, turn * own * wp.transpose(turn) + mass * shift
+
+
+@wp.func
+def move(
+    m: Model, trial: int, qpos: Numbers, qvel: Numbers, qacc: Numbers, pos: Vectors, rot: Rotations, axes: Spatial,
+    mass: Numbers, first: Vectors, second: wp.array(dtype=wp.mat33), v: Spatial, a: Spatial, f: Spatial,
+):  # fmt: skip
+    """Everything from the base to the hands.
+
+    Places and rotations of all bodies, the motion that a unit of each joint's velocity is, inertias, velocities,
+    accelerations, and the force that moves each body so against gravity.
+    """
     pos[0] = -m.origin
     rot[0] = wp.quat_identity()
-    for b in range(1, m.body_parentid.shape[0]):
-        parent = m.body_parentid[b]
-        at = pos[parent] + wp.quat_rotate(rot[parent], vector(m.body_pos, b, trial))
-        turn = rot[parent] * rotation(m.body_quat, b, trial)
-        for d in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
-            moved = qpos[d] - value(m.qpos0, d, trial)
-            own = vector(m.jnt_axis, d, trial)
-            axis = wp.quat_rotate(turn, own)
-            if m.jnt_slides[d] == 1:
-                at = at + axis * moved
-                axes[d] = wp.spatial_vector(wp.vec3(0.0), axis)
-            else:
-                anchor = at + wp.quat_rotate(turn, vector(m.jnt_pos, d, trial))
-                turn = turn * wp.quat_from_axis_angle(own, moved)
-                at = anchor - wp.quat_rotate(turn, vector(m.jnt_pos, d, trial))
-                axes[d] = wp.spatial_vector(axis, wp.cross(anchor, axis))
-        pos[b] = at
-        rot[b] = wp.normalize(turn)
-
-
-@wp.func
-def inertias(
-    m: Model, trial: int, pos: Vectors, rot: Rotations, mass: Numbers, first: Vectors, second: wp.array(dtype=wp.mat33)
-):
-    """Mass, mass times place, and inertia about the origin of each body."""
-    for b in range(m.body_parentid.shape[0]):
-        k = wp.min(trial, m.body_inertia.shape[2] - 1)
-        own = wp.mat33(
-            m.body_inertia[b, 0, k], m.body_inertia[b, 3, k], m.body_inertia[b, 4, k],
-            m.body_inertia[b, 3, k], m.body_inertia[b, 1, k], m.body_inertia[b, 5, k],
-            m.body_inertia[b, 4, k], m.body_inertia[b, 5, k], m.body_inertia[b, 2, k],
-        )  # fmt: skip
-        turn = wp.quat_to_matrix(rot[b])
-        centre = pos[b] + turn * vector(m.body_ipos, b, trial)
-        mass[b] = value(m.body_mass, b, trial)
-        first[b] = mass[b] * centre
-        shift = wp.dot(centre, centre) * wp.identity(n=3, dtype=float) - wp.outer(centre, centre)
-        second[b] = turn * own * wp.transpose(turn) + mass[b] * shift
-
-
-@wp.func
-def forces(
-    m: Model,
-    axes: Spatial,
-    mass: Numbers,
-    first: Vectors,
-    second: wp.array(dtype=wp.mat33),
-    qvel: Numbers,
-    qacc: Numbers,
-    v: Spatial,
-    a: Spatial,
-    f: Spatial,
-):
-    """Velocity and acceleration of each body, and the force that moves it so against gravity."""
     v[0] = wp.spatial_vector()
     a[0] = wp.spatial_vector(wp.vec3(0.0), -m.gravity)
     f[0] = wp.spatial_vector()
     for b in range(1, m.body_parentid.shape[0]):
-        vel = v[m.body_parentid[b]]
-        acc = a[m.body_parentid[b]]
+        parent = m.body_parentid[b]
+        at = pos[parent] + wp.quat_rotate(rot[parent], vector(m.body_pos, b, trial))
+        turn = rot[parent] * rotation(m.body_quat, b, trial)
+        vel = v[parent]
+        acc = a[parent]
         for d in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
-            acc = acc + axes[d] * qacc[d] + cross_motion(vel, axes[d]) * qvel[d]
-            vel = vel + axes[d] * qvel[d]
+            moved = qpos[d] - value(m.qpos0, d, trial)
+            own = vector(m.jnt_axis, d, trial)
+            axis = wp.quat_rotate(turn, own)
+            motion = wp.spatial_vector(wp.vec3(0.0), axis)
+            if m.jnt_slides[d] == 1:
+                at = at + axis * moved
+            else:
+                anchor = at + wp.quat_rotate(turn, vector(m.jnt_pos, d, trial))
+                turn = turn * wp.quat_from_axis_angle(own, moved)
+                at = anchor - wp.quat_rotate(turn, vector(m.jnt_pos, d, trial))
+                motion = wp.spatial_vector(axis, wp.cross(anchor, axis))
+            acc = acc + motion * qacc[d] + cross_motion(vel, motion) * qvel[d]
+            vel = vel + motion * qvel[d]
+            axes[d] = motion
+        turn = turn * inverse_root(wp.dot(turn, turn))
+        weight, one, two = inertia(m, trial, b, at, turn)
+        pos[b] = at
+        rot[b] = turn
         v[b] = vel
         a[b] = acc
-        f[b] = momentum(mass[b], first[b], second[b], acc) + cross_force(
-            vel, momentum(mass[b], first[b], second[b], vel)
-        )
+        mass[b] = weight
+        first[b] = one
+        second[b] = two
+        f[b] = momentum(weight, one, two, acc) + cross_force(vel, momentum(weight, one, two, vel))
 
 
 @wp.func

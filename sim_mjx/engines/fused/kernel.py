@@ -188,20 +188,16 @@ def period(size: Sizes) -> Any:
             qacc[d] = old_qacc[trial, d]
         for i in range(old_sensordata.shape[1]):
             new_sensordata[trial, i] = old_sensordata[trial, i]
-        steps = substeps * (1 - still[trial])
-        if steps == 0:
-            dynamics.place(m, trial, qpos, pos, rot, axes)
-            tip_places(m, trial, pos, rot, places)
-        for step in range(steps):
-            dynamics.place(m, trial, qpos, pos, rot, axes)
+        for step in range(substeps):
+            dynamics.move(m, trial, qpos, qvel, none, pos, rot, axes, mass, first, second, v, a, f)
             if step == 0:
                 tip_places(m, trial, pos, rot, places)
-            dynamics.inertias(m, trial, pos, rot, mass, first, second)
-            dynamics.forces(m, axes, mass, first, second, qvel, none, v, a, f)
+            if still[trial] == 1:
+                break
             dynamics.compensate(m, trial, mass, first, f)
             dynamics.sum_up(m, mass, first, second, f)
             matrix = inertia_matrix(m, trial, axes, mass, first, second)
-            share = float(step + 1) / float(steps)
+            share = float(step + 1) / float(substeps)
             smooth, slope = joint_forces(m, trial, axes, f, qpos, qvel, before, after, share)
             count = constraints.find_contacts(m, trial, pos, rot, touching, points, normals, depths)
             make_rows(
@@ -217,9 +213,8 @@ def period(size: Sizes) -> Any:
             )  # fmt: skip
             for d in range(joints):
                 qacc[d] = acc[d]
-            if step == steps - 1:
-                dynamics.inertias(m, trial, pos, rot, mass, first, second)
-                dynamics.forces(m, axes, mass, first, second, qvel, qacc, v, a, f)
+            if step == substeps - 1:
+                dynamics.move(m, trial, qpos, qvel, qacc, pos, rot, axes, mass, first, second, v, a, f)
                 wrenches(m, trial, pos, rot, f, count, touching, points, normals, push, site_sensor, new_sensordata)
             advanced = implicit(matrix, slope, m.timestep, total)
             for d in range(joints):

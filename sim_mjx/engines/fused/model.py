@@ -82,6 +82,30 @@ class Model:
     tip_geom: wp.array2d(dtype=int)  # [tab, 2]: tip, lip
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __fdividef(1.0f, x);
+#else
+    return 1.0f / x;
+#endif
+""")
+def reciprocal(x: float) -> float:
+    """1 / x, to two units in the last place: an exact division calls a subroutine, for which registers are saved."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return rsqrtf(x);
+#else
+    return 1.0f / ::sqrtf(x);
+#endif
+""")
+def inverse_root(x: float) -> float:
+    """1 / sqrt(x), likewise."""
+    ...
+
+
 @wp.func
 def value(of: Values, item: int, trial: int) -> float:
     """A number of a trial."""

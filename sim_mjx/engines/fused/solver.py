@@ -11,49 +11,55 @@ import warp as wp
 
 from sim_mjx.engines.fused.constraints import Pairs
 from sim_mjx.engines.fused.dynamics import Vectors
-from sim_mjx.engines.fused.model import shapes
+from sim_mjx.engines.fused.model import inverse_root, reciprocal, shapes
 
 SEARCHES = wp.constant(8)  # steps of a line search at most
+SMALLEST = wp.constant(1e-30)
 FLAT = wp.constant(0.01)  # of the initial slope: where a line search ends
 
 
 @wp.func
 def cone_force(missing: wp.vec3, weight: wp.vec3, cone: wp.vec3) -> wp.vec3:
     """The force of a contact whose rows miss their reference accelerations by so much."""
+    mu = cone[0]
     normal = missing[0] * cone[0]
     one = missing[1] * cone[1]
     two = missing[2] * cone[2]
-    across = wp.sqrt(one * one + two * two)
-    if normal >= cone[0] * across:
+    square = one * one + two * two
+    inverse = inverse_root(wp.max(square, SMALLEST))
+    across = square * inverse
+    if normal >= mu * across:
         return wp.vec3(0.0)
-    if cone[0] * normal + across <= 0.0:
+    if mu * normal + across <= 0.0:
         return -wp.cw_mul(weight, missing)
-    push = weight[0] * (cone[0] * across - normal) / (cone[0] * (1.0 + cone[0] * cone[0]))
-    return push * wp.vec3(1.0, -one * cone[1] / across, -two * cone[2] / across)
+    push = weight[0] * (mu * across - normal) * reciprocal(mu * (1.0 + mu * mu))
+    return push * wp.vec3(1.0, -one * inverse * cone[1], -two * inverse * cone[2])
 
 
 @wp.func
 def cone_slope(missing: wp.vec3, weight: wp.vec3, cone: wp.vec3) -> wp.mat33:
     """By how much the force falls per missing acceleration: the second derivative of the contact's cost."""
+    mu = cone[0]
     normal = missing[0] * cone[0]
     one = missing[1] * cone[1]
     two = missing[2] * cone[2]
-    across = wp.sqrt(one * one + two * two)
-    if normal >= cone[0] * across:
+    square = one * one + two * two
+    inverse = inverse_root(wp.max(square, SMALLEST))
+    across = square * inverse
+    if normal >= mu * across:
         return wp.mat33(0.0)
-    if cone[0] * normal + across <= 0.0:
+    if mu * normal + across <= 0.0:
         return wp.diag(weight)
-    mu = cone[0]
-    scale = weight[0] / (mu * mu * (1.0 + mu * mu))
-    bend = mu * (mu * across - normal) / across  # of the two tangents' part
-    x = one / across
-    y = two / across
-    a = mu * cone[1] * x
-    b = mu * cone[2] * y
+    scale = weight[0] * reciprocal(mu * mu * (1.0 + mu * mu))
+    bend = mu * (mu * across - normal) * inverse  # of the two tangents' part
+    x = one * inverse
+    y = two * inverse
+    a = mu * mu * cone[1] * x
+    b = mu * mu * cone[2] * y
     xx = cone[1] * cone[1] * (mu * mu * x * x + bend * y * y)
     yy = cone[2] * cone[2] * (mu * mu * y * y + bend * x * x)
     xy = cone[1] * cone[2] * x * y * (mu * mu - bend)
-    return scale * wp.mat33(mu * mu, -mu * a, -mu * b, -mu * a, xx, xy, -mu * b, xy, yy)
+    return scale * wp.mat33(mu * mu, -a, -b, -a, xx, xy, -b, xy, yy)
 
 
 @lru_cache
@@ -70,7 +76,7 @@ def newton(n: int) -> Any:
                 for k in range(j):
                     rest -= lower[i, k] * lower[j, k]
                 if i == j:
-                    lower[j, j] = 1.0 / wp.sqrt(rest)
+                    lower[j, j] = inverse_root(rest)
                 else:
                     lower[i, j] = rest * lower[j, j]
         return lower
@@ -139,7 +145,7 @@ def newton(n: int) -> Any:
                 low = at
             else:
                 high = at
-            at = at - slope[0] / slope[1]
+            at = at - slope[0] * reciprocal(slope[1])
             if at <= low or at >= high:
                 at = 0.5 * (low + wp.min(high, 2.0 * low + 1.0))
         return at
@@ -176,37 +182,45 @@ def newton(n: int) -> Any:
         for i in range(n):
             acc[i] = first[i]
         done = int(0)
+        curved = bool(True)  # whether this pass makes the Hessian, too: the second one almost always ends the search
         while True:
             flat = times(matrix, acc) - smooth
             gradient = column()
+            hessian = square()
             for i in range(n):
                 low = wp.min(acc[i] - limits[i][0], 0.0)
                 high = wp.min(-acc[i] - limits[i][1], 0.0)
                 gradient[i] = flat[i] + limit_weights[i][0] * low - limit_weights[i][1] * high
+                if curved:
+                    for j in range(i + 1):
+                        hessian[i, j] = matrix[i, j]
+                    if low < 0.0:
+                        hessian[i, i] += limit_weights[i][0]
+                    if high < 0.0:
+                        hessian[i, i] += limit_weights[i][1]
             for c in range(count):
                 own = rows[c]
-                missing[c] = seen(own, acc) - wanted[c]
-                push[c] = cone_force(missing[c], weights[c], cones[c])
+                weight = weights[c]
+                cone = cones[c]
+                there = seen(own, acc) - wanted[c]
+                force = cone_force(there, weight, cone)
                 for i in range(n):
-                    gradient[i] -= wp.dot(wp.vec3(own[0, i], own[1, i], own[2, i]), push[c])
-            rough = float(0.0)
+                    gradient[i] -= wp.dot(wp.vec3(own[0, i], own[1, i], own[2, i]), force)
+                missing[c] = there
+                push[c] = force
+                if curved:
+                    bend = cone_slope(there, weight, cone)
+                    if bend[0, 0] > 0.0:
+                        hessian = add_curvature(hessian, own, bend)
+            level = bool(True)
             for i in range(n):
-                rough += gradient[i] * gradient[i] / matrix[i, i]
-            if done == iterations or rough <= tolerance:
+                level = level and gradient[i] * gradient[i] <= tolerance * matrix[i, i]
+            if done == iterations or level:
                 total = flat - gradient + smooth
                 break
-            hessian = square()
-            for i in range(n):
-                for j in range(i + 1):
-                    hessian[i, j] = matrix[i, j]
-                if acc[i] < limits[i][0]:
-                    hessian[i, i] += limit_weights[i][0]
-                if -acc[i] < limits[i][1]:
-                    hessian[i, i] += limit_weights[i][1]
-            for c in range(count):
-                curved = cone_slope(missing[c], weights[c], cones[c])
-                if curved[0, 0] > 0.0:
-                    hessian = add_curvature(hessian, rows[c], curved)
+            if not curved:
+                curved = True
+                continue
             step = solved(factor(hessian), -gradient)
             for c in range(count):
                 moved[c] = seen(rows[c], step)
@@ -216,6 +230,7 @@ def newton(n: int) -> Any:
                 step,
             )  # fmt: skip
             acc = acc + at * step
+            curved = False
             done += 1
         return acc, total
 
