@@ -45,7 +45,7 @@ class Fidelity(Command):
     """Folder of the recorded trials, to compare positions of the arm with."""
     session: tuple[Session, ...] = ("hooked-A", "hooked-B", "hooked-C", "rigid-openhrp")
     """Sessions to measure; a prefix such as hooked names the parts."""
-    engines: Annotated[tuple[Literal["mjx", "warp"], ...], unset()] = ()
+    engines: Annotated[tuple[Literal["mjx", "warp", "fused"], ...], unset()] = ()
     """Engines to compare with the native one; slow without a GPU."""
     trials: int = 64
     """Randomised trials to compare solver and engines on, shared among the sessions."""

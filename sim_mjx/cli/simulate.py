@@ -43,7 +43,7 @@ class Simulate(Command):
 
     Example: rcbht simulate pegs.zarr --assembly peg-in-hole --robot panda --trials 100
 
-    Example: rcbht simulate trials.zarr --trials 100000 --engine warp --devices all
+    Example: rcbht simulate trials.zarr --trials 100000 --engine fused --devices all
 
     Example: rcbht simulate trials.zarr --status
     """
@@ -78,13 +78,13 @@ class Simulate(Command):
             "",
         ),
     ] = None
-    engine: Literal["native", "mjx", "warp"] = "native"
-    """Physics engine: MuJoCo on all cores; MJX, or MJX with Warp, for GPUs."""
+    engine: Literal["native", "mjx", "warp", "fused"] = "native"
+    """Physics engine: MuJoCo on all cores; for GPUs MJX, MJX with Warp, or one kernel per trial, the fastest."""
     lanes: Annotated[
         int | None,
         option(
             "Trials that a GPU steps at once; default and maximum: its share of all trials, but at most 8192 with "
-            "mjx, 32768 with warp, and one per 2 MB of its memory.",
+            "mjx, 32768 with warp and fused, and one per 2 MB of its memory.",
             "",
         ),
     ] = None
@@ -127,7 +127,7 @@ class Simulate(Command):
         if self.status:
             return status(self.out)
         if self.lanes is not None and self.engine == "native":
-            raise InputError("--lanes is for --engine mjx or warp; leave it out, or use one of them.")
+            raise InputError("--lanes is for --engine mjx, warp or fused; leave it out, or use one of them.")
         name, spec = self._chosen()
         encode = self._encode_afterwards()
         command = self if encode is None else replace(self, window=None)

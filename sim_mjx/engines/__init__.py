@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 require("mujoco", "sim")
 
 ENGINES = ("native", "mjx", "warp", "fused")
-IMPLEMENTATIONS = {"mjx": "jax", "warp": "warp", "fused": "fused"}  # of the device engines
+IMPLEMENTATIONS = {"mjx": "jax", "warp": "warp"}  # of MJX
+ON_DEVICE = {**IMPLEMENTATIONS, "fused": "fused"}  # engines whose rollouts stay on the device
 
 
 def simulate(
@@ -28,8 +29,8 @@ def simulate(
     Args:
         scene: what is simulated.
         params: batch of trials of the scene's program.
-        engine: one of ``ENGINES``: C MuJoCo; MJX with JAX's kernels; MJX with Warp's, the fastest on an NVIDIA GPU.
-            An engine is imported when it is first used.
+        engine: one of ``ENGINES``: C MuJoCo; MJX with JAX's kernels; MJX with Warp's; or our own kernel, the fastest
+            on an NVIDIA GPU. An engine is imported when it is first used.
         progress: called with the number of control periods done since the last call, summed over trials.
 
     Raises:
@@ -38,7 +39,7 @@ def simulate(
     check(engine)
     if engine == "native":
         return import_module("sim_mjx.engines.native").simulate(scene, params, progress=progress)
-    impl = IMPLEMENTATIONS[engine]
+    impl = ON_DEVICE[engine]
     return import_module("sim_mjx.engines.device").simulate(scene, params, impl, progress=progress)
 
 

@@ -1,4 +1,4 @@
-"""MJX, with JAX's or Warp's kernels: whole rollouts on the device, without a transfer to the host every period.
+"""MJX, with JAX's or Warp's kernels, or our own: whole rollouts on the device, without a transfer every period.
 
 One compiled program does a stretch of control periods: sensor, state machine, controller and physics. Between two
 stretches a lane whose trial has ended takes the next one (:mod:`sim_mjx.engines.lanes`). The physics counts joint
@@ -58,7 +58,7 @@ class Layout:
 class Fixed:
     """Constants of the trials; leaves have a leading lane axis."""
 
-    model: Any  # ``mjx.Model``, or the fused kernel's ``Structure``
+    model: Any  # ``mjx.Model``, or the ``Structure`` of the fused kernel
     fields: dict[str, Array]  # of the model, [trial, ...]
     params: Any  # of the scene's program, [trial, ...]
     empty: Any  # ``mjx.Data`` or ``Body`` of one trial
@@ -123,7 +123,7 @@ class Outcome:
 
 
 def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Rollouts:
-    """As :func:`sim_mjx.engines.simulate`, in single precision on JAX's default device; ``impl`` is "jax" or "warp"."""
+    """As :func:`sim_mjx.engines.simulate`, in single precision on JAX's default device; ``impl``: see ``Lanes``."""
     return to_host(run(scene, params, impl, progress=progress))
 
 
@@ -155,14 +155,14 @@ def put_scene(scene: Scene, count: int, impl: str) -> tuple[Any, Any]:
     """The scene's model on the device, and data of one trial; Warp's kernels step at most ``count`` at once.
 
     Raises:
-        InputError: the scene has something that MJX does not simulate.
+        InputError: the scene has something that the engine does not simulate.
     """
+    if impl == "fused":
+        return _put_fused(scene)
     sizes = {}
     if impl == "warp":
         contacts, rows = most_contacts(scene.model)
         sizes = {"naconmax": count * contacts, "njmax": rows}
-    if impl == "fused":
-        return _put_fused(scene)
     compiled = copy.copy(scene.model)
     compiled.opt.tolerance = max(compiled.opt.tolerance, TOLERANCE)
     compiled.opt.iterations = min(compiled.opt.iterations, SOLVER[0])
@@ -181,7 +181,7 @@ def _put_fused(scene: Scene) -> tuple[Any, Body]:
     from sim_mjx.engines.fused import prepare
 
     if what := prepare.missing(scene.model):
-        raise InputError(f"The engine fused does not have {what}; choose the engine warp or native.")
+        raise InputError(f"The engine fused does not simulate {what}; choose the engine warp or native.")
     model = scene.model
     zeros = [jnp.zeros(size, jnp.float32) for size in (model.nq, model.nv, model.nv, model.nsensordata)]
     return prepare.structure(scene), Body(*zeros)
@@ -298,7 +298,7 @@ def _advance(layout: Layout, fixed: Fixed) -> Callable[..., tuple[Any, Array]]:
 
 
 def _fused(layout: Layout, fixed: Fixed) -> Callable[..., tuple[Any, Array]]:
-    from sim_mjx.engines.fused import prepare, step
+    from sim_mjx.engines.fused import prepare, step  # which imports Warp
 
     numbers = prepare.numbers_of(fixed.model, fixed.fields)
 

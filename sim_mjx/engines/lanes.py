@@ -40,7 +40,7 @@ class Lanes:
 
     Attributes:
         scene: what is simulated.
-        impl: "jax" or "warp".
+        impl: "jax", "warp" or "fused".
         count: lanes; rounded up to full vectors.
         at_once: finished trials that are taken out together.
         spare: room for finished trials, in the longest ones that there can be, in addition to what all lanes may need;

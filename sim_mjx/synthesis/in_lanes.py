@@ -69,7 +69,7 @@ def simulate_in_lanes(
     Args:
         scene: what is simulated.
         batches: (key, batch of trials of the scene's program).
-        engine: "mjx" or "warp".
+        engine: "mjx", "warp" or "fused".
         lanes: trials that are stepped together.
         at_once: trials that leave the device together, best those of a batch.
         config: of the encoder; None = no labels. limits: thresholds, N/s and Nm/s.
@@ -101,7 +101,7 @@ def simulate_in_lanes(
             return lambda: None
         return begin_encoding(config, limits, *records.by_wrist(out.wrench, out.length))
 
-    machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, at_once)
+    machine = Lanes(scene, engines.ON_DEVICE[engine], lanes, at_once)
     with ThreadPoolExecutor(COPIES) as host:
         waiting: deque[Future[list[Shard]]] = deque()
 

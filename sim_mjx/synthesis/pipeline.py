@@ -40,7 +40,11 @@ from sim_mjx.synthesis.workers import Labelled, SynthesisProgress, Tally
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 # Starts workers in other processes and waits for them; calls its argument now and then.
 Helpers = Callable[[Callable[[], None]], None]
-LANES = {"mjx": 8192, "warp": 32768}  # most trials that a device steps together, of as many shards as it takes
+LANES = {
+    "mjx": 8192,
+    "warp": 32768,
+    "fused": 32768,
+}  # most trials that a device steps together, of as many shards as it takes
 GROUP = 256  # trials that leave a device together, with half a megabyte each that waits on the host
 LANE = 2 << 20  # bytes of a device's memory, of which the logs of 60 s and the physics need half
 

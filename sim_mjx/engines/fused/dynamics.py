@@ -1,4 +1,4 @@
-"""Kinematics and dynamics of one trial, by the recursions over bodies of Featherstone's *Rigid Body Dynamics Algorithms*.
+"""Kinematics and dynamics of one trial: the recursions over bodies of Featherstone, *Rigid Body Dynamics Algorithms*.
 
 Spatial vectors have their angular half first and are taken about the model's origin, in the world's axes.
 """

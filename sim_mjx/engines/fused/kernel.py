@@ -1,6 +1,5 @@
 """One control period of every trial in one kernel, a thread for each trial."""
 
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -9,6 +8,7 @@ import warp as wp
 
 from sim_mjx.engines.fused import constraints, dynamics
 from sim_mjx.engines.fused.model import Model, Rows, Values, rotation, shapes, vector
+from sim_mjx.engines.fused.prepare import MOST_JOINTS
 from sim_mjx.engines.fused.solver import newton
 
 ITERATIONS = 20  # of the solver at most
@@ -83,7 +83,7 @@ def period(size: Sizes) -> Any:
     iterations = ITERATIONS
     tolerance = TOLERANCE
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": MOST_JOINTS})
     def run(
         numbers: wp.array(dtype=float),  # gravity, origin, time step, ratio of impedances
         body_parentid: wp.array(dtype=int), body_jntadr: wp.array(dtype=int), body_jntnum: wp.array(dtype=int),
@@ -200,9 +200,7 @@ def period(size: Sizes) -> Any:
             share = float(step + 1) / float(substeps)
             smooth, slope = joint_forces(m, trial, axes, f, qpos, qvel, before, after, share)
             count = constraints.find_contacts(m, trial, pos, rot, touching, points, normals, depths)
-            make_rows(
-                m, trial, axes, qvel, count, touching, points, normals, depths, rows, wanted, weights, cones
-            )
+            make_rows(m, trial, axes, qvel, count, touching, points, normals, depths, rows, wanted, weights, cones)
             constraints.find_limits(m, trial, qpos, qvel, limits, limit_weights)
             guess = column()
             for d in range(joints):

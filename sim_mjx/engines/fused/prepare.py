@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -100,7 +99,8 @@ def structure(scene: Scene) -> Structure:
     numbers = np.concatenate([model.opt.gravity, _origin(model), [model.opt.timestep, model.opt.impratio]])
     shared = {name: getattr(model, name).astype(np.float32)[..., None] for name in NUMBERS}
     integers = {name: np.ascontiguousarray(value).astype(np.int32) for name, value in numbered.items()}
-    return jax.device_put(Structure(integers, shared, numbers.astype(np.float32), np.asarray(sites, np.int32), model.actuator_forcelimited.astype(np.bool_)))
+    limited = model.actuator_forcelimited.astype(np.bool_)
+    return jax.device_put(Structure(integers, shared, numbers.astype(np.float32), sites.astype(np.int32), limited))
 
 
 def _origin(model: mujoco.MjModel) -> NDArray[np.float64]:

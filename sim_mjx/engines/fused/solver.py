@@ -1,8 +1,7 @@
 """Newton's method for MuJoCo's constraint problem, and the implicit integrator's linear system.
 
-A trial stops when its own steps have become small; with one trial a thread none waits for another but those of its warp.
+A trial stops when its own gradient is small; as each has a thread, it waits for none but those of its warp.
 """
-
 
 from functools import lru_cache
 from typing import Any
@@ -136,9 +135,7 @@ def newton(n: int) -> Any:
         high = float(1e10)
         at = float(1.0)
         for _ in range(SEARCHES):
-            slope = slope_along(
-                at, quadratic, count, missing, moved, weights, cones, limits, limit_weights, qacc, step
-            )
+            slope = slope_along(at, quadratic, count, missing, moved, weights, cones, limits, limit_weights, qacc, step)
             if wp.abs(slope[0]) <= FLAT * wp.abs(begin):
                 break
             if slope[0] < 0.0:

@@ -12,6 +12,7 @@ from rcbht_jax.types import Array
 from sim_mjx.engines.fused.kernel import Sizes, period
 from sim_mjx.engines.fused.prepare import Structure
 
+STATE = ("new_qpos", "new_qvel", "new_qacc", "new_sensordata")  # outputs of the kernel
 BLOCK = 32  # threads: a trial's registers leave room for few, and small batches spread over all multiprocessors
 
 
@@ -42,12 +43,10 @@ def advance(
     count, joints = body[0].shape
     numbered = structure.numbered
     tabs = len(numbered["tip_geom"])
-    size = Sizes(
-        len(numbered["body_parentid"]), joints, len(numbered["pair_geom"]), substeps
-    )
+    size = Sizes(len(numbered["body_parentid"]), joints, len(numbered["pair_geom"]), substeps)
     call, names = _call(size)
     given = numbered | numbers | {"numbers": structure.numbers}
-    dims = {name: leaf.shape for name, leaf in zip(("new_qpos", "new_qvel", "new_qacc", "new_sensordata"), body, strict=True)}
+    dims = dict(zip(STATE, (leaf.shape for leaf in body), strict=True))
     return call(
         *(given[name] for name in names), still.astype(jnp.int32), before, after, *body,
         launch_dims=count, output_dims=dims | {"places": (count, tabs, 3)},

@@ -105,7 +105,7 @@ def test_other_assemblies_are_encoded_with_thresholds_of_their_own(
         (["--shard", "0"], "shard's number of trials is 0"),
         (["--preset", "D"], "options are wrong"),
         (["--engine", "abacus"], "options are wrong"),
-        (["--lanes", "4", "--trials", "0"], "--lanes is for --engine mjx or warp"),
+        (["--lanes", "4", "--trials", "0"], "--lanes is for --engine mjx, warp or fused"),
     ],
 )
 def test_mistakes_are_one_sentence(
