@@ -59,7 +59,7 @@ def compared(options: argparse.Namespace) -> dict[str, Any]:
 def throughput(batch: int, options: argparse.Namespace) -> dict[str, Any]:
     """Physics steps per second with controller, sensor and state machine, all trials running to the end."""
     params, scene = trials_of(batch, SHORT, 1.0, options.preset), scene_of(options)
-    impl = engines.IMPLEMENTATIONS[options.engine]
+    impl = engines.ON_DEVICE[options.engine]
     (_, first), (out, seconds) = (seconds_of(lambda: device.run(scene, params, impl)) for _ in range(2))
     steps = int((out.phase < ENDED).sum()) * scene.substeps
     return {
@@ -74,7 +74,7 @@ def throughput(batch: int, options: argparse.Namespace) -> dict[str, Any]:
 
 def solver(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Speed with other iterations of the solver, and the wrench of 64 trials against that of many iterations."""
-    kept, rows, impl = device.SOLVER, [], engines.IMPLEMENTATIONS[options.engine]
+    kept, rows, impl = device.SOLVER, [], engines.ON_DEVICE[options.engine]
     few, scene = trials_of(COMPARED, SHORT, 1.0, options.preset), scene_of(options)
     try:
         device.SOLVER = CONVERGED
@@ -177,7 +177,7 @@ def _kept_lanes() -> Iterator[list[lanes.Lanes]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--engine", choices=["mjx", "warp"], required=True)
+    parser.add_argument("--engine", choices=[*engines.ON_DEVICE], required=True)
     parser.add_argument("--sections", nargs="*", default=["parity", "speed", "synthesis", "sweep", "solver"])
     parser.add_argument("--trials", type=int, nargs="*", default=[10000], help="of each synthesis")
     parser.add_argument("--preset", default=PRESET)

@@ -1,6 +1,6 @@
 """Whether a device gives a trial twice: the same trials again, and in other lanes of the batch.
 
-Run: python -m experiments.simulation.repeatability --engine warp mjx
+Run: python -m experiments.simulation.repeatability --engine fused warp mjx
 and XLA_FLAGS=--xla_gpu_deterministic_ops=true python -m experiments.simulation.repeatability --engine mjx, which adds
 its rows to the former ones.
 """
@@ -49,7 +49,9 @@ def backwards(out: Rollouts) -> Rollouts:
 
 
 def main(
-    engine: Annotated[tuple[Literal["native", "mjx", "warp"], ...], tyro.conf.arg(help="engines")] = ("warp", "mjx"),
+    engine: Annotated[tuple[Literal["native", "mjx", "warp", "fused"], ...], tyro.conf.arg(help="engines")] = (
+        "fused",
+    ),
     trials: int = 512,
 ) -> None:
     """Measure and store."""

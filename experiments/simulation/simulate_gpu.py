@@ -24,7 +24,7 @@ from experiments._lib.results_io import record_of, write_result
 from rcbht_jax._util import checkpoint
 from sim_mjx.synthesis import launch
 
-ENGINE, PRESET, LONGEST, TRIALS = "warp", "hooked-B", 25.0, 10_000
+ENGINE, PRESET, LONGEST, TRIALS = "fused", "hooked-B", 25.0, 10_000
 COMMAND = ("simulate", "--preset", PRESET, "--max-seconds", str(LONGEST), "--engine", ENGINE, "--window", "5")
 Row = dict[str, Any]
 

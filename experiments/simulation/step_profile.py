@@ -1,7 +1,7 @@
 """Where the time of a physics step goes on a GPU: its length by the number of lanes, and its kernels.
 
 Trials of session B, first moving freely, then in contact, most of them mating. A step includes its share of controller,
-sensor and state machine; nothing is stored. Run on a GPU: python -m experiments.simulation.step_profile
+sensor and state machine; nothing is stored. Run on a GPU: python -m experiments.simulation.step_profile --engine fused
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ import tempfile
 import time
 from collections import defaultdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import tyro
 
 from experiments._lib.results_io import write_result
 from experiments.simulation.engines import PRESET, SEED, trials_of
+from sim_mjx import engines
 from sim_mjx.assembly.rollout import as_float32
 from sim_mjx.engines import device, lanes
 from sim_mjx.registry import get_scenario
@@ -40,19 +41,19 @@ KINDS = {  # of kernels, by what their names contain; the first that fits
 }
 
 
-def begun(count: int) -> tuple[Any, ...]:
+def begun(count: int, engine: str) -> tuple[Any, ...]:
     """Compiled programs and the state of lanes in which trials begin."""
     scene, params = get_scenario(PRESET).scene(), trials_of(count, LONGEST)
-    model, empty = device.put_scene(scene, count, "warp")
+    model, empty = device.put_scene(scene, count, engines.ON_DEVICE[engine])
     fields, params = jax.device_put((device.fields_of(scene, params), as_float32(params)))
     fixed = device.Fixed(model, fields, params, empty)
     layout, programs = device.layout_of(scene), lanes._programs(jax.default_backend())
     return programs.stretch, layout, fixed, programs.start(layout, fixed)
 
 
-def speed(count: int, traced: bool) -> tuple[dict[str, float], dict[str, Any]]:
+def speed(count: int, engine: str, traced: bool) -> tuple[dict[str, float], dict[str, Any]]:
     """Milliseconds of a step, medians over stretches, and the kernels of a stretch of each kind if they are traced."""
-    stretch, layout, fixed, state = begun(count)
+    stretch, layout, fixed, state = begun(count, engine)
     steps, seconds, profiles = device.STRETCH * layout.substeps, list[float](), dict[str, Any]()
     for number in range(CONTACT.stop):
         start = time.perf_counter()
@@ -115,15 +116,16 @@ def by_kind(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     return {kind: row | {"share": round(row["us"] / total, 3)} for kind, row in sums.items()}
 
 
-def main() -> None:
+def main(engine: Literal["warp", "fused"]) -> None:
     """Measure and store."""
-    out: dict[str, Any] = {"engine": "warp", "preset": PRESET, "lanes": {}}
+    out: dict[str, Any] = {"engine": engine, "preset": PRESET, "lanes": {}}
     for count in COUNTS:
-        out["lanes"][str(count)], profiles = speed(count, count == TRACED)
+        out["lanes"][str(count)], profiles = speed(count, engine, count == TRACED)
         for name, rows in profiles.items():
             longest = dict(list(rows.items())[:SHOWN])
             out[f"traced_{name}"] = {"lanes": TRACED, "kinds": by_kind(rows), "kernels": longest}
-    write_result("step_profile", "python -m experiments.simulation.step_profile", out, seed=SEED)
+    command = f"python -m experiments.simulation.step_profile --engine {engine}"
+    write_result(f"step_profile_{engine}", command, out, seed=SEED)
 
 
 if __name__ == "__main__":

@@ -83,7 +83,7 @@ def period(size: Sizes) -> Any:
     iterations = ITERATIONS
     tolerance = TOLERANCE
 
-    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": MOST_JOINTS})
+    @wp.kernel(enable_backward=False, module="unique", grid_stride=False, module_options={"max_unroll": MOST_JOINTS})
     def run(
         numbers: wp.array(dtype=float),  # gravity, origin, time step, ratio of impedances
         body_parentid: wp.array(dtype=int), body_jntadr: wp.array(dtype=int), body_jntnum: wp.array(dtype=int),
