@@ -6,6 +6,7 @@ LONGEST ?= none
 OUT ?= demo-out
 PEERS ?= .venv-peers
 AEON ?= .venv-aeon
+WARP ?= .venv-warp
 WORK ?= reproduce-work
 SEED ?= 1
 ATTEMPTS ?= 20000
@@ -17,7 +18,7 @@ PIP := --quiet --disable-pip-version-check --no-compile # a module is compiled w
 unexport PYTHONDONTWRITEBYTECODE # dozens of processes would each compile all that they import again
 
 .DEFAULT_GOAL := help
-.PHONY: help venv test aeon lint format demo docs packages bench figures peers reproduce constraints attack sbom clean
+.PHONY: help venv test aeon kernel lint format demo docs packages bench figures peers reproduce constraints attack sbom clean
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:[^#]*## /\t/' | expand -t 13
@@ -40,6 +41,14 @@ aeon: $(AEON)/.installed ## run aeon's own checks of our estimators, in an envir
 $(AEON)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(AEON)
 	$(AEON)/bin/python -m pip install $(PIP) --editable '.[aeon]' pytest
+	@touch $@
+
+kernel: $(WARP)/.installed ## test the engine fused with Warp on this CPU, in an environment of its own
+	$(WARP)/bin/python -m pytest --noconftest --override-ini filterwarnings= tests/sim/engines/test_fused.py
+
+$(WARP)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(WARP)
+	$(WARP)/bin/python -m pip install $(PIP) --constraint constraints.txt --editable '.[sim,warp]' pytest
 	@touch $@
 
 lint: $(INSTALLED) ## check style, types and which module imports which

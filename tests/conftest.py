@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from pathlib import Path
 
 from jaxtyping import install_import_hook
 
-import tests.support.typechecking  # noqa: F401  # the hook below finds it by attribute
+import tests.support.typechecking  # the hook below finds it by attribute
 from tests.support.compiler import UNOPTIMISED
 from tests.support.garbage import collect_rarely, set_aside
 from tests.support.long_tests import HELP, OPTION, chosen
@@ -17,6 +18,7 @@ from tests.support.small_blocks import shrink
 
 # Shapes and types are checked at run time under pytest only; must come before any import of the packages.
 install_import_hook(["rcbht_jax", "sim_mjx"], "tests.support.typechecking.check")
+sys.meta_path.insert(0, tests.support.typechecking.Unhooked())
 
 # Both workers and all commands that tests start share what one of them has compiled: half of the time is compilation.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
