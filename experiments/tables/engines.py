@@ -273,13 +273,22 @@ def encoder_speed(result: Result) -> Lines:
             yield (f"{int(count):,}", window.removeprefix("W"), *cells, f"{row['time first']['compile_s']:.0f}")
 
 
-@table("step", "step_profile")
-def step(result: Result) -> Lines:
-    """A physics step of Warp by the number of lanes."""
-    yield "lanes", "a step in free motion, ms", "in contact, ms", "million steps per second, free", "in contact"
-    for count, row in result["lanes"].items():
-        times = [f"{row[f'{how}_ms']:.2f}" for how in MOTIONS]
-        yield (f"{int(count):,}", *times, *(f"{row[f'{how}_steps_per_s'] / 1e6:.1f}" for how in MOTIONS))
+@table("step", "step_profile_fused", "step_profile")
+def step(fused: Result, warp: Result) -> Lines:
+    """A physics step of the fused kernel and of Warp's by the number of lanes."""
+    yield (
+        "engine",
+        "lanes",
+        "a step in free motion, ms",
+        "in contact, ms",
+        "million steps per second, free",
+        "in contact",
+    )
+    for engine, card, result in (("fused", "H200", fused), ("warp", "H100", warp)):
+        for count, row in result["lanes"].items():
+            times = [f"{row[f'{how}_ms']:.2f}" for how in MOTIONS]
+            speeds = (f"{row[f'{how}_steps_per_s'] / 1e6:.1f}" for how in MOTIONS)
+            yield (f"`{engine}`, one {card}", f"{int(count):,}", *times, *speeds)
 
 
 @table("step-kernels", "step_profile")

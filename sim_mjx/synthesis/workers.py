@@ -137,7 +137,6 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, share:
     """
     own = _OwnShards(draft)
     fill = -(-lanes // draft.job.shard)
-    one_wave = draft.shards - len(shards.finished(draft.folder)) <= fill
 
     def ahead(asked: int, coming: int) -> int:
         missing = draft.shards - len(shards.finished(draft.folder)) - len(own.held)
@@ -145,7 +144,7 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, share:
         return more if share is None else min(more, share - asked)
 
     try:
-        with Ahead(own.batches(), fill, ahead) as coming, Writers(draft, at_once=one_wave) as writers:
+        with Ahead(own.batches(), fill, ahead) as coming, Writers(draft) as writers:
             for made in stream(coming, coming.ready, lambda: own.unwritten() < writers.count):
                 own.write(writers, made)
                 del made  # it is copied, and not kept until the next shard comes

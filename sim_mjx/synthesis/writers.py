@@ -14,7 +14,6 @@ from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.records import Arrays
 
 MOST = 3  # shards that are written at the same time; each takes a third of a megabyte of memory a trial
-MOST_AT_ONCE = 6  # likewise, of trials that all end together, when nothing else is left to do
 FEWEST = 4  # cores, and missing shards, from which on processes write
 
 
@@ -24,14 +23,12 @@ class Writers:
     Args:
         draft: the store.
         apart: write in processes; default: only if there are cores for them.
-        at_once: the shards come all together.
     """
 
-    def __init__(self, draft: Draft, apart: bool | None = None, at_once: bool = False) -> None:
+    def __init__(self, draft: Draft, apart: bool | None = None) -> None:
         cores = os.cpu_count() or 1
         missing = draft.shards - len(shards.finished(draft.folder))  # few of a resumed job: fewer processes
-        most = MOST_AT_ONCE if at_once and cores >= 2 * MOST_AT_ONCE else MOST
-        self.count = max(1, min(most, cores, missing))
+        self.count = max(1, min(MOST, cores, missing))
         if apart is None:
             apart = cores >= FEWEST and missing >= FEWEST
         self._draft, self._idle = draft, SimpleQueue[PartProcess]()

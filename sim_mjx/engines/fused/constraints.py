@@ -160,7 +160,10 @@ def find_contacts(
         radius = entry(m.geom_size, ball, 0, trial)
         half = vector(m.geom_size, box, trial)
         margin = value(m.pair_margin, p, trial)
-        if wp.max(wp.abs(local) - half) < radius + margin:  # else they are apart along one of the box's axes
+        apart = m.body_moves[first] == m.body_moves[second]  # both fixed, or to each other: no joint feels a contact
+        if (
+            not apart and wp.max(wp.abs(local) - half) < radius + margin
+        ):  # else they are apart along one of the box's axes
             touch = sphere_on_box(local, radius, half)
             depth = touch[3] - margin
             if depth < 0.0:

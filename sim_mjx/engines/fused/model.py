@@ -67,7 +67,7 @@ class Model:
     pair_friction: Rows  # along the two tangents
     pair_solref: Rows
     pair_solimp: Rows
-    pair_margin: Values  # less the gap
+    pair_margin: Values
     pair_invweight: Values  # of the two bodies, translational, summed
 
     jnt_actuator: wp.array(dtype=int)  # of each joint, -1 = none

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jaxtyping import Int32
 from numpy.typing import NDArray
 
 from rcbht_jax.types import Array
@@ -19,7 +20,7 @@ NUMBERS = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_gravcomp", "qpos0",
     "qpos_spring", "jnt_pos", "jnt_axis", "jnt_range", "jnt_margin", "jnt_solref", "jnt_solimp", "jnt_stiffness",
     "dof_damping", "dof_armature", "dof_invweight0", "geom_pos", "geom_quat", "geom_size", "pair_friction",
-    "pair_solref", "pair_solimp", "pair_margin", "pair_gap", "body_invweight0", "actuator_gear", "actuator_gainprm",
+    "pair_solref", "pair_solimp", "pair_margin", "body_invweight0", "actuator_gear", "actuator_gainprm",
     "actuator_biasprm", "actuator_forcerange", "site_pos", "site_quat",
 )  # fmt: skip
 # Fields that must be zero: what they switch on the kernel does not have.
@@ -54,16 +55,24 @@ def missing(model: mujoco.MjModel) -> str | None:
         return "several actuators of one joint"
     if not 0 < model.njnt <= MOST_JOINTS:
         return f"{model.njnt} joints (1 to {MOST_JOINTS} work)"
+    if not set(model.actuator_biastype.tolist()) <= {mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE}:
+        return "biases of actuators that are not affine"
     for name, what in ZERO.items():
         if np.any(getattr(model, name)):
             return what
     if (model.geom_contype | model.geom_conaffinity).any():
         return "contacts without a pair"
-    types = [model.geom_type[side] for side in (model.pair_geom1, model.pair_geom2)]
-    sphere, box = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX
-    if (types[0] != sphere).any() or (types[1] != box).any() or (model.pair_dim != 3).any():
+    pairs = model.geom_type[_pairs(model)]
+    balls, boxes = pairs[:, 0] == mujoco.mjtGeom.mjGEOM_SPHERE, pairs[:, 1] == mujoco.mjtGeom.mjGEOM_BOX
+    if not (balls & boxes & (model.pair_dim == 3)).all():
         return "contacts of other than spheres with boxes"
     return None
+
+
+def _pairs(model: mujoco.MjModel) -> Int32[np.ndarray, "pair 2"]:
+    """Geoms of each pair; spheres come first, as in MuJoCo's contacts."""
+    pairs = np.stack([model.pair_geom1, model.pair_geom2], 1)
+    return np.take_along_axis(pairs, np.argsort(model.geom_type[pairs], axis=1, kind="stable"), axis=1)
 
 
 @jax.tree_util.register_dataclass
@@ -76,6 +85,7 @@ class Structure:
     numbers: Array  # gravity, origin, time step, ratio of impedances
     sites: Array  # of the force sensors
     limited: Array  # whether an actuator's force is
+    biased: Array  # whether an actuator has a bias
 
 
 def structure(scene: Scene) -> Structure:
@@ -92,15 +102,20 @@ def structure(scene: Scene) -> Structure:
         "body_parentid": model.body_parentid, "body_jntadr": model.body_jntadr, "body_jntnum": model.body_jntnum,
         "body_moves": moves, "jnt_slides": model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE,
         "jnt_limited": model.jnt_limited, "dof_bodyid": model.dof_bodyid, "geom_bodyid": model.geom_bodyid,
-        "pair_geom": np.stack([model.pair_geom1, model.pair_geom2], 1), "jnt_actuator": actuator,
+        "pair_geom": _pairs(model), "jnt_actuator": actuator,
         "site_body": model.site_bodyid[sites], "site_sensor": scene.forces,
         "tip_geom": np.stack([scene.tips, scene.lips], 1),
     }  # fmt: skip
     numbers = np.concatenate([model.opt.gravity, _origin(model), [model.opt.timestep, model.opt.impratio]])
     shared = {name: getattr(model, name).astype(np.float32)[..., None] for name in NUMBERS}
     integers = {name: np.ascontiguousarray(value).astype(np.int32) for name, value in numbered.items()}
-    limited = model.actuator_forcelimited.astype(np.bool_)
-    return jax.device_put(Structure(integers, shared, numbers.astype(np.float32), sites.astype(np.int32), limited))
+    limited, biased = (
+        model.actuator_forcelimited.astype(np.bool_),
+        model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE,
+    )
+    return jax.device_put(
+        Structure(integers, shared, numbers.astype(np.float32), sites.astype(np.int32), limited, biased)
+    )
 
 
 def _origin(model: mujoco.MjModel) -> NDArray[np.float64]:
@@ -118,7 +133,8 @@ def numbers_of(structure: Structure, fields: dict[str, Array]) -> dict[str, Arra
     """
     of = structure.shared | {name: jnp.moveaxis(leaf, 0, -1) for name, leaf in fields.items()}
     quaternions = {name: jnp.roll(of[name], -1, axis=1) for name in ("body_quat", "geom_quat")}
-    gear, bias, weights = of["actuator_gear"][:, 0], of["actuator_biasprm"], of["body_invweight0"][:, 0]
+    gear, weights = of["actuator_gear"][:, 0], of["body_invweight0"][:, 0]
+    bias = jnp.where(structure.biased[:, None, None], of["actuator_biasprm"], 0.0)
     first, second = (structure.numbered["geom_bodyid"][side] for side in structure.numbered["pair_geom"].T)
     limits = gear[:, None] * of["actuator_forcerange"]
     free = jnp.array([-jnp.inf, jnp.inf], jnp.float32)[None, :, None]
@@ -128,7 +144,7 @@ def numbers_of(structure: Structure, fields: dict[str, Array]) -> dict[str, Arra
     return {name: of[name] for name in kept} | quaternions | {
         "body_inertia": _turned(of["body_inertia"], of["body_iquat"]),
         "pair_friction": of["pair_friction"][:, :2],
-        "pair_margin": of["pair_margin"] - of["pair_gap"],
+        "pair_margin": of["pair_margin"],  # contacts in a gap beyond it exert nothing
         "pair_invweight": weights[first] + weights[second],
         "actuator_gain": gear * of["actuator_gainprm"][:, 0],
         "actuator_bias": jnp.stack([gear * bias[:, 0], gear**2 * bias[:, 1], gear**2 * bias[:, 2]], 1),

@@ -108,11 +108,3 @@ def test_few_cores_write_in_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert not pool._processes
         pool.submit(0, draft.draw(0), *made(draft, 0)).result()
     assert shards.finished(draft.folder) == {0}
-
-
-def test_shards_that_come_together_have_more_writers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    draft = draft_in(tmp_path / "work")
-    monkeypatch.setattr(os, "cpu_count", lambda: 2 * writers.MOST_AT_ONCE)
-    for at_once, count in ((False, writers.MOST), (True, draft.shards)):  # three shards, beside two at most
-        with Writers(draft, apart=False, at_once=at_once) as pool:
-            assert pool.count == count
