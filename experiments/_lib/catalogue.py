@@ -218,7 +218,8 @@ EXPERIMENTS = (
     ),
     Experiment("encoder_speed", "words.encoder_speed", 3, elsewhere=GPU),
     Experiment("repeatability", "simulation.repeatability", 2, elsewhere=GPU),
-    Experiment("step_profile", "simulation.step_profile", 2, elsewhere=GPU),
+    Experiment("step_profile", "simulation.step_profile", 2, ("--engine", "warp"), elsewhere=GPU),
+    Experiment("step_profile_fused", "simulation.step_profile", 2, ("--engine", "fused"), elsewhere=GPU),
     Experiment("engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp"), elsewhere=GPU),
     Experiment(
         "learn_setpoints_gpu", "simulation.learn_setpoints", 18,

@@ -125,7 +125,7 @@ def main(engine: Literal["warp", "fused"]) -> None:
             longest = dict(list(rows.items())[:SHOWN])
             out[f"traced_{name}"] = {"lanes": TRACED, "kinds": by_kind(rows), "kernels": longest}
     command = f"python -m experiments.simulation.step_profile --engine {engine}"
-    write_result(f"step_profile_{engine}", command, out, seed=SEED)
+    write_result("step_profile" if engine == "warp" else "step_profile_fused", command, out, seed=SEED)
 
 
 if __name__ == "__main__":

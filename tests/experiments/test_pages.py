@@ -171,7 +171,7 @@ CELLS = [
     ("large-store-read", "1,000,000", "`rcbht info`, s", ".2f large_store > read > 1000000 > info_s"),
     ("large-store-worked", "16,000", "encode, GB", ".2f large_store > worked > 16000 > encode_GB"),
     ("repeatability", "`warp`, again", "same outcome", "d repeatability > engines > warp > again > same_outcome"),
-    ("step", "`warp`, one H100", "in contact, ms", ".2f step_profile > lanes > 1024 > contact_ms"),
+    ("step", "`warp`, one H100 | 8,192", "in contact, ms", ".2f step_profile > lanes > 8192 > contact_ms"),
     ("step-kernels", "solver", "in contact, µs", ".0f step_profile > traced_contact > kinds > solver > us"),
     ("encoder-speed", "8,192 | 5", "billion samples a second",
      ".2f/1e9 encoder_speed > windows > W5 > 8192 > time first > samples_per_s"),

@@ -61,7 +61,7 @@ def off(found: Floats, wanted: Floats) -> float:
 
 
 def test_a_step_of_random_models_is_that_of_mujoco() -> None:
-    """Only single precision may differ: an acceleration is a small difference of large ones, a position its integral."""
+    """Only single precision may differ: an acceleration is a small difference of larger ones."""
     rng, wrong, pushed = np.random.default_rng(0), [], 0
     for number in range(MODELS):
         scene, qpos = random_scene(rng, SHAPE)
