@@ -220,7 +220,7 @@ def _check_places(path: Path, columns: Mapping[str, Any], bounds: NDArray[np.int
     """
     lengths = np.diff(bounds)
     recording = first + np.repeat(np.arange(len(lengths)), lengths)
-    sample = np.arange(bounds[-1]) - np.repeat(bounds[:-1], lengths)
+    sample = np.arange(bounds[0], bounds[-1]) - np.repeat(bounds[:-1], lengths)
     for name, expected in (("recording", recording), ("sample", sample)):
         if not np.array_equal(columns.get(name), expected):  # type: ignore[arg-type]
             raise InputError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -300,10 +300,15 @@ def test_a_table_of_trials_with_other_separators_is_refused(tmp_path: Path) -> N
         read_source(tmp_path / "out")
 
 
-def test_parquet_signals_in_another_order_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "changed",
+    [lambda table: table.sort_values(["sample", "recording"]), lambda table: table.assign(recording=-1)],
+    ids=["another order", "no recording"],
+)
+def test_parquet_signals_in_another_order_are_refused(tmp_path: Path, changed: Callable[[Any], Any]) -> None:
     export(DataSet.of(recordings()), tmp_path / "out", "parquet")
     path = tmp_path / "out" / "wrench.parquet"
-    pd.read_parquet(path).sort_values(["sample", "recording"]).to_parquet(path, index=False)
+    changed(pd.read_parquet(path)).to_parquet(path, index=False)
     with pytest.raises(InputError, match=r"wrench.parquet: the column recording is not that of an export"):
         read_source(tmp_path / "out")
 
