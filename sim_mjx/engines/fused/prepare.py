@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rcbht_jax.types import Array
 from sim_mjx.assembly.scene import Scene
 
+LEAST_FRICTION = 1e-5  # MuJoCo's mjMINMU
 MOST_JOINTS = 31  # bits of an integer; the kernel's matrices are unrolled
 # Fields of the model that trials may have of their own.
 NUMBERS = (
@@ -143,7 +144,7 @@ def numbers_of(structure: Structure, fields: dict[str, Array]) -> dict[str, Arra
             "dof_invweight0", "geom_pos", "geom_size", "pair_solref", "pair_solimp")  # fmt: skip
     return {name: of[name] for name in kept} | quaternions | {
         "body_inertia": _turned(of["body_inertia"], of["body_iquat"]),
-        "pair_friction": of["pair_friction"][:, :2],
+        "pair_friction": jnp.maximum(of["pair_friction"][:, :2], LEAST_FRICTION),
         "pair_margin": of["pair_margin"],  # contacts in a gap beyond it exert nothing
         "pair_invweight": weights[first] + weights[second],
         "actuator_gain": gear * of["actuator_gainprm"][:, 0],

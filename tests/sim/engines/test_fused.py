@@ -65,6 +65,8 @@ def test_a_step_of_random_models_is_that_of_mujoco() -> None:
     rng, wrong, pushed = np.random.default_rng(0), [], 0
     for number in range(MODELS):
         scene, qpos = random_scene(rng, SHAPE)
+        if number % 10 == 9:
+            scene.model.pair_friction[:] = 0.0  # of which MuJoCo makes 1e-5
         assert prepare.missing(scene.model) is None
         given = states(scene.model, qpos, rng)
         wanted, found = expected(scene.model, *given), stepped(scene, *given)
